@@ -21,9 +21,10 @@ import time
 import unicodedata
 from collections.abc import Iterator
 from contextlib import suppress
-from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, Literal, get_args
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from ..errors import UnoccludeError
 from ..runtime.outputs import writing
@@ -48,40 +49,42 @@ class AppError(UnoccludeError):
         self.status = status
 
 
-@dataclass
-class Choices:
+#: Where an IMU may be worn; "": the motion shows it, "-": it takes no part.
+Place = Literal["", "-", "forearm_right", "forearm_left", "upper_arm_right", "upper_arm_left",
+                "hand_right", "hand_left", "base"]  # fmt: skip
+PLACES = get_args(Place)[2:]
+_REMEDY = r"(--(mirror [xyz]|swap [a-z]+,[a-z]+|negate [a-z]+(,[a-z]+)?|camera-frame [a-z]+) ?)*"
+
+
+class Choices(BaseModel):
     """What the user chose for a recording."""
 
-    places: dict[str, str] = field(default_factory=dict)  # Where an IMU is worn
-    left_out: list[str] = field(default_factory=list)  # Files that take no part
+    model_config = ConfigDict(strict=True)
+
+    places: dict[str, Place] = {}  # Where an IMU is worn
+    left_out: list[str] = []  # Files that take no part
     # When the first IMU sample was taken, after the camera's first frame
-    imu_starts_at_s: float | None = None
-    side: str = ""  # "left", "right", or "" for all arms that have an IMU
-    body: int | None = None  # The person
-    remedy: str = ""  # Options that undo a wrong set-up, as `check` proposes them ("--mirror x")
+    imu_starts_at_s: Annotated[float, Field(gt=-1e7, lt=1e7)] | None = None
+    side: Literal["", "left", "right"] = ""  # "": all arms that have an IMU
+    body: Annotated[int, Field(ge=0, lt=10**9)] | None = None  # The person
+    # Options that undo a wrong set-up, as `check` proposes them ("--mirror x")
+    remedy: Annotated[str, Field(pattern=f"^{_REMEDY}$")] = ""
     video_mirrored: bool = False  # The video used as the camera is a mirror image
-    video_turn: int = 0  # Its pictures are turned clockwise by this many degrees (0, 90, 180, 270)
+    video_turn: Literal[0, 90, 180, 270] = 0  # Its pictures are turned clockwise by this many degrees
 
 
-@dataclass
-class KeptRecording:
+class KeptRecording(BaseModel):
     """What is kept of a recording besides its files."""
 
     name: str = ""  # As the user wrote them; the date as YYYY-MM-DD, or "" where the recording states it
-    person: str = ""  # As the user wrote them; the date as YYYY-MM-DD, or "" where the recording states it
-    date: str = ""  # As the user wrote them; the date as YYYY-MM-DD, or "" where the recording states it
-    task: str = ""  # As the user wrote them; the date as YYYY-MM-DD, or "" where the recording states it
+    person: str = ""
+    date: str = ""
+    task: str = ""
     created_s: float = 0.0  # Since 1970
     revision: int = 0  # Rises with every change, so that two pages do not overwrite each other's
-    choices: Choices = field(default_factory=Choices)
+    choices: Choices = Choices()
 
 
-#: Where an IMU may be worn, besides "" and "-".
-PLACES = (
-    *("forearm_right", "forearm_left", "upper_arm_right", "upper_arm_left"),
-    *("hand_right", "hand_left", "base"),
-)
-_REMEDY = re.compile(r"--(mirror [xyz]|swap [a-z]+,[a-z]+|negate [a-z]+(,[a-z]+)?|camera-frame [a-z]+)")
 _DATE = re.compile(r"\d{4}-\d\d-\d\d")
 
 
@@ -246,38 +249,29 @@ def file_name(name: str) -> str:
 
 def read_kept(folder: Path) -> KeptRecording:
     """What is kept of a recording; what a newer version wrote besides is passed over."""
-    values = read_json(folder / "app.json")
-    known = {each.name for each in fields(KeptRecording)}
-    kept = KeptRecording(**{key: value for key, value in values.items() if key in known - {"choices"}})
-    chosen = {each.name for each in fields(Choices)}
-    kept.choices = Choices(**{k: v for k, v in (values.get("choices") or {}).items() if k in chosen})
-    return kept
+    return KeptRecording.model_validate(read_json(folder / "app.json"))
 
 
 def write_kept(folder: Path, kept: KeptRecording) -> None:
     """Keep it, whole or not at all."""
-    write_json(folder / "app.json", asdict(kept))
+    write_json(folder / "app.json", kept.model_dump())
 
 
 def changed(kept: KeptRecording, wish: dict[str, Any]) -> KeptRecording:
     """What is kept, with a page's changes."""
     if wish.get("revision") != kept.revision:
         raise AppError("Another page changed this recording meanwhile; its choices are shown now.", 409)
-    for key in ("name", "person", "date", "task"):
-        if key in wish:
-            setattr(kept, key, one_line(wish[key]))
-    if kept.date and not _is_date(kept.date):
+    texts = {key: one_line(wish[key]) for key in ("name", "person", "date", "task") if key in wish}
+    if (date := texts.get("date")) and not _is_date(date):
         raise AppError("The date is written as YYYY-MM-DD.")
     choices = wish.get("choices", {})
-    if not isinstance(choices, dict):
-        raise AppError("The choices are not an object.")
-    for key, value in choices.items():
-        if key not in {each.name for each in fields(Choices)}:
-            raise AppError(f"There is no choice {str(key)[:40]!r}.")
-        setattr(kept.choices, key, value)
-    _check(kept.choices)
-    kept.revision += 1
-    return kept
+    if not isinstance(choices, dict) or choices.keys() - Choices.model_fields.keys():
+        raise AppError("The choices are not those of a recording.")
+    try:
+        chosen = Choices.model_validate(kept.choices.model_dump() | choices)
+    except ValidationError as error:
+        raise AppError("A choice has a value that cannot be.") from error
+    return kept.model_copy(update=texts | {"choices": chosen, "revision": kept.revision + 1})
 
 
 def _is_date(text: str) -> bool:
@@ -292,29 +286,6 @@ def one_line(value: object) -> str:
     if not isinstance(value, str) or len(value) > 200:
         raise AppError("A name is a text of at most 200 characters.")
     return " ".join("".join(c for c in value if c.isprintable()).split())
-
-
-def _check(choices: Choices) -> None:
-    """Refuse values that no command could be given."""
-    places = choices.places
-    good = isinstance(places, dict) and all(
-        isinstance(key, str) and value in ("", "-", *PLACES) for key, value in places.items()
-    )
-    good &= isinstance(choices.left_out, list) and all(isinstance(each, str) for each in choices.left_out)
-    good &= choices.side in ("", "left", "right")
-    good &= choices.body is None or (type(choices.body) is int and 0 <= choices.body < 10**9)
-    good &= choices.imu_starts_at_s is None or _is_time(choices.imu_starts_at_s)
-    good &= isinstance(choices.video_mirrored, bool)
-    good &= type(choices.video_turn) is int and choices.video_turn in (0, 90, 180, 270)
-    good &= isinstance(choices.remedy, str) and (
-        not choices.remedy or all(_REMEDY.fullmatch(each) for each in remedy_options(choices.remedy))
-    )
-    if not good:
-        raise AppError("A choice has a value that cannot be.")
-
-
-def _is_time(value: object) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) < 1e7
 
 
 def remedy_options(remedy: str) -> list[str]:

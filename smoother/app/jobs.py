@@ -15,7 +15,6 @@ import sys
 import threading
 import time
 from contextlib import suppress
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -37,25 +36,6 @@ _PROGRAM = (
 )
 
 
-@dataclass(frozen=True)
-class JobState:
-    """How far a job is."""
-
-    number: int  # Of the recording's jobs, from 1
-    kind: str  # What it is for ("describe", "recover", ..)
-    # "waiting", "running", "done", "failed", "held" (by the check, the result could not be trusted),
-    # "cancelled" by the user, or "stopped" with the program or the computer
-    state: str
-    step: int  # The command that runs or was the last, from 0, and how many there are
-    steps: int  # The command that runs or was the last, from 0, and how many there are
-    step_name: str
-    share: float  # Part done of that command, 0 to 1; -1 where it does not say
-    text: str  # What it is doing
-    sentence: str  # Why it failed, in the command's words
-    printed: str  # What its commands printed, where that was asked for; empty while it runs
-    stamp: str  # Of what went in
-
-
 def latest(folder: Path) -> Path | None:
     """The folder of a recording's latest job; None without any."""
     jobs = folder / "jobs"
@@ -63,24 +43,35 @@ def latest(folder: Path) -> Path | None:
     return max((p for p in whole if p.name.isdecimal()), key=lambda p: int(p.name), default=None)
 
 
-def state_of(job: Path, printed: bool = False) -> JobState:
-    """How far a job is, by its files on disk."""
+def state_of(job: Path, printed: bool = False) -> dict[str, Any]:
+    """How far a job is, by its files on disk; with `printed`, what its commands printed once it has ended.
+
+    Its state is "waiting", "running", "done", "failed", "held" (by the check: the result could not be
+    trusted), "cancelled" by the user, or "stopped" with the program or the computer.
+    """
     words, progress = read_json(job / "job.json"), read_json(job / "progress.json")
-    steps, how = words.get("steps", []), str(words.get("state", "waiting"))
+    steps, state = words.get("steps", []), str(words.get("state", "waiting"))
     step = min(int(words.get("step", 0)), max(len(steps) - 1, 0))
-    return JobState(
-        int(job.name),
-        str(words.get("kind", "")),
-        how,
-        step,
-        len(steps),
-        steps[step]["name"] if steps else "",
-        float(progress.get("share", -1.0)),
-        str(progress.get("text", "")),
-        str(words.get("sentence", "")),
-        _printed(job) if printed and how not in OPEN else "",
-        str(words.get("stamp", "")),
-    )
+    return {
+        "number": int(job.name),  # Of the recording's jobs, from 1
+        "kind": str(words.get("kind", "")),  # What it is for ("describe", "recover", ..)
+        "state": state,
+        "step": step,  # The command that runs or was the last, from 0, and how many there are
+        "steps": len(steps),
+        "step_name": steps[step]["name"] if steps else "",
+        "share": float(progress.get("share", -1.0)),  # Part done of it, 0 to 1; -1 where it does not say
+        "text": str(progress.get("text", "")),  # What it is doing
+        "sentence": str(words.get("sentence", "")),  # Why it failed, in the command's words
+        "printed": _printed(job) if printed and state not in OPEN else "",
+        "stamp": str(words.get("stamp", "")),  # Of what went in
+    }
+
+
+def refuse_busy(place: Path) -> None:
+    """Refuse to change a recording whose job is not over."""
+    job = latest(place)
+    if job is not None and state_of(job)["state"] in OPEN:
+        raise AppError("This recording is being worked on; wait for it, or cancel it.", 409)
 
 
 def _printed(job: Path) -> str:
@@ -103,10 +94,7 @@ class JobDesk:
         places = [folder.of(name) for name in folder.recordings()]
         places += [folder.comparison(name) for name in folder.comparisons()]
         for job in filter(None, map(latest, places)):  # what an earlier server left
-            state = state_of(job).state
-            if state == "waiting":
-                self._queue.put(job)
-            elif state == "running":
+            if state_of(job)["state"] in OPEN:
                 with suppress(OSError, UnoccludeError):
                     write_json(job / "job.json", read_json(job / "job.json") | {"state": "stopped"})
         self._thread = threading.Thread(target=self._work, name="jobs", daemon=True)
@@ -115,9 +103,7 @@ class JobDesk:
     def add(self, place: Path, kind: str, steps: list[dict[str, Any]], stamp: str = "") -> int:
         """Put a job at the end of the queue; its number."""
         with self._lock:
-            last = latest(place)
-            if last is not None and state_of(last).state in OPEN:
-                raise AppError("This recording is being worked on; wait for it, or cancel it.", 409)
+            refuse_busy(place)
             jobs = place / "jobs"
             jobs.mkdir(exist_ok=True)
             number = 1 + max((int(p.name) for p in jobs.iterdir() if p.name.isdecimal()), default=0)
@@ -137,11 +123,11 @@ class JobDesk:
         with self._lock:
             if job is not None and job == self._running:
                 self._cancelled.add(job)
-            elif job is not None and state_of(job).state == "waiting":
+            elif job is not None and state_of(job)["state"] == "waiting":
                 write_json(job / "job.json", read_json(job / "job.json") | {"state": "cancelled"})
 
     def close(self, patience_s: float = 15.0) -> None:
-        """Stop what runs; what waits is started the next time."""
+        """Stop what runs, and what waits."""
         self._closing.set()
         self._queue.put(None)
         self._thread.join(patience_s)
@@ -158,7 +144,7 @@ class JobDesk:
     def _work(self) -> None:
         while (job := self._queue.get()) is not None and not self._closing.is_set():
             with self._lock:
-                if state_of(job).state != "waiting":
+                if state_of(job)["state"] != "waiting":
                     continue
                 self._running = job
             self._note(job, state="running")

@@ -37,7 +37,7 @@ from .folder import (
     write_kept,
 )
 from .guard import REPORTS, Guard
-from .jobs import OPEN, JobDesk, latest, state_of
+from .jobs import JobDesk, refuse_busy
 
 WEB = Path(__file__).parent / "web"
 #: Files of the page, and what they are.
@@ -80,9 +80,8 @@ def make_app(folder: AppFolder, desk: JobDesk, token: str, port: int) -> Starlet
             Route("/api/comparisons", _answer(_compare), methods=["POST"]),
             Route("/api/comparisons/{id}", _answer(_comparison)),
             Route("/api/comparisons/{id}/cancel", _answer(_cancel_comparison), methods=["POST"]),
-            Route("/results/comparisons/{id}/{name}", _answer(_comparison_result)),
-            Route("/results/{id}/{name}", _answer(_result)),
-            Route("/results/{id}/exports/{name}", _answer(_export)),
+            Route("/results/comparisons/{id}/{name}", _answer(_result)),
+            Route("/results/{id}/{name:path}", _answer(_result)),
         ],
         middleware=[Middleware(Guard, token=token, port=port)],
         lifespan=lifespan,
@@ -129,6 +128,10 @@ def _desk(request: Request) -> JobDesk:
 
 def _place(request: Request) -> Path:
     return _folder(request).of(request.path_params["id"])
+
+
+def _comparison_place(request: Request) -> Path:
+    return _folder(request).comparison(request.path_params["id"])
 
 
 async def _body(request: Request) -> dict[str, Any]:
@@ -192,7 +195,7 @@ async def _change(request: Request) -> Any:
 
 
 async def _remove(request: Request) -> Any:
-    _refuse_busy(_place(request))
+    refuse_busy(_place(request))
     place = _folder(request).remove(request.path_params["id"])
     return {"moved_to": str(place)}
 
@@ -201,16 +204,10 @@ async def _streams(request: Request) -> Any:
     return await anyio.to_thread.run_sync(views.streams, _folder(request), request.path_params["id"])
 
 
-def _refuse_busy(place: Path) -> None:
-    job = latest(place)
-    if job is not None and state_of(job).state in OPEN:
-        raise AppError("This recording is being worked on; wait for it, or cancel it.", 409)
-
-
 async def _upload(request: Request) -> Any:
     """Write a dropped file to the disk as it comes; it is there whole or not at all."""
     place, name = _place(request), file_name(request.path_params["name"])
-    _refuse_busy(place)
+    refuse_busy(place)
     length = request.headers.get("content-length", "")
     free = shutil.disk_usage(place).free - RESERVE_BYTES
     if length.isdecimal() and int(length) > free:
@@ -240,7 +237,7 @@ async def _upload(request: Request) -> Any:
 
 async def _drop_file(request: Request) -> Any:
     place, name = _place(request), file_name(request.path_params["name"])
-    _refuse_busy(place)
+    refuse_busy(place)
     with suppress(FileNotFoundError):
         (place / "files" / name).unlink()
     return await _one(request)
@@ -276,7 +273,7 @@ async def _cancel(request: Request) -> Any:
 async def _template(request: Request) -> Any:
     """Keep how a table is read, and look at the files again."""
     folder, place, wish = _folder(request), _place(request), await _body(request)
-    _refuse_busy(place)
+    refuse_busy(place)
     about = next(
         (each for each in steps.described(place) if Path(each["file"]).name == wish.get("file")), None
     )
@@ -355,33 +352,26 @@ async def _comparison(request: Request) -> Any:
 
 
 async def _cancel_comparison(request: Request) -> Any:
-    _desk(request).cancel(_folder(request).comparison(request.path_params["id"]))
+    _desk(request).cancel(_comparison_place(request))
     return {}
 
 
-async def _comparison_result(request: Request) -> Any:
-    place, name = _folder(request).comparison(request.path_params["id"]), request.path_params["name"]
-    if name not in ("progress.html", "progress.json", "progress.csv"):
-        raise AppError("There is no such file.", 404)
-    return _file(place / name, request)
-
-
 async def _result(request: Request) -> Any:
-    place, name = _place(request), request.path_params["name"]
-    if name not in (*views.DOWNLOADS, steps.recording_of(place)):
+    """A result of a recording or of a comparison: a report opens in the page's frame, all else is taken."""
+    name = request.path_params["name"]
+    if "/comparisons/" in request.url.path:
+        place = _comparison_place(request)
+        known = ["progress.html", "progress.json", "progress.csv"]
+    else:
+        place = _place(request)
+        exported = [f"exports/{each}" for each in steps.EXPORTS.values()]
+        known = [*views.DOWNLOADS, steps.recording_of(place), *exported]
+    if name not in known:
         raise AppError("There is no such file.", 404)
     return _file(place / name, request)
-
-
-async def _export(request: Request) -> Any:
-    place, name = _place(request), request.path_params["name"]
-    if name not in steps.EXPORTS.values():
-        raise AppError("There is no such file.", 404)
-    return _file(place / "exports" / name, request)
 
 
 def _file(path: Path, request: Request) -> Response:
-    """A result: a report opens in the page's frame, all else is taken away."""
     if not path.is_file():
         raise AppError("There is no such file yet.", 404)
     if path.suffix == ".html":

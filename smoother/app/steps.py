@@ -6,7 +6,6 @@ import hashlib
 import json
 import os
 from collections.abc import Sequence
-from dataclasses import asdict
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -187,7 +186,7 @@ def _imu_words(files: Sequence[dict[str, Any]], choices: Choices, every: bool = 
         for sensor in sensors:
             file = _local(each)
             key = sensor_key(file, sensor, len(sensors))
-            worn = choices.places.get(key, "")
+            worn: str = choices.places.get(key, "")
             if worn == "-":
                 continue
             source = f"{file}#{sensor['name']}" if len(sensors) > 1 and sensor["name"] else file
@@ -323,5 +322,5 @@ def stamp(folder: AppFolder, place: Path) -> str:
     for path in (*files_of(place), *templates):
         about = path.stat()
         parts.append((path.name, about.st_size, about.st_mtime_ns))
-    parts.append(asdict(read_kept(place).choices))
+    parts.append(read_kept(place).choices.model_dump())
     return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()[:16]

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 import shutil
-from dataclasses import asdict
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -83,7 +82,7 @@ def recording(folder: AppFolder, name: str) -> dict[str, Any]:
         **summary(folder, name, printed=True),
         "own_date": kept.date,
         "revision": kept.revision,
-        "choices": asdict(kept.choices),
+        "choices": kept.choices.model_dump(),
         "stamp": mine,
         "dropped": [{"name": path.name, "bytes": path.stat().st_size} for path in files],
         "looked_at": [each["file"] for each in known] if seen >= {path.name for path in files} else [],
@@ -163,7 +162,7 @@ def _job(place: Path, printed: bool = True) -> dict[str, Any] | None:
     job = latest(place)
     if job is None:
         return None
-    state = asdict(state_of(job, printed))
+    state = state_of(job, printed)
     state["sentence"] = in_page_words(state["sentence"])
     return {**state, "open": state["state"] in OPEN}
 
@@ -173,8 +172,9 @@ def _result_stamp(place: Path) -> str:
     jobs = place / "jobs"
     for job in sorted(jobs.iterdir(), reverse=True) if jobs.is_dir() else ():
         state = state_of(job)
-        if state.kind == "recover" and state.state == "done":
-            return state.stamp
+        if (state["kind"], state["state"]) == ("recover", "done"):
+            stamped: str = state["stamp"]
+            return stamped
     return ""
 
 

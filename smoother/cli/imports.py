@@ -455,7 +455,7 @@ def strap(
 
     from ..calibration import Length
     from ..io.rig.strap import check_images
-    from ..report.strap import verdict
+    from ..report.calibration_page import strap_verdict
     from ..smoothing import smooth
     from ..strap_search.search import import_strap
     from .config import read_config
@@ -482,11 +482,11 @@ def strap(
         depth_topic=depth_topic,
         force=force,
     )
-    sentences = verdict(found)
+    sentences = strap_verdict(found)
     notes = [*recording.notes, *found.notes]
     write_json(json_file, {**_figures(found), "verdict": sentences, "notes": notes}, force)
     if report is not None:
-        from ..report.strap import strap_page
+        from ..report.calibration_page import strap_page
 
         strap_page(recording.name, found).write(report, force)
     total = len(found.reasons)

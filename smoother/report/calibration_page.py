@@ -1,27 +1,90 @@
-"""`calibration_page`: the page of any calibration, from the form in which all of them answer."""
+"""`calibration_page`: the page of any calibration, from the form in which all of them answer; the strap's."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
+from typing import TYPE_CHECKING
+
+import numpy as np
 
 from calib.protocol import Answer, findings
 
-from .sheet import Page, listing, rendered
+from ..linalg import robust_sigma
+from ..table import Table
+from .sheet import Page, Section, notes, rendered
+
+if TYPE_CHECKING:
+    from ..io.rig.strap import StrapFound
 
 
-def calibration_page(title: str, answer: Answer, notes: Iterable[str] = ()) -> Page:
-    """The page of an answer; `notes` are of its input."""
+def calibration_page(title: str, answer: Answer, remarks: Iterable[str] = ()) -> Page:
+    """The page of an answer; `remarks` are of its input."""
     subtitle = (
         f"Grade: {answer.verdict.grade}. Sigma is one standard deviation; quaternions are qw, qx, qy, qz."
     )
-    return Page(title, subtitle, [answer.verdict.sentence], _sections(answer, notes))
+    return Page(title, subtitle, [answer.verdict.sentence], _sections(answer, remarks))
 
 
-def _sections(answer: Answer, notes: Iterable[str]) -> Iterator[str]:
-    again = "Nothing is missing: record the next session in the same way."
-    yield listing("What to record next", answer.verdict.next, again)
+def _sections(answer: Answer, remarks: Iterable[str]) -> Iterator[Section]:
+    following = answer.verdict.next or ("Nothing is missing: record the next session in the same way.",)
+    yield Section("What to record next", sentences=following)
     yield from map(rendered, findings(answer.figures))
-    if answer.verdict.findings:
-        yield listing("What else was found", answer.verdict.findings)
-    yield listing("What stayed open", answer.open_questions, "Nothing stayed open.")
-    yield listing("Notes", dict.fromkeys(notes), "There is nothing to note.")
+    yield Section("What else was found", sentences=answer.verdict.findings)
+    yield Section("What stayed open", sentences=answer.open_questions or ("Nothing stayed open.",))
+    yield notes(remarks)
+
+
+#: A strap that wanders along the forearm by more than this part of it was at times something else.
+WANDER = 0.06
+_ADVICE = {
+    "nothing on the forearm is dark enough": "wear a black strap on a bare or light forearm, and light it"
+    " evenly",
+    "no dark stretch with two edges": "wear the strap some centimetres above the wrist, with skin on both"
+    " sides of it",
+    "the dark stretch is not as wide as a strap": "use a strap of 2 to 5 cm; dark sleeves hide it",
+    "no depth at the strap": "see that depth is recorded where the arm is; sunlight and shiny straps blind"
+    " it",
+    "the forearm points to the camera": "move the camera to the side of the movement",
+    "the strap is nearer to the elbow than to the wrist": "wear the strap at the wrist; no dark sleeves",
+    "no depth image": "record depth at the rate of the colour images",
+}
+
+
+def strap_verdict(search: StrapFound) -> list[str]:
+    """How often and how well the strap was seen."""
+    total = len(search.reasons)
+    good = np.array([not reason for reason in search.reasons], dtype=bool)
+    if not good.any():
+        worst = max(search.counts, key=lambda name: search.counts[name]) if total else "there are no images"
+        return [f"the strap was found in none of {total} images: {worst}"]
+    sigma = 1e3 * float(np.sqrt(np.mean(np.median(search.sigma_m[good], axis=0) ** 2)))
+    middle = float(np.median(search.along[good]))
+    wander = float(robust_sigma(search.along[good] - middle))
+    sentences = [
+        f"the strap was found in {int(good.sum())} of {total} images ({100 * good.mean():.0f} %), the"
+        f" sensor's place to {sigma:.0f} mm per axis",
+        f"it sits at {100 * middle:.0f} % of the way from elbow to wrist, +- {100 * wander:.1f} % from"
+        " image to image",
+    ]
+    if wander > WANDER:
+        sentences.append("that is too much for a tight strap: something else was sometimes detected instead")
+    return sentences
+
+
+def strap_page(name: str, search: StrapFound) -> Page:
+    """The page of a search for the strap in images."""
+    total = max(len(search.reasons), 1)
+    advice = [text for reason, text in _ADVICE.items() if search.counts.get(reason, 0) > 0.1 * total]
+    rows = [(what, count, f"{100 * count / total:.1f}") for what, count in sorted(search.counts.items())]
+    return Page(
+        f"The strap in the images: {name}",
+        f"Colour {search.topics[0]}, depth {search.topics[1]}. Times are relative to the first colour image.",
+        strap_verdict(search),
+        [
+            Section("For the next recording", sentences=advice or ["Nothing is missing."]),
+            rendered(
+                Table("Found and rejected", ("", "images", "%"), rows, "Result for every colour image.")
+            ),
+            notes(search.notes),
+        ],
+    )

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from html import escape
+
+import plotly.graph_objects as go
 
 from ..evaluation.progress import (
+    MOSTLY_RECOVERED,
     SessionValue,
     change_between,
     first_of,
@@ -19,18 +21,9 @@ from ..evaluation.progress import (
 )
 from ..measures import BothArms, Measure, Measures
 from ..measures.layout import BY_MOVEMENT
-from .chart import Mark, Strip, badge, bars, charted, sessions, strips
-from .sheet import (
-    NO_DIAGNOSIS,
-    Html,
-    Page,
-    bullets,
-    capitalised,
-    explained,
-    headed,
-    tabulated,
-    terms_of,
-)
+from ..table import Table
+from .sheet import NO_DIAGNOSIS, Html, Page, Section, badge, capitalised, explained, label, limits, rendered
+from .style import VISIBLE, dress, interval_bars
 
 
 def with_interval(row: Measure) -> str:
@@ -50,27 +43,15 @@ def share(row: Measure | None) -> str:
     return f"{100 * row.recovered_share:.0f}\u00a0%"
 
 
-def mark_of(row: Measure, name: str = "") -> Mark:
-    """The value as it is drawn."""
-    return Mark(name, row.value, row.low, row.high, number(row.value, row.unit))
-
-
-def reached(arm: Measures, key: str) -> str:
-    """In words where the draws agree, and how near the hand came, as HTML."""
-    row = arm.by_key.get(key)
+def reached(arm: Measures, key: str) -> Html:
+    """In words where the draws agree, and how near the hand came."""
+    row, distance = arm.by_key.get(key), arm.by_key.get(key.replace("_reached", "_distance_m"))
     if row is None or not row.has_interval or row.low != row.high:
         word = "cannot be assessed"
     else:
         word = "reached" if row.value >= 1 else "not reached"
-    return f"{badge(word)} {escape(_distance(arm, key))}"
-
-
-def _distance(arm: Measures, key: str) -> str:
-    """How near the hand came, where it was not there."""
-    row = arm.by_key.get(key.replace("_reached", "_distance_m"))
-    if row is None or not row.is_known or row.value <= 0:
-        return ""
-    return f"{with_interval(row)} away"
+    away = distance is not None and distance.is_known and distance.value > 0
+    return badge(word) + (f" {with_interval(distance)} away" if distance is not None and away else "")
 
 
 def listed(names: Sequence[str]) -> str:
@@ -123,9 +104,8 @@ def _value(row: Measure, side: str) -> SessionValue:
 
 #: Rows of the table, and sentences of the limits.
 MOST_ROWS, MOST_LIMITS = 10, 6
-#: Angles whose range is drawn, and those whose time is.
+#: Angles whose range is drawn.
 RANGES = ("elbow_flexion", "shoulder_elevation", "pronation")
-TIMES = ("elbow_flexion", "shoulder_elevation")
 #: What the hand may reach.
 REACHED = {
     "hand_to_mouth_reached": "hand to mouth",
@@ -134,8 +114,6 @@ REACHED = {
 }
 #: More movements are not drawn one by one.
 MOST_MOVEMENTS = 24
-#: Values from more recovered samples get a note.
-MOSTLY_RECOVERED = 0.5
 
 
 def measures_page(measures_by_arm: Sequence[Measures], pairs: Sequence[BothArms] = ()) -> Page:
@@ -148,7 +126,7 @@ def measures_page(measures_by_arm: Sequence[Measures], pairs: Sequence[BothArms]
         f"Measures of {names or 'a recording'}",
         f"{capitalised(labels)}, {length_s:.0f} s" if math.isfinite(length_s) else labels,
         _verdict(arms),
-        list(_sections(arms, pairs)),
+        _sections(arms, pairs),
         two_pages=True,
     )
 
@@ -180,9 +158,22 @@ def _verdict(arms: Sequence[Measures]) -> Iterator[str]:
     yield NO_DIAGNOSIS
 
 
-def _sections(arms: Sequence[Measures], pairs: Sequence[BothArms]) -> Iterator[str]:
-    figures = [_ranges(arms), _times(arms), _reach(arms), _speed(arms), _smoothness(arms)]
-    yield from (figure for figure in figures if figure)
+def _sections(arms: Sequence[Measures], pairs: Sequence[BothArms]) -> Iterator[Section]:
+    yield _ranges(arms)
+    yield _reach(arms)
+    yield _by_movement(
+        arms,
+        "hand_peak_speed_m_s",
+        "How fast the hand was",
+        "The hand's highest speed in each movement, m/s, in the order of time.",
+    )
+    yield _by_movement(
+        arms,
+        "sparc",
+        "How smoothly the hand moved",
+        "SPARC of each movement, in the order of time: nearer to zero is smoother. A long movement with many"
+        " turns is less smooth than a short one, whoever performs it.",
+    )
     yield _table(arms, pairs)
     yield _limits(arms)
     keys = [row.key for arm in arms for row in arm.session if row.is_known and is_main(row.key)]
@@ -191,65 +182,40 @@ def _sections(arms: Sequence[Measures], pairs: Sequence[BothArms]) -> Iterator[s
         words += ["clear", "unclear", "unknown", *(["symmetry"] if pairs else [])]
     elif REACHED.keys() & set(keys):
         words += ["unknown"]
-    yield explained("The words on this page", [*words, *terms_of(keys)])
+    yield explained(words, keys)
 
 
-def _ranges(arms: Sequence[Measures]) -> str:
-    """Figure 1: the smallest and the largest angle of each joint."""
-    rows = []
+def _ranges(arms: Sequence[Measures]) -> Section:
+    """The smallest and the largest angle of each joint, each with its interval."""
+    figure, names = go.Figure(), []
     for angle in RANGES:
         for arm in arms:
             low, high, whole = (arm.by_key.get(f"{angle}_{what}_deg") for what in ("min", "max", "range"))
             if low is None or high is None or whole is None or not (low.is_known and high.is_known):
                 continue
-            text = f"{quantity(low.value, 'deg')} to {quantity(high.value, 'deg')}, range"
-            text += f" {quantity(whole.value, 'deg')}"
-            name = whole.name.removesuffix(", range") + of_arm(arm, arms)
-            rows.append(Strip(capitalised(name), text, mark_of(low), mark_of(high)))
-    if not rows:
-        return ""
-    ends = [mark.value for row in rows for mark in (row.start, row.end)]
-    first, last = 30 * math.floor(min(ends) / 30), 30 * math.ceil(max(ends) / 30)
-    first, last = min(first, 0), max(last, first + 60)
-    step = 30 if last - first <= 240 else 60
-    return charted(
+            about = capitalised(whole.name.removesuffix(", range") + of_arm(arm, arms))
+            names.append(f"{label(about)}<br><b>{interval(low.value, high.value, 'deg')}</b>")
+            bar = go.Bar(x=[high.value - low.value], y=names[-1:], base=[low.value], orientation="h")
+            figure.add_trace(bar.update(marker_color=VISIBLE, marker_opacity=0.45, width=0.4))
+            ends = (low, high)
+            bars = interval_bars(*([getattr(end, part) for end in ends] for part in ("value", "low", "high")))
+            dots = go.Scatter(x=[end.value for end in ends], y=names[-1:] * 2, mode="markers", error_x=bars)
+            figure.add_trace(dots.update(marker_color=VISIBLE))
+    if not names:
+        return Section()
+    figure.update_xaxes(ticksuffix="°", rangemode="tozero").update_yaxes(autorange="reversed")
+    return Section(
         "How far the joints moved",
         "The blue bar goes from the smallest to the largest angle; the dark lines at its ends are their 95 %"
         " intervals.",
-        strips(rows, first, last, range(first, last + 1, step), "°"),
+        dress(figure, 60 + 42 * len(names), head=5, showlegend=False),
     )
 
 
-def _times(arms: Sequence[Measures]) -> str:
-    """Figure 2: how long each angle was held."""
-    boxes = ""
-    for angle in TIMES:
-        for arm in arms:
-            zones = {
-                int(row.key.split("_zone_")[1].split("_")[0]): row
-                for row in arm.session
-                if row.key.startswith(f"{angle}_zone_") and row.is_known
-            }
-            if not zones:
-                continue
-            width = 10
-            starts = range(min(zones), max(zones) + 1, width)
-            marks = [
-                mark_of(zones[start], f"{start}°") if start in zones else Mark(f"{start}°", 0.0)
-                for start in starts
-            ]
-            name = zones[min(zones)].name.partition(",")[0]
-            title = f"<h3>{escape(capitalised(name.partition(' ')[0]) + of_arm(arm, arms))}</h3>"
-            boxes += f"<div>{title}{bars(marks, ' %', f'time by {name}')}</div>"
-    caption = "Percentage of the time in each range of ten degrees."
-    drawing = f'<div class="charts narrow">{boxes}</div>'
-    return charted("Time in each angle range", caption, drawing) if boxes else ""
-
-
-def _reach(arms: Sequence[Measures]) -> str:
-    """Figure 3: what the hand reached, and the volume that it passed through."""
-    rows = [
-        [words, *(Html(reached(arm, key)) for arm in arms)]
+def _reach(arms: Sequence[Measures]) -> Section:
+    """What the hand reached, and the volume that it passed through."""
+    rows: list[list[object]] = [
+        [words, *(reached(arm, key) for arm in arms)]
         for key, words in REACHED.items()
         if any((row := arm.by_key.get(key)) is not None and row.is_known for arm in arms)
     ]
@@ -257,107 +223,76 @@ def _reach(arms: Sequence[Measures]) -> str:
     if any(volume is not None and volume.is_known for volume in volumes):
         known = [with_interval(volume) if volume is not None else "–" for volume in volumes]
         rows.append(["reach volume", *known])
-    if not rows:
-        return ""
     caption = "Reached: at least once in every drawn motion; followed by the hand's closest distance."
     columns = ["goal", *(arm.arm_label for arm in arms)]
-    return tabulated("Where the hand reached", caption, columns, rows)
+    return rendered(Table("Where the hand reached", columns, rows, caption))
 
 
-def _speed(arms: Sequence[Measures]) -> str:
-    return _by_movement(
-        arms,
-        "hand_peak_speed_m_s",
-        "How fast the hand was",
-        "The hand's highest speed in each movement, m/s, in the order of time.",
-    )
-
-
-def _smoothness(arms: Sequence[Measures]) -> str:
-    return _by_movement(
-        arms,
-        "sparc",
-        "How smoothly the hand moved",
-        "SPARC of each movement, in the order of time: nearer to zero is smoother. A long movement with many"
-        " turns is less smooth than a short one, whoever performs it.",
-    )
-
-
-def _by_movement(arms: Sequence[Measures], key: str, heading: str, caption: str) -> str:
-    """Figures 4 and 5: a measure over the movements of each arm."""
-    boxes, most = "", 0
+def _by_movement(arms: Sequence[Measures], key: str, heading: str, caption: str) -> Section:
+    """A measure over the movements of each arm, with its intervals."""
+    found = {}
     for arm in arms:
-        rows = [arm.of("movement", number).get(key) for number in range(len(arm.movements))]
-        known = [row for row in rows if row is not None]
-        if not any(row.is_known for row in known):
-            continue
-        marks = [mark_of(row, str(1 + (row.movement or 0))) for row in known[:MOST_MOVEMENTS]]
-        session = arm.by_key.get(key)
-        words = f"{session.name}, session: {with_interval(session)}" if session else ""
-        most = max(most, len(known))
-        title = f"<h3>{escape(capitalised(arm.arm_label))}</h3>" if len(arms) > 1 else ""
-        boxes += f"<div>{title}{sessions(marks, reference=False, words=words)}</div>"
+        rows = [row for n in range(len(arm.movements)) if (row := arm.of("movement", n).get(key)) is not None]
+        if any(row.is_known for row in rows):
+            found[capitalised(arm.arm_label) if len(arms) > 1 else ""] = rows
+    if not found:
+        return Section()
+    most = max(map(len, found.values()))
     if most > MOST_MOVEMENTS:
         caption += f" The first {MOST_MOVEMENTS} of {most} movements are drawn."
-    return charted(heading, caption, f'<div class="charts">{boxes}</div>') if boxes else ""
+    panels = []
+    for name, rows in found.items():
+        rows = rows[:MOST_MOVEMENTS]
+        value, low, high = ([getattr(row, part) for row in rows] for part in ("value", "low", "high"))
+        numbers = [1 + (row.movement or 0) for row in rows]
+        dots = go.Scatter(x=numbers, y=value, mode="markers", error_y=interval_bars(value, low, high))
+        figure = go.Figure(dots.update(marker_color=VISIBLE))
+        figure.update_xaxes(title_text="movement", dtick=max(1, len(rows) // 12))
+        title = Html("<h3>{}</h3>").format(name) if name else Html("")
+        panels.append((title, dress(figure, 170, head=8, showlegend=False)))
+    return Section(heading, caption, panels=panels)
 
 
-def _table(arms: Sequence[Measures], pairs: Sequence[BothArms]) -> str:
+def _table(arms: Sequence[Measures], pairs: Sequence[BothArms]) -> Section:
     """The main measures; of two arms also whether one clearly has more, and by how much."""
     known = [row.key for arm in arms for row in arm.session if row.is_known and row.key not in REACHED]
-    keys = first_of(list(dict.fromkeys(known)), MOST_ROWS)
     both = both_arms(arms)
     # two arms to compare are one person's
     indices = pairs[0].by_key if both is not None and len(pairs) == 1 else {}
     rows = []
-    for key in keys:
-        cells: list[object] = [next(row.name for arm in arms if (row := arm.by_key.get(key)) is not None)]
-        for arm in arms:
-            row = arm.by_key.get(key)
-            cells.append("–" if row is None else with_interval(row))
-        cells.append("\u00a0/\u00a0".join(share(arm.by_key.get(key)) for arm in arms))
+    for key in first_of(list(dict.fromkeys(known)), MOST_ROWS):
+        of_arms = [arm.by_key.get(key) for arm in arms]
+        cells: list[object] = [next(row.name for row in of_arms if row is not None)]
+        cells += ["–" if row is None else with_interval(row) for row in of_arms]
+        cells.append("\u00a0/\u00a0".join(map(share, of_arms)))
         if both is not None:
-            cells.append(Html(badge(compared(*both, key)) + symmetry(indices.get(f"{key}_symmetry_percent"))))
+            cells.append(badge(compared(*both, key)) + symmetry(indices.get(f"{key}_symmetry_percent")))
         rows.append(cells)
-    if not rows:
-        return ""
     columns = ["measure", *(f"95 % interval{of_arm(arm, arms)}" for arm in arms), "recovered"]
     columns += ["right against left"] if both is not None else []
-    return tabulated(
-        "The main measures",
-        "Over the whole recording: the value, and its 95 % interval in brackets.",
-        columns,
-        rows,
-    )
+    caption = "Over the whole recording: the value, and its 95 % interval in brackets."
+    return rendered(Table("The main measures", columns, rows, caption))
 
 
-def _limits(arms: Sequence[Measures]) -> str:
+def _limits(arms: Sequence[Measures]) -> Section:
     """What limits the numbers: what is not known and why, what comes from recovered samples."""
     sentences: list[str] = []
     for arm in arms:
-        mark = of_arm(arm, arms)
-        doubtful = [row for row in arm.session if is_main(row.key) and row.is_known and row.note]
+        mark, main = of_arm(arm, arms), [row for row in arm.session if is_main(row.key)]
+        doubtful = [row for row in main if row.is_known and row.note]
         if doubtful:
             most = max(row.untrusted_share for row in doubtful)
             names = [row.name for row in doubtful]
-            words = f"up to {100 * most:.0f} %" if len(names) > 1 else f"{100 * most:.0f} %"
+            words = f"{'up to ' if len(names) > 1 else ''}{100 * most:.0f} %"
             sentences.append(f"{listed(names)}{mark}: {words} of it comes from gaps that are not trusted")
         why: dict[str, list[str]] = {}
-        for row in arm.session:
-            if not row.is_known and row.note and is_main(row.key):
+        for row in main:
+            if not row.is_known and row.note:
                 why.setdefault(row.note, []).append(row.name)
         for note, names in why.items():
             sentences.append(f"{listed(names)}{mark} cannot be assessed: {note}")
-        weak = [
-            row.name
-            for row in arm.session
-            if is_main(row.key) and row.is_known and row.recovered_share > MOSTLY_RECOVERED
-        ]
+        weak = [row.name for row in main if row.is_known and row.recovered_share > MOSTLY_RECOVERED]
         if weak:
             sentences.append(f"More than half of {listed(weak)}{mark} comes from recovered time")
         sentences += arm.notes
-    sentences = list(dict.fromkeys(sentences))
-    if len(sentences) > MOST_LIMITS:
-        more = len(sentences) - MOST_LIMITS
-        sentences = [*sentences[:MOST_LIMITS], f"{more} sentences more are in --json"]
-    return headed("What limits this") + (bullets(sentences) or "<p>Nothing to note.</p>")
+    return limits(sentences, MOST_LIMITS)

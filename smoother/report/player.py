@@ -1,25 +1,22 @@
-"""The arm on the page: its points, flat views of its path, and what the page's player is given."""
+"""The arm on the page: its points, and what the page's player is given."""
 
 from __future__ import annotations
 
 from base64 import b64encode
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import plotly.graph_objects as go
-from plotly.subplots import make_subplots
 
 from ..array_types import BoolArray, FloatArray, IntArray
 from ..error_radius import error_radius
-from ..linalg import interpolate, median_rate_hz
+from ..linalg import interpolate, median_rate_hz, unit
 from ..recording import CameraFrame, Truth
 from ..result import Recovery
 from ..result.untrusted import untrusted_times
-from .sheet import Html, data_block, headed
-from .space import packed, seen_from, switch, upwards, view_of
-from .style import OCCLUDED, TRUTH, UNTRUSTED, VISIBLE, axis_names, curve, decimate, dress, split_line
+from .sheet import Html, Section, data_block
+from .style import axis_names, decimate
 
 SENSOR = "sensor"
 #: Most camera samples of a point that are drawn.
@@ -42,7 +39,8 @@ class Point:
 def points(recovery: Recovery, truth: Truth | None) -> list[Point]:
     """The points to show, the one that the camera sees best first."""
     joints = [_joint(recovery, name, truth) for name in ("wrist", "elbow", "hand") if name in recovery.joints]
-    sensor = _point(SENSOR, recovery, recovery.position, recovery.sigma_m, "strap", truth, None)
+    reference = None if truth is None else truth.position
+    sensor = _point(SENSOR, recovery, recovery.position, recovery.sigma_m, "strap", truth, reference)
     tracked = [point for point in joints if len(point.camera)]
     return [*tracked[:1], sensor, *tracked[1:2]]
 
@@ -52,7 +50,8 @@ def _joint(recovery: Recovery, name: str, truth: Truth | None) -> Point:
     sigma = np.full((len(recovery), 3), np.nan)
     if covariance is not None:
         sigma = np.sqrt(np.einsum("nii->ni", covariance))
-    return _point(name, recovery, recovery.joints[name], sigma, name, truth, name)
+    reference = None if truth is None else truth.joints.get(name)
+    return _point(name, recovery, recovery.joints[name], sigma, name, truth, reference)
 
 
 def _point(
@@ -62,70 +61,23 @@ def _point(
     sigma: FloatArray,
     joint: str,
     truth: Truth | None,
-    truth_joint: str | None,
+    reference: FloatArray | None,
 ) -> Point:
     arm = recovery.arm
     tracked = [part.tracked(joint) for part in recovery.frame_batches()]
     frames = np.flatnonzero(np.concatenate(tracked)) if tracked else np.zeros(0, np.int64)
     frames = frames[decimate(np.zeros(len(frames), bool), MOST_DOTS)]
-    reference = np.zeros((0, 3))
-    if truth is not None:
-        reference = truth.position if truth_joint is None else truth.joints.get(truth_joint, reference)
-    truth_t = truth.t_s if truth is not None and len(reference) else np.zeros(0)
-    return Point(name, position, sigma, arm.t_s[frames], arm.joint(joint)[frames], truth_t, reference)
+    if truth is None or reference is None:
+        true_t, reference = np.zeros(0), np.zeros((0, 3))
+    else:
+        true_t = truth.t_s
+    return Point(name, position, sigma, arm.t_s[frames], arm.joint(joint)[frames], true_t, reference)
 
 
 #: How many arms are drawn.
 MOST_ARMS = 8
 #: The joints of an arm in a row.
 CHAIN = ("shoulder", "elbow", "wrist", "hand")
-
-
-def flat_views(recovery: Recovery, truth: Truth | None, frame: CameraFrame | None) -> go.Figure:
-    """The same path in two flat views: as the camera sees it, and from the side."""
-    names = [f"{name}, m" for name in axis_names(frame)]
-    # right, up of each view, as (axis, drawn backwards)
-    views = {
-        CameraFrame.KINECT: (((0, True), (1, False)), ((2, False), (1, False))),
-        CameraFrame.OPTICAL: (((0, False), (1, True)), ((2, False), (1, True))),
-    }.get(frame or CameraFrame.ZUP, _upright(upwards(frame, recovery.gravity_direction)))
-    titles = (
-        ("as the camera sees it", "from the side")
-        if frame in (CameraFrame.KINECT, CameraFrame.OPTICAL)
-        else None
-    )
-    figure = make_subplots(rows=1, cols=2, subplot_titles=titles)
-    index = decimate(recovery.occluded)
-    good, distrusted = split_line(recovery.position[index], ~recovery.trusted[index])
-    visible, hidden = split_line(good, recovery.occluded[index])
-    lines = [("seen", visible, VISIBLE, "solid"), ("recovered", hidden, OCCLUDED, "solid")]
-    if np.isfinite(distrusted).any():
-        lines = [line for line in lines if np.isfinite(line[1]).any()]
-        lines.append(("not to be trusted", distrusted, UNTRUSTED, "dot"))
-    if truth is not None and len(truth):
-        lines.append(("reference", truth.position[decimate(np.zeros(len(truth), bool))], TRUTH, "dot"))
-    for column, ((right, mirrored), (upward, flipped)) in enumerate(views, start=1):
-        for name, values, colour, dash in lines:
-            line = curve(values[:, right], values[:, upward], name, colour, 1.6, dash, legendgroup=name)
-            figure.add_trace(line.update(showlegend=column == 1), row=1, col=column)
-        figure.update_xaxes(
-            title_text=names[right], autorange="reversed" if mirrored else True, row=1, col=column
-        )
-        figure.update_yaxes(
-            title_text=names[upward],
-            autorange="reversed" if flipped else True,
-            scaleanchor="x" if column == 1 else "x2",
-            row=1,
-            col=column,
-        )
-    return dress(figure, 450, head=75)
-
-
-def _upright(up: FloatArray) -> tuple[tuple[tuple[int, bool], tuple[int, bool]], ...]:
-    """Two views of unnamed axes: the one that gravity says points up is drawn upwards."""
-    upright = int(np.argmax(np.abs(up)))
-    across = [axis for axis in range(3) if axis != upright]
-    return tuple(((axis, False), (upright, bool(up[upright] < 0))) for axis in across)
 
 
 def instants(recovery: Recovery, occluded: bool) -> IntArray:
@@ -152,29 +104,20 @@ LARGEST_SIGMA_M = 3.0
 
 
 def player(
-    heading: str,
-    caption: Html,
-    arms: Sequence[tuple[Recovery, Truth | None]],
-    frame: CameraFrame | None,
-) -> str:
-    """A heading, the player and a caption; "" where no arm has an answer."""
+    heading: str, caption: Html, arms: Sequence[tuple[Recovery, Truth | None]], frame: CameraFrame | None
+) -> Section | None:
+    """The arms in space as they move; None where no arm has an answer."""
     arms = [(recovery, truth) for recovery, truth in arms if len(recovery) > 1 and recovery.answered.any()]
     if not arms:
-        return ""
+        return None
     played = [played_arm(recovery, truth, MOST_BYTES / len(arms)) for recovery, truth in arms]
     first = arms[0][0]
     points = np.concatenate([_extent(recovery) for recovery, _ in arms])
     up = upwards(frame, first.gravity_direction)
-    view = view_of(points, up, seen_from(points, up, frame))
     at = [float(first.t_s[row]) for hidden in (True, False) for row in instants(first, hidden)]
-    values: dict[str, Any] = {"view": view, "arms": played, "axes": list(axis_names(frame)), "instants": at}
-    view["zoom"] = 1.15
-    return (
-        f'<div class="together">{headed(heading)}<div class="space player"><div class="stage">'
-        f'<canvas tabindex="0" role="img" aria-label="The arm in space, at the time of the slider"></canvas>'
-        f"</div>{_controls(played)}{data_block(values)}</div>"
-        f'<p class="caption">{caption}</p></div>'
-    )
+    view = view_of(points, up, _seen_from(points, up, frame))
+    data = data_block({"view": view, "arms": played, "axes": list(axis_names(frame)), "instants": at})
+    return Section(heading, caption, player={"data": data, "switches": list(_switches(played))})
 
 
 def played_arm(recovery: Recovery, truth: Truth | None, most_bytes: float) -> dict[str, Any]:
@@ -257,35 +200,73 @@ def _extent(recovery: Recovery) -> FloatArray:
     return np.concatenate([recovery.position[rows], *joints])
 
 
-def _controls(arms: Sequence[dict[str, Any]]) -> str:
-    """Slider with the gaps marked on it, buttons, legend, and what the keys do."""
+def _switches(arms: Sequence[dict[str, Any]]) -> Iterator[tuple[str, str, str]]:
+    """What a reader can switch off: name, words and colour."""
     sound = any("sigma" in arm or not arm["untrusted"] for arm in arms)
     colour = "var(--seen)" if sound else "var(--untrusted)"
-    switches = [("path", f"path of the {arms[0]['tip']}", colour), ("trail", "last 2 s", colour)]
-    if any("sigma" in arm for arm in arms):
-        switches.append(("sigma", "95 % region", "var(--recovered)"))
-    if any("camera" in arm for arm in arms):
-        switches.append(("camera", "camera's skeleton", "var(--ghost)"))
-    if any("truth" in arm for arm in arms):
-        switches.append(("reference", "reference", "var(--truth)"))
-    speeds = "".join(
-        f'<option value="{speed}"{" selected" if speed == "1" else ""}>{speed} x</option>'
-        for speed in ("0.1", "0.25", "0.5", "1", "2", "5", "10")
-    )
-    return (
-        '<div class="time"><div class="marks"></div>'
-        '<input type="range" data-do="seek" aria-label="Time"></div>'
-        '<p class="now" aria-live="off"></p>'
-        '<div class="controls"><button type="button" data-do="play" aria-pressed="false">▶ Play</button>'
-        '<button type="button" data-do="previous">◀ gap</button>'
-        '<button type="button" data-do="next">gap ▶</button>'
-        f'<select data-do="speed" aria-label="Speed">{speeds}</select>'
-        '<span class="looks"><span>look from </span><button type="button" data-do="camera">camera</button>'
-        ' <button type="button" data-do="side">side</button>'
-        ' <button type="button" data-do="behind">behind</button>'
-        ' <button type="button" data-do="top">above</button></span></div>'
-        f'<div class="legend">{"".join(switch(*each) for each in switches)}</div>'
-        '<p class="keys">Keys: space plays, left and right go a frame (with Shift a second), g goes to the'
-        " next gap, Shift+g to the one before. Drag to turn, Ctrl and the wheel (or two fingers) to come"
-        " closer, double-click to come back. A click into a plot over time moves the arm there.</p>"
-    )
+    yield "path", f"path of the {arms[0]['tip']}", colour
+    yield "trail", "last 2 s", colour
+    for key, name, words, own in (
+        ("sigma", "sigma", "95 % region", "var(--recovered)"),
+        ("camera", "camera", "camera's skeleton", "var(--ghost)"),
+        ("truth", "reference", "reference", "var(--truth)"),
+    ):
+        if any(key in arm for arm in arms):
+            yield name, words, own
+
+
+#: Largest number of the packed values, and the one that marks a missing value.
+_LARGEST, _NOTHING = 32000, -32768
+
+
+def packed(values: FloatArray) -> dict[str, Any]:
+    """Numbers (n, c) as 16 bits each: their scale, one offset per column, base64; nan stays nothing."""
+    values = np.asarray(values, float)
+    finite = np.isfinite(values)
+    low = np.min(np.where(finite, values, np.inf), axis=0, initial=np.inf)
+    high = np.max(np.where(finite, values, -np.inf), axis=0, initial=-np.inf)
+    some = np.isfinite(low)
+    offset = np.where(some, 0.5 * (np.where(some, low, 0.0) + np.where(some, high, 0.0)), 0.0)
+    scale = max(float(np.max(np.where(some, high - offset, 0.0), initial=0.0)) / _LARGEST, 1e-9)
+    whole = np.where(finite, np.rint((np.where(finite, values, 0.0) - offset) / scale), _NOTHING)
+    data = b64encode(whole.astype("<i2").tobytes()).decode("ascii")
+    return {"data": data, "scale": scale, "offset": [float(f"{value:.9g}") for value in offset]}
+
+
+def upwards(frame: CameraFrame | None, gravity: FloatArray | None = None) -> FloatArray:
+    """Unit vector (3,) upwards in {K}: by gravity where it is known, else by the camera's convention."""
+    if gravity is not None and np.isfinite(gravity).all() and np.linalg.norm(gravity) > 0:
+        return -unit(gravity)
+    return -(frame or CameraFrame.ZUP).down
+
+
+def _seen_from(points: FloatArray, up: FloatArray, frame: CameraFrame | None) -> FloatArray:
+    """Direction (3,) from which to look: from the camera's side, a little from above and beside it."""
+    points = points[np.isfinite(points).all(axis=1)]
+    back = -np.median(points, axis=0) if len(points) else np.array([1.0, 1.0, 0.5])
+    if frame not in (CameraFrame.KINECT, CameraFrame.OPTICAL):
+        back = np.array([1.2, -1.4, 0.3])
+    back = back - up * (back @ up)
+    length = np.linalg.norm(back)
+    back = back / length if length > 1e-9 else unit(np.cross(up, [0.3, 0.5, 0.8]))
+    return 2.3 * back + 0.7 * up + 0.9 * np.cross(up, back)
+
+
+def view_of(points: FloatArray, up: FloatArray, eye: FloatArray) -> dict[str, Any]:
+    """Where to look at points (n, 3) from so that all but a few outliers of them are in sight."""
+    points = points[np.isfinite(points).all(axis=1)]
+    if not len(points):
+        points = np.zeros((1, 3))
+    low, high = np.percentile(points, (0.5, 99.5), axis=0)
+    center = 0.5 * (low + high)
+    away = np.linalg.norm(points - center, axis=1)
+    radius = max(1.05 * float(np.percentile(away, 99.5)), 0.05)
+    return {
+        "up": up.tolist(),
+        "eye": eye.tolist(),
+        "center": center.tolist(),
+        "radius": radius,
+        "aspect": 0.56,
+        "zoom": 1.15,
+        "low": float(np.percentile(points @ up, 0.5)),
+    }

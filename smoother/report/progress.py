@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from html import escape
+
+import plotly.graph_objects as go
 
 from ..evaluation.progress import (
     LESS,
@@ -17,13 +18,14 @@ from ..evaluation.progress import (
     SessionValue,
     first_of,
     interval,
-    number,
     quantity,
+    scaled,
     shown_unit,
     worded,
 )
-from .chart import Mark, badge, sessions
-from .sheet import NO_DIAGNOSIS, Html, Page, bullets, explained, headed, tabulated, terms_of
+from ..table import Table, percent
+from .sheet import NO_DIAGNOSIS, Html, Page, Section, badge, explained, label, limits, rendered
+from .style import BAND, VISIBLE, dress, interval_bars
 
 #: Figures of a page, rows of its table, and sentences of its limits.
 MOST_FIGURES, MOST_ROWS, MOST_LIMITS = 5, 16, 6
@@ -36,7 +38,7 @@ def progress_page(progress: PersonProgress) -> Page:
         f"Progress of {progress.person}",
         f"{_arms(progress)}{count} session{'s' if count != 1 else ''}: {_named(progress)}",
         _verdict(progress),
-        list(_sections(progress)),
+        _sections(progress),
         two_pages=True,
     )
 
@@ -104,20 +106,26 @@ def _standing(progress: PersonProgress) -> str:
     return f"{'; '.join(stand[:3])}{more} {'remain' if len(stand) > 1 else 'remains'} clear"
 
 
-def _sections(progress: PersonProgress) -> Iterator[str]:
+def _sections(progress: PersonProgress) -> Iterator[Section]:
     shown = _shown(progress)
     if shown:
-        yield _figures(progress, shown)
+        yield _drawn(progress, shown)
     rows = [*progress.clear]  # what changed stands first, whatever is cut
     rows += [each for each in progress.main if each.change is not None and each not in progress.clear]
-    if rows:
-        yield _table(progress, rows)
-    yield _limits(progress)
+    yield _table(progress, rows)
+    about: dict[str, list[str]] = {}
+    for each in progress.main:
+        for sentence in each.change.limits if each.change is not None else ():
+            about.setdefault(sentence, []).append(_label(each, progress))
+    counted = [
+        f"{sentence} ({', '.join(names) if len(names) <= 2 else f'{len(names)} measures'})"
+        for sentence, names in sorted(about.items(), key=lambda item: -len(item[1]))
+    ]
+    yield limits([*progress.left_out, *progress.notes, *counted], MOST_LIMITS)
     terms = ["interval", "recovered", *(["clear", "unclear", "unknown"] if rows else [])]
     if any(each.change is not None and math.isfinite(each.change.mdc95) for each in rows):
         terms.append("mdc")
-    keys = [each.key for each in (*shown, *rows[:MOST_ROWS])]
-    yield explained("The words on this page", [*terms, *terms_of(keys)])
+    yield explained(terms, [each.key for each in (*shown, *rows[:MOST_ROWS])])
 
 
 def _shown(progress: PersonProgress) -> list[Series]:
@@ -127,43 +135,41 @@ def _shown(progress: PersonProgress) -> list[Series]:
     return [each for key in keys for each in main if each.key == key][:MOST_FIGURES]
 
 
-def _figures(progress: PersonProgress, shown: Sequence[Series]) -> str:
+def _drawn(progress: PersonProgress, shown: Sequence[Series]) -> Section:
+    """A panel of each measure: its sessions with their intervals, and whether it changed."""
     caption = (
         "One dot per session, with its 95 % interval as a line. The pale band is the interval of the first"
         " session."
     )
     if len(progress.sessions) == 1:
         caption = "The session's value, with its 95 % interval as a line."
-    boxes = "".join(f"<div>{_figure(series, progress)}</div>" for series in shown)
-    return f'{headed("The main measures", caption)}<div class="charts">{boxes}</div>'
+    return Section("The main measures", caption, panels=[_panel(series, progress) for series in shown])
 
 
-def _figure(series: Series, progress: PersonProgress) -> str:
-    by_session = {value.session: value for value in series.values}
-    empty = SessionValue("", math.nan, math.nan)
-    marks = [_mark(name, by_session.get(name, empty), series.unit) for name in progress.sessions]
-    unit = shown_unit(series.unit)
-    heading = f"<h3>{escape(_label(series, progress))}{f' ({escape(unit)})' if unit else ''}</h3>"
-    change = series.change
-    words = (
-        "" if change is None else f"<p>{badge(change.word)} {escape(_difference(change, series.unit))}</p>"
+def _panel(series: Series, progress: PersonProgress) -> tuple[Html, go.Figure]:
+    """A measure over the sessions with its intervals, under its name, and whether it changed."""
+    unit, change = shown_unit(series.unit), series.change
+    title = Html("<h3>{}{}</h3>").format(_label(series, progress), f" ({unit})" if unit else "")
+    if change is not None:
+        title += Html("<p>{} {}</p>").format(badge(change.word), _difference(change, series.unit))
+    found = {value.session: value for value in series.values}
+    values = [found.get(name, SessionValue("", math.nan, math.nan)) for name in progress.sessions]
+    value, low, high = (
+        [scaled(getattr(each, part), series.unit) for each in values] for part in ("value", "low", "high")
     )
-    return f"{heading}{words}{sessions(marks, words=_read_aloud(series, progress))}"
-
-
-def _mark(name: str, value: SessionValue, unit: str) -> Mark:
-    return Mark(name, value.value, value.low, value.high, number(value.value, unit))
-
-
-def _read_aloud(series: Series, progress: PersonProgress) -> str:
-    values = ", ".join(
-        f"session {each.session} {quantity(each.value, series.unit)}" for each in series.values
-    )
-    return f"{_label(series, progress)}: {values}"
+    bars = interval_bars(value, low, high)
+    dots = go.Scatter(x=list(range(len(value))), y=value, mode="markers", error_y=bars)
+    figure = go.Figure(dots.update(marker={"color": VISIBLE, "size": 8}))
+    if len(value) > 1 and math.isfinite(low[0]):
+        figure.add_hrect(low[0], high[0], fillcolor=BAND, line_width=0, layer="below")
+    every = range(0, len(value), max(1, math.ceil(len(value) / 12)))
+    names = [label(_short(progress.sessions[place], 9)) for place in every]
+    figure.update_xaxes(tickvals=list(every), ticktext=names)
+    return title, dress(figure, 150, head=8, showlegend=False)
 
 
 def _difference(change: Change, unit: str) -> str:
-    """The change with its interval, or why there is none."""
+    """The change with its interval; "" where there is none."""
     if not math.isfinite(change.difference):
         return ""
     text = quantity(change.difference, unit, signed=True)
@@ -171,49 +177,28 @@ def _difference(change: Change, unit: str) -> str:
     return f"{text} ({between})" if between else text
 
 
-def _table(progress: PersonProgress, rows: Sequence[Series]) -> str:
+def _table(progress: PersonProgress, rows: Sequence[Series]) -> Section:
     columns = ("measure", "first", "last", "change", "95 % interval", "in words", "recovered")
-    cells = [
-        (
-            _label(each, progress),
-            worded(each.key, change.first.value, each.unit),
-            worded(each.key, change.last.value, each.unit),
-            quantity(change.difference, each.unit, signed=True),
-            interval(change.low, change.high, each.unit, signed=True) or "–",
-            Html(badge(change.word)),
-            _share(change),
+    cells = []
+    for each in rows[:MOST_ROWS]:
+        if (change := each.change) is None:
+            continue
+        shares = [value.recovered_share for value in (change.first, change.last)]
+        cells.append(
+            (
+                _label(each, progress),
+                *(worded(each.key, value.value, each.unit) for value in (change.first, change.last)),
+                quantity(change.difference, each.unit, signed=True),
+                interval(change.low, change.high, each.unit, signed=True) or None,
+                badge(change.word),
+                percent(max((share for share in shares if math.isfinite(share)), default=None)),
+            )
         )
-        for each in rows[:MOST_ROWS]
-        if (change := each.change) is not None
-    ]
     more = len(rows) - MOST_ROWS
     caption = "The last session against the first, what changed clearly in front." + (
         f" {more} measures more are in the tables (--csv)." if more > 0 else ""
     )
-    return tabulated("All changes", caption, columns, cells)
-
-
-def _share(change: Change) -> str | None:
-    shares = [each.recovered_share for each in (change.first, change.last)]
-    known = [share for share in shares if math.isfinite(share)]
-    return f"{100 * max(known):.0f} %" if known else None
-
-
-def _limits(progress: PersonProgress) -> str:
-    """What limits the statements, the most frequent first."""
-    about: dict[str, list[str]] = {}
-    for each in progress.main:
-        for sentence in each.change.limits if each.change is not None else ():
-            about.setdefault(sentence, []).append(_label(each, progress))
-    counted = sorted(about.items(), key=lambda item: -len(item[1]))
-    sentences = [
-        f"{sentence} ({', '.join(names) if len(names) <= 2 else f'{len(names)} measures'})"
-        for sentence, names in counted
-    ]
-    every = [*progress.left_out, *progress.notes, *sentences]
-    if len(every) > MOST_LIMITS:
-        every = [*every[:MOST_LIMITS], f"{len(every) - MOST_LIMITS} sentences more are in --json"]
-    return headed("What limits this") + (bullets(every) or "<p>Nothing to note.</p>")
+    return rendered(Table("All changes", columns, cells, caption))
 
 
 def _label(series: Series, progress: PersonProgress) -> str:

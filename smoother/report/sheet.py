@@ -1,18 +1,19 @@
-"""The pages' common parts: one file that needs no network, headings, figures, lists, tables, and terms."""
+"""A page: one file that needs no network, made of sections with plots, tables and sentences."""
 
 from __future__ import annotations
 
 import json
 import os
 import re
-from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 from html import escape
 from importlib import resources
-from string import Template
 from typing import Any
 
+import numpy as np
 import plotly.graph_objects as go
+from markupsafe import Markup
 
 from ..runtime.outputs import writing
 from ..table import Table, cell_text
@@ -23,18 +24,72 @@ MOST_ROWS = 500
 FEWEST_CONTENTS = 4
 #: Tones of a page's first sentences: what it is about is not to be trusted, or not everywhere.
 ALARM, CARE, GOOD = "alarm", "care", "good"
-#: Stands for the sections while the page around them is put together.
-_HERE = "<!-- sections -->"
-#: Stands for the list of contents where it is not to follow the first sentences.
-CONTENTS = "<!-- contents -->"
+_SIGNS = {GOOD: "✓ ", CARE: "! ", ALARM: "✕ "}
 #: The page's programs, in the order in which they run; Plotly's only where a figure needs it.
 _PROGRAMS = ("page.js", "view3d.js", "player.js")
 #: Plotly's basic bundle: lines, dots and bars, a quarter of the whole program.
 PLOTLY = "plotly-basic.min.js"
+#: Text that is HTML already; everything else is escaped.
+Html = Markup
 
 
-class Html(str):
-    """Text that is HTML already, and is not escaped."""
+@dataclass
+class Section:
+    """A heading with a plot, tables, sentences; left out where it has none of them."""
+
+    heading: str = ""
+    caption: str = ""
+    plot: go.Figure | None = None
+    panels: Sequence[tuple[Html, go.Figure]] = ()  # Small plots beside each other, each under a title
+    tables: Sequence[Table] = ()
+    sentences: Iterable[str] = ()
+    below: str = ""  # A paragraph at the end
+    terms: Sequence[tuple[str, str]] = ()
+    player: Mapping[str, Any] | None = None  # What the player in space is given; see `player`
+
+    def shown(self, anchors: _Anchors) -> dict[str, Any] | None:
+        """What the template is given; None where there is nothing to show."""
+        tables = [each for each in self.tables if each.rows]
+        sentences = list(dict.fromkeys(self.sentences))
+        if not any((self.plot, self.panels, tables, sentences, self.below, self.terms, self.player)):
+            return None
+        plot = None if self.plot is None else _plotted(self.plot)
+        panels = [(title, _plotted(each)) for title, each in self.panels]
+        given = vars(self) | {"plot": plot, "panels": panels, "tables": tables, "sentences": sentences}
+        return given | {"anchor": anchors.named(self.heading)}
+
+
+@dataclass
+class Fold:
+    """Sections that a reader opens; paper has them all."""
+
+    sections: Iterable[Section]
+    words: str = "Details"
+    anchor: str = ""
+    has_contents: bool = False  # The list of contents stands here
+
+    def shown(self, anchors: _Anchors) -> dict[str, Any]:
+        """What the template is given."""
+        return vars(self) | {"sections": _shown(self.sections, anchors)}
+
+
+@dataclass
+class _Anchors:
+    """Names of a page's headings, each its own, for the list of contents."""
+
+    headings: dict[str, str] = field(default_factory=dict)
+
+    def named(self, heading: str) -> str:
+        stem = name = re.sub("[^a-z0-9]+", "-", heading.lower()).strip("-") or "section"
+        while name in self.headings:
+            name = f"{stem}-{len(self.headings)}"
+        if heading:
+            self.headings[name] = heading
+        return name
+
+
+def _shown(sections: Iterable[Section | Fold], anchors: _Anchors) -> list[dict[str, Any]]:
+    return [shown for each in sections if (shown := each.shown(anchors)) is not None]
 
 
 @dataclass(frozen=True)
@@ -42,113 +97,73 @@ class Page:
     """An HTML page that needs no network and no other file."""
 
     title: str  # Heading, and the line under it
-    subtitle: str  # Heading, and the line under it
+    subtitle: str
     verdict: Iterable[str]  # Sentences at the top
-    sections: Iterable[str]  # HTML, made by `figure`, `space`, `picture`, `listing` and `tabulated`
+    sections: Iterable[Section | Fold]
     two_pages: bool = False  # Print it in small type: what is short fits on two pages
     tone: str = ""  # `ALARM` or `CARE`: the first sentences are in red or amber
     # Tone, large word and sentences of each verdict of the first screen; `verdict` is below it then
     boxes: Sequence[tuple[str, str, list[str]]] = ()
-    beside: str = ""  # HTML beside the boxes
+    beside: Section | None = None  # Beside the boxes
 
     def write(self, path: str | os.PathLike[str], force: bool = False) -> None:
         """Write it to a file."""
+        from jinja2 import Environment
+
         from .. import __version__
 
-        below = _paragraphs(self.verdict)
+        anchors = _Anchors()
+        beside = None if self.beside is None else self.beside.shown(anchors)
+        sections = _shown(self.sections, anchors)
+        page = vars(self) | {"beside": beside, "sections": sections, "verdict": list(self.verdict)}
+        page["headings"] = list(anchors.headings.items())
+        environment = Environment(autoescape=True)
+        environment.filters |= {"cell": _cell, "sentence": _sentence}
+        parts = environment.from_string(_web("page.html")).generate(
+            page=page,
+            version=__version__,
+            style=Html(_web("style.css")),
+            scripts=[Html(_web(name)) for name in _programs(sections)],
+            most_rows=MOST_ROWS,
+            fewest_contents=FEWEST_CONTENTS,
+            signs=_SIGNS,
+        )
         with (
             writing(path, force) as temporary,
             open(temporary, "w", encoding="utf-8", errors="backslashreplace") as file,
         ):
-            (beside, *body), contents = _with_anchors([self.beside, *self.sections])
-            page = Template(_web("page.html")).substitute(
-                title=escape(self.title),
-                made=escape(self.subtitle),
-                style=_web("style.css"),
-                scripts=_programs([beside, *body]),
-                content=_HERE,
-                kind=' class="two-pages"' if self.two_pages else "",
-                version=escape(__version__),
-            )
-            before, after = page.split(_HERE)
-            file.write(before)
-            if self.boxes:
-                said = "".join(
-                    _box(tone, _paragraphs(sentences), word) for tone, word, sentences in self.boxes
-                )
-                beside = f'<div class="beside">{beside}</div>' if beside else ""
-                file.write(f'<div class="screen"><div class="said">{said}</div>{beside}</div>{below}')
-            else:
-                file.write(_box(self.tone, below))
-            if not any(CONTENTS in section for section in body):
-                file.write(contents)
-            for section in body:
-                file.write(f"\n{section.replace(CONTENTS, contents)}")
-            file.write(after)
-
-
-def _paragraphs(texts: Iterable[str]) -> str:
-    return "".join(f"<p>{escape(_sentence(text))}</p>" for text in texts)
-
-
-_TONE_SIGNS = {GOOD: "✓ ", CARE: "! ", ALARM: "✕ "}
-
-
-def _box(tone: str, paragraphs: str, word: str = "") -> str:
-    large = f'<p class="large">{_TONE_SIGNS.get(tone, "")}{escape(word)}</p>' if word else ""
-    return f'<div class="summary{f" {tone}" if tone else ""}">{large}{paragraphs}</div>'
+            file.writelines(parts)
 
 
 def _web(name: str) -> str:
     return resources.files(__package__).joinpath("web", name).read_text(encoding="utf-8")
 
 
-def _programs(body: Sequence[str]) -> str:
+def _programs(sections: Sequence[Mapping[str, Any]]) -> Iterator[str]:
     """The page's own programs; Plotly's where something is plotted."""
-    names = [PLOTLY] if any('class="plot"' in section for section in body) else []
-    return "".join(f"<script>{_web(name)}</script>\n" for name in (*names, *_PROGRAMS))
+    inside = [part for each in sections for part in each.get("sections", [each])]
+    if any(each["plot"] or each["panels"] for each in inside):
+        yield PLOTLY
+    yield from _PROGRAMS
 
 
-def _with_anchors(sections: Sequence[str]) -> tuple[list[str], str]:
-    """Sections whose headings have names of their own, and the list of contents that leads to them."""
-    names: dict[str, str] = {}
-
-    def anchored(match: re.Match[str]) -> str:
-        heading = match.group(1)
-        stem = name = _slug(heading)
-        while name in names:
-            name = f"{stem}-{len(names)}"
-        names[name] = heading
-        return f'<h2 id="{name}">{heading}</h2>'
-
-    body = [re.sub("<h2>(.*?)</h2>", anchored, section, flags=re.DOTALL) for section in sections]
-    items = "".join(f'<li><a href="#{name}">{heading}</a></li>' for name, heading in names.items())
-    contents = f'<details class="contents"><summary>Contents</summary><ol>{items}</ol></details>'
-    return body, contents if len(names) >= FEWEST_CONTENTS else ""
+def _plotted(plot: go.Figure) -> dict[str, Any]:
+    """A plot for the page; its data in single precision: half the size, and still finer than any screen."""
+    for trace in plot.data:
+        for axis in ("x", "y"):
+            if axis in trace and isinstance(trace[axis], np.ndarray) and trace[axis].dtype == np.float64:
+                trace[axis] = trace[axis].astype(np.float32)
+    wide = any(axis.domain and axis.domain[0] > 0.2 for axis in plot.select_xaxes())
+    data = data_block(plot.to_json(engine="json"))
+    return {"wide": wide, "height": int(plot.layout.height or 450), "data": data}
 
 
-def _slug(heading: str) -> str:
-    return re.sub("[^a-z0-9]+", "-", heading.lower()).strip("-") or "section"
-
-
-def figure(heading: str, caption: str, plot: go.Figure) -> str:
-    """A heading, a caption and a plot; the page draws it, and lets a phone move a wide one sideways."""
-    wide = bool((plot.layout.meta or {}).get("wide"))
-    wide |= any(axis.domain and axis.domain[0] > 0.2 for axis in plot.select_xaxes())
-    height = int(plot.layout.height or 450)
-    return (
-        f'<div class="together">{headed(heading, caption)}<div class="figure{" wide" if wide else ""}">'
-        f'<div class="plot" id="figure-{_slug(heading)}" style="height:{height}px"></div>'
-        f"{data_block(plot.to_json(engine='json'))}</div></div>"
-    )
-
-
-def data_block(values: str | dict[str, Any]) -> str:
+def data_block(values: str | dict[str, Any]) -> Html:
     """JSON for the page's programs; nothing in it can end the block."""
     text = values if isinstance(values, str) else json.dumps(values, separators=(",", ":"), allow_nan=False)
     for character in "<>&\u2028\u2029":
         text = text.replace(character, f"\\u{ord(character):04x}")
-    return f'<script type="application/json">{text}</script>'
+    return Html(f'<script type="application/json">{text}</script>')
 
 
 def label(text: object) -> str:
@@ -156,72 +171,47 @@ def label(text: object) -> str:
     return escape(str(text), quote=False)
 
 
-def qualified(section: str, mark: str) -> str:
-    """A section whose figures' ids end in a mark: the same section may stand on the page for several arms."""
-    return re.sub(r'(?<=["#])figure-[a-z0-9-]+', lambda match: f"{match[0]}-{mark}", section)
+def rendered(each: Table, caption: str = "") -> Section:
+    """A table under its title and a caption."""
+    return Section(each.title, caption or each.caption, tables=[each])
 
 
-def folded(sections: Iterable[str], words: str = "Details", below: str = "") -> Iterator[str]:
-    """Sections that a reader opens; paper has them all."""
-    yield f'<details class="more"><summary>{escape(words)}</summary>{below}'
-    yield from sections
-    yield "</details>"
+def notes(sentences: Iterable[str]) -> Section:
+    """The notes at the end of a page."""
+    found = list(sentences)
+    return Section("Notes", sentences=found, below="" if found else "There is nothing to note.")
 
 
-def picture(heading: str, caption: str, png: bytes) -> str:
-    """A heading, a caption and an image."""
-    from base64 import b64encode
-
-    data = b64encode(png).decode("ascii")
-    return (
-        f'{headed(heading, caption)}<p><img alt="{escape(heading)}" src="data:image/png;base64,{data}"></p>'
-    )
-
-
-def listing(heading: str, sentences: Iterable[str], nothing: str = "Nothing.") -> str:
-    """A heading over a list of sentences."""
-    return headed(heading) + (bullets(sentences) or f"<p>{escape(nothing)}</p>")
-
-
-def bullets(sentences: Iterable[str]) -> str:
-    """A list of sentences; "" without any."""
-    items = "".join(f"<li>{escape(_sentence(text))}</li>" for text in sentences)
-    return f"<ul>{items}</ul>" if items else ""
-
-
-def tabulated(heading: str, caption: str, columns: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
-    """A heading, a caption and a table."""
-    return headed(heading, caption) + table(columns, rows)
-
-
-def table(columns: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
-    """A table; a dash marks None and nan."""
-    rows = list(rows)
-    head = "".join(f"<th>{escape(column)}</th>" for column in columns)
-    body = "".join(
-        "<tr>" + "".join(f"<td>{_cell(value)}</td>" for value in row) + "</tr>" for row in rows[:MOST_ROWS]
-    )
-    more = f"<p>{len(rows) - MOST_ROWS} rows more are left out.</p>" if len(rows) > MOST_ROWS else ""
-    return f"<table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>{more}"
-
-
-def rendered(each: Table, caption: str = "") -> str:
-    """A table under its title and a caption; "" without rows."""
-    return tabulated(each.title, caption or each.caption, each.columns, each.rows) if each.rows else ""
-
-
-def headed(heading: str, caption: str = "") -> str:
-    """A heading and a caption (`Html`, or plain text) below it."""
-    below = f'<p class="caption">{_escaped(caption)}</p>' if caption else ""
-    return f"<h2>{escape(heading)}</h2>{below}"
+def limits(sentences: Iterable[str], most: int) -> Section:
+    """What limits the numbers of a page, at most so many sentences."""
+    every = list(dict.fromkeys(sentences))
+    if len(every) > most:
+        every = [*every[:most], f"{len(every) - most} sentences more are in --json"]
+    return Section("What limits this", sentences=every or ["Nothing to note"])
 
 
 def _cell(value: object) -> str:
-    return value if isinstance(value, Html) else escape(cell_text(value, "–"))
+    return value if isinstance(value, Html) else cell_text(value, "–")
 
 
-def _escaped(value: object) -> str:
-    return value if isinstance(value, Html) else escape(str(value))
+#: The word for what is not to be trusted.
+NOT_TRUSTED = "not to be trusted"
+_BADGES = {
+    NOT_TRUSTED: ("✕ ", "wrong"),
+    "clearly more": ("▲ ", "more"),
+    "clearly less": ("▼ ", "less"),
+    "no clear change": ("● ", "same"),
+    "no clear difference": ("● ", "same"),
+    "reached": ("✓ ", "same"),
+    "not reached": ("– ", "open"),
+    "cannot be assessed": ("? ", "open"),
+}
+
+
+def badge(word: str, sign: str = "! ", kind: str = "care") -> Html:
+    """A word in the colour of its meaning, with a sign for those who do not see colours."""
+    sign, kind = _BADGES.get(word, (sign, kind))
+    return Html('<span class="word {}">{}{}</span>').format(kind, sign, word)
 
 
 def capitalised(text: str) -> str:
@@ -293,23 +283,18 @@ TERMS = {
 }
 
 
-def explained(heading: str, names: Iterable[str]) -> str:
-    """A section that explains terms."""
-    lines = "".join(
-        f"<p><b>{escape(term)}</b>: {escape(words)}</p>" for term, words in (TERMS[name] for name in names)
-    )
-    return f'{headed(heading)}<div class="terms">{lines}</div>'
+#: Terms that a measure needs, by the start of its key.
+_OF_MEASURES = {
+    "flexion": "elbow_flexion",
+    "elevation": "shoulder_elevation",
+    "pronation": "pronation",
+    "reach": "hand_reach",
+    "sparc": "sparc",
+    "ratio": "hand_path_ratio",
+}
 
 
-def terms_of(keys: Iterable[str]) -> list[str]:
-    """The terms that the names of some measures need."""
-    needs = {
-        "flexion": "elbow_flexion",
-        "elevation": "shoulder_elevation",
-        "pronation": "pronation",
-        "reach": "hand_reach",
-        "sparc": "sparc",
-        "ratio": "hand_path_ratio",
-    }
-    shown = list(keys)
-    return [term for term, start in needs.items() if any(key.startswith(start) for key in shown)]
+def explained(names: Iterable[str], keys: Sequence[str]) -> Section:
+    """A section that explains terms, and those that the keys of some measures need."""
+    own = [term for term, start in _OF_MEASURES.items() if any(key.startswith(start) for key in keys)]
+    return Section("The words on this page", terms=[TERMS[name] for name in (*names, *own)])

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Iterator, Mapping, Sequence
-from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from urllib.parse import quote
@@ -15,28 +14,11 @@ import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
 from ..array_types import FloatArray
-from ..evaluation.group import (
-    GroupMeasure,
-    Spread,
-    group_measures,
-    write_long,
-)
+from ..evaluation.group import GroupMeasure, Spread, group_measures, write_long
 from ..evaluation.progress import first_of
 from ..evaluation.summary import trust_word
-from .chart import NOT_TRUSTED, badge
-from .sheet import (
-    ALARM,
-    CONTENTS,
-    Html,
-    Page,
-    figure,
-    folded,
-    headed,
-    label,
-    listing,
-    table,
-    tabulated,
-)
+from ..table import Table
+from .sheet import ALARM, NOT_TRUSTED, Fold, Html, Page, Section, badge, label, rendered
 from .style import OCCLUDED, VISIBLE, dress
 
 if TYPE_CHECKING:
@@ -70,30 +52,30 @@ def write_study(
     sound = columns["trusted"] != 0  # nan where not judged
     for name in ("sigma_max_m", "error_95_m", "clock_offset_s"):
         columns[name] = np.where(sound, columns[name], np.nan)
-    sections = [_failures(failed)] if len(failed) else []
+    rows_failed = [(row["recording"], row["error"]) for row in failed.slice(0, MOST_WORST).to_pylist()]
+    caption = "The other recordings are not affected."
+    sections: list[Section | Fold] = [rendered(Table("Failed", ("recording", "why"), rows_failed, caption))]
     if len(recovered):
         order = worst_first(columns["sigma_max_m"], columns["trusted"], columns["gaps_untrusted"])
-        sections.append(_worst(recovered, order[:MOST_WORST], persons or {}, Path(path), Path(folder)))
-        sections += group_sections(rows, long, Path(path))
-        sections += folded(
-            [
-                figure(
-                    "Distributions",
-                    "One count per recording. The error is what 95 of 100 errors of the sensor's position"
-                    " in gaps stay below, as stated. The outermost bars include values beyond them."
-                    + _without(int((~sound).sum())),
-                    _distributions(columns),
-                ),
-                figure(
-                    "Gaps and their uncertainty",
-                    "A point per recording; the worst ones if there are very many."
-                    + _without(int((~sound).sum())),
-                    _scatter(recovered, columns, order),
-                ),
-                _notes(recovered),
-            ],
-            below=CONTENTS,
+        worst = recovered.take(order[:MOST_WORST]).to_pylist()
+        sections.append(_worst(worst, len(recovered), persons or {}, Path(path), Path(folder)))
+        if long:
+            file = Path(path).with_name(f"{Path(path).stem}_measures.csv")
+            write_long(long, file)
+            sections.append(_group(group_measures(long), file.name))
+        without = _without(int((~sound).sum()))
+        distributions = Section(
+            "Distributions",
+            "One count per recording. The error is what 95 of 100 errors of the sensor's position in gaps"
+            f" stay below, as stated. The outermost bars include values beyond them.{without}",
+            _distributions(columns),
         )
+        scatter = Section(
+            "Gaps and their uncertainty",
+            f"A point per recording; the worst ones if there are very many.{without}",
+            _scatter(recovered, columns, order),
+        )
+        sections.append(Fold([distributions, scatter, _notes(recovered)], has_contents=True))
     Page(
         "Study",
         f"{len(rows)} recordings",
@@ -214,16 +196,16 @@ def _scatter(recovered: pa.Table, columns: dict[str, FloatArray], order: np.ndar
 
 
 def _worst(
-    recovered: pa.Table, order: np.ndarray, persons: Mapping[str, str], path: Path, folder: Path
-) -> str:
+    rows: Sequence[dict[str, Any]], count: int, persons: Mapping[str, str], path: Path, folder: Path
+) -> Section:
     """The recordings, each with a link to its report, or to its result where it has none."""
-    rows = recovered.take(order).to_pylist()
-    keys = first_of([each["key"] for row in rows for each in row["measures"] or ()], MOST_SHOWN)
-    words = {each["key"]: f"{each['name']}, {each['unit']}" for row in rows for each in row["measures"] or ()}
+    measured = [each for row in rows for each in row["measures"] or ()]
+    keys = first_of([each["key"] for each in measured], MOST_SHOWN)
+    words = {each["key"]: f"{each['name']}, {each['unit']}".removesuffix(", ") for each in measured}
     heads = (
         *("recording", "person", "verdict", "self-check: recovered to within", "within, cm (95 %)"),
         *("longest gap, s", "gaps", "occluded, s", "length, s"),
-        *(words[key].removesuffix(", ") for key in keys),
+        *(words[key] for key in keys),
     )
     cells = [
         (
@@ -232,29 +214,31 @@ def _worst(
             _trust(row),
             _self_check(row),
             None if row["trusted"] is False else _scaled(row["error_95_m"], 100),
-            _scaled(row["gap_longest_s"]),
-            row["gaps"],
+            *(_scaled(row["gap_longest_s"]), row["gaps"]),
             *(_scaled(row[name]) for name in ("occluded_s", "duration_s")),
             *(_measured(row, key) for key in keys),
         )
         for row in rows
     ]
-    rest = len(recovered) - len(rows)
-    more = f" The other {rest} are among the results." if rest else ""
+    rest = count - len(rows)
     caption = (
         "Results that are not to be trusted come first, with the reason and without uncertainty; the"
         " others are sorted by the uncertainty of their gaps. Names lead to the reports (`batch"
         " --reports`), else to the results. Measures are given with their 95 % intervals; those of what"
-        f" is not to be trusted are left out.{more}"
+        " is not to be trusted are left out." + (f" The other {rest} are among the results." if rest else "")
     )
-    return tabulated("Recordings", caption, heads, cells)
+    return rendered(Table("Recordings", heads, cells, caption))
 
 
 def _named(row: dict[str, Any], path: Path, folder: Path) -> Html:
     """A recording's name, which leads to its report where there is one."""
     page = report_of(row["output"])
-    shown = page if (folder / page).is_file() else str(row["output"])
-    return Html(f'<a href="{escape(_link(shown, path, folder))}">{escape(row["recording"])}</a>')
+    target = os.path.abspath(folder / (page if (folder / page).is_file() else str(row["output"])))
+    try:
+        link = quote(Path(os.path.relpath(target, os.path.abspath(path.parent))).as_posix())
+    except ValueError:  # another drive
+        link = Path(target).as_uri()
+    return Html('<a href="{}">{}</a>').format(link, row["recording"])
 
 
 def _self_check(row: dict[str, Any]) -> str | None:
@@ -263,7 +247,7 @@ def _self_check(row: dict[str, Any]) -> str | None:
     if found is None or stated is None:
         return row["self_check"] or None
     words = f"{100 * found:.1f} cm (stated: {100 * stated:.1f})"
-    return Html(f'<span title="{escape(row["self_check"] or "")}">{words}</span>')
+    return Html('<span title="{}">{}</span>').format(row["self_check"] or "", words)
 
 
 def report_of(output: str) -> str:
@@ -283,59 +267,30 @@ def _measured(row: dict[str, Any], key: str) -> str | None:
     return "; ".join(said) or None
 
 
-def _trust(row: dict[str, Any]) -> Html:
+def _trust(row: dict[str, Any]) -> str:
     """Whether a recording's result is to be trusted, as a word in its colour, and why it is not."""
     word = trust_word(row["trusted"], row["gaps"], row["gaps_untrusted"])
     if row["trusted"] is False:
-        why = str(row["verdict"] or "").removeprefix("Not to be trusted: ")
-        return Html(f"{badge(NOT_TRUSTED)} {escape(why)}")
-    if row["gaps_untrusted"]:
-        return Html(badge(word, "care"))
-    return Html(escape(str(row["verdict"] or word)) or "–")
-
-
-def _link(output: str, path: Path, folder: Path) -> str:
-    target = os.path.abspath(folder / output)
-    try:
-        return quote(Path(os.path.relpath(target, os.path.abspath(path.parent))).as_posix())
-    except ValueError:  # another drive
-        return Path(target).as_uri()
+        return badge(NOT_TRUSTED) + f" {str(row['verdict'] or '').removeprefix('Not to be trusted: ')}"
+    return badge(word) if row["gaps_untrusted"] else str(row["verdict"] or word) or "–"
 
 
 def _scaled(value: float | None, factor: float = 1.0) -> str | None:
     return None if value is None or not np.isfinite(value) else f"{factor * value:.3g}"
 
 
-def _failures(failed: pa.Table) -> str:
-    rows: list[dict[str, Any]] = failed.slice(0, MOST_WORST).to_pylist()
-    return tabulated(
-        "Failed",
-        "The other recordings are not affected.",
-        ("recording", "why"),
-        ((row["recording"], row["error"]) for row in rows),
-    )
-
-
-def _notes(recovered: pa.Table) -> str:
+def _notes(recovered: pa.Table) -> Section:
     """The most frequent notes of the results."""
     import pyarrow.compute as pc
 
     texts = pc.list_flatten(recovered["note_texts"].combine_chunks())
     counted = sorted(texts.value_counts().to_pylist(), key=lambda note: (-note["counts"], note["values"]))
     sentences = [f"{note['counts']} x: {note['values']}" for note in counted[:20]]
-    return listing("Notes in the results", sentences, "Nothing.")
+    return Section("Notes in the results", sentences=sentences)
 
 
-def group_sections(rows: pa.Table, long: Sequence[Mapping[str, Any]], page: Path) -> Iterator[str]:
-    """The group's table and curves; beside the page its file in long format. Nothing without measures."""
-    if long:
-        file = page.with_name(f"{page.stem}_measures.csv")
-        write_long(long, file)
-        yield _table(group_measures(long), file.name)
-
-
-def _table(measures: list[GroupMeasure], file: str) -> str:
-    """Mean, spread and change of each measure."""
+def _group(measures: list[GroupMeasure], file: str) -> Section:
+    """Mean, spread and change of each measure over the persons."""
     several = any(each.last.count for each in measures)
     tasks = any(each.task for each in measures)
     heads = [
@@ -347,21 +302,18 @@ def _table(measures: list[GroupMeasure], file: str) -> str:
             each.side or None,
             *([each.task] if tasks else []),
             f"{each.name}, {each.unit}".removesuffix(", "),
-            each.first.count,
-            _spread(each.first),
+            *(each.first.count, _spread(each.first)),
             *([_spread(each.last), each.last.count, _change(each)] if several else []),
         )
         for each in measures
     ]
-    first = " of the first session" if several else ""
-    link = f'<a href="{escape(quote(file))}">{escape(file)}</a>'
     caption = Html(
-        f"Over the persons, mean and standard deviation{first}; the change is that from a person's first"
+        "Over the persons, mean and standard deviation{}; the change is that from a person's first"
         " session to the last, its mean over the persons with its interval by Student's t. Recordings that"
-        f" are not to be trusted are left out. All measures of all sessions, for R or SPSS: {link}, one"
-        " measure of one session per row, with a column <code>trusted</code>."
-    )
-    return headed("The group", caption) + table(heads, cells)
+        " are not to be trusted are left out. All measures of all sessions, for R or SPSS:"
+        ' <a href="{}">{}</a>, one measure of one session per row, with a column <code>trusted</code>.'
+    ).format(" of the first session" if several else "", quote(file), file)
+    return rendered(Table("The group", heads, cells, caption))
 
 
 def _spread(each: Spread) -> str | None:

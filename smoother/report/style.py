@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import plotly.graph_objects as go
 from numpy.typing import ArrayLike
+from plotly.subplots import make_subplots
 from scipy.ndimage import binary_dilation
 
 from ..array_types import BoolArray, FloatArray, IntArray
@@ -171,15 +172,52 @@ def seen_and_recovered(
     ]
 
 
-def shade(figure: go.Figure, recovery: Recovery) -> None:
+def over_time(
+    recovery: Recovery,
+    rows: Sequence[tuple[str, Sequence[go.Scatter]]],
+    row_px: int,
+    *,
+    head: int = 50,
+    titles_above: bool = False,
+) -> go.Figure:
+    """Traces over one time axis, a row each title, the gaps shaded; each name stands once in the legend."""
+    height, count = head + 50 + row_px * len(rows), len(rows)
+    figure = make_subplots(
+        rows=count,
+        cols=1,
+        shared_xaxes=True,
+        vertical_spacing=(30 if titles_above else 16) / (row_px * count) if count > 1 else 0.0,
+        subplot_titles=[title for title, _ in rows] if titles_above else None,
+    )
+    figure.update_annotations(x=0, xanchor="left", font={"size": 13})
+    named: set[str] = set()
+    for row, (title, traces) in enumerate(rows, start=1):
+        for trace in traces:
+            trace.update(legendgroup=trace.name, showlegend=trace.name not in named)
+            named.add(trace.name)
+            figure.add_trace(trace, row=row, col=1)
+        if not titles_above:
+            figure.update_yaxes(title_text=title, row=row, col=1)
+    figure.update_xaxes(title_text="time, s", row=count, col=1)
+    _shade(figure, recovery)
+    return dress(figure, height, head=head)
+
+
+def _shade(figure: go.Figure, recovery: Recovery) -> None:
     """Shade the gaps over the whole height (the longest if very many), and show the player's time there."""
     both = sorted(zip(recovery.gaps, recovery.gap_verdicts, strict=True), key=lambda each: -each[0].length_s)
     gaps = [(gap.start_s, gap.end_s, verdict.trusted) for gap, verdict in both[:MOST_SHADES]]
     red = [(start, end) for start, end, trusted in gaps if not trusted]
     if partly_untrusted(recovery):
         red += untrusted_times(recovery)
-    shade_times(figure, [(start, end) for start, end, trusted in gaps if trusted], _joined(red))
-    figure.update_layout(meta={"time": True})
+    plain = {"type": "path", "xref": "x", "yref": "paper", "layer": "below", "line": {"width": 0}}
+    shapes = []
+    good = [(start, end) for start, end, trusted in gaps if trusted]
+    for each, colour in ((good, SHADE), (_joined(red), SHADE_UNTRUSTED)):
+        # as one shape: hundreds of them are slow to draw
+        path = " ".join(f"M {start:.4f},0 V 1 H {end:.4f} V 0 Z" for start, end in each)
+        shapes += [{**plain, "path": path, "fillcolor": colour}] if path else []
+    figure.update_layout(shapes=shapes, meta={"time": True})
 
 
 def _joined(times: Sequence[tuple[float, float]]) -> list[tuple[float, float]]:
@@ -193,14 +231,10 @@ def _joined(times: Sequence[tuple[float, float]]) -> list[tuple[float, float]]:
     return joined
 
 
-def shade_times(
-    figure: go.Figure, times: Sequence[tuple[float, float]], untrusted: Sequence[tuple[float, float]] = ()
-) -> None:
-    """Shade times (start, end) over the whole height; untrusted ones in red."""
-    plain = {"type": "path", "xref": "x", "yref": "paper", "layer": "below", "line": {"width": 0}}
-    shapes = []
-    for each, colour in ((times, SHADE), (untrusted, SHADE_UNTRUSTED)):
-        # as one shape: hundreds of them are slow to draw
-        path = " ".join(f"M {start:.4f},0 V 1 H {end:.4f} V 0 Z" for start, end in each)
-        shapes += [{**plain, "path": path, "fillcolor": colour}] if path else []
-    figure.update_layout(shapes=shapes)
+def interval_bars(value: Sequence[float], low: Sequence[float], high: Sequence[float]) -> dict[str, Any]:
+    """Plotly's error bars for 95 % intervals; none where an end is nan."""
+    middle = np.asarray(value, float)
+    ends = {"array": np.asarray(high, float) - middle, "arrayminus": middle - np.asarray(low, float)}
+    known = np.isfinite(ends["array"]) & np.isfinite(ends["arrayminus"])
+    ends = {name: np.where(known, each, 0.0) for name, each in ends.items()}
+    return {"type": "data", "symmetric": False, "thickness": 1.5, "width": 4, "color": TRUTH, **ends}

@@ -11,7 +11,7 @@ from ..evaluation.validate import Validation
 from ..linalg import median_rate_hz
 from ..measurements.timestamps import pauses
 from ..measurements.visibility import occluded_at
-from ..result import Estimates, Recovery
+from ..result import Recovery
 from ..result.untrusted import MOST_NAMED, partly_untrusted, untrusted_sentences
 from .sheet import ALARM, CARE, GOOD, listed
 
@@ -27,86 +27,72 @@ OVER_CONFIDENT = 2.0
 
 def summary(recovery: Recovery, validation: Validation | None) -> list[str]:
     """Sentences, a paragraph each: the verdict first, of what is not to be trusted its cause and remedy."""
-    if not len(recovery):
-        return ["The result has no sample."]
-    gaps = gap_summaries(recovery)
-    check = recovery.estimates.self_check
-    checked = "" if check is None else check.sentence
-    reference = "" if validation is None else _against_reference(validation)
-    if recovery.estimates.trusted is False:
-        paragraphs = [
-            *_what_is_wrong(recovery.estimates),
-            checked,
-            _what_was_hidden(recovery, gaps),
-            reference,
-        ]
-        return [paragraph for paragraph in paragraphs if paragraph]
-    trusted = [gap for gap in gaps if gap.trusted is not False]
-    doubt = _camera_doubts(recovery)
-    consistent = _consistent(validation) and not doubt
-    paragraphs = [
-        recovery.estimates.verdict,
-        checked,
-        _untrusted(recovery),
-        _what_was_hidden(recovery, gaps),
-        _how_well(recovery, gaps, trusted, consistent),
-        reference,
-        doubt,
-        _what_to_trust(trusted, consistent, "gap" if len(trusted) == len(gaps) else "other gap"),
-    ]
-    return [paragraph for paragraph in paragraphs if paragraph]
+    return [text for _, text in _parts(recovery, validation)]
+
+
+def below(recovery: Recovery, validation: Validation | None) -> list[str]:
+    """The sentences of `summary` that the first screen does not have."""
+    return [text for is_first, text in _parts(recovery, validation) if not is_first]
 
 
 def box(recovery: Recovery, validation: Validation | None, arm: str = "") -> tuple[str, str, list[str]]:
     """Tone, large word and sentences of the first screen: the verdict, and one figure of the error."""
-    said, estimates = summary(recovery, validation), recovery.estimates
+    estimates = recovery.estimates
+    shown = [text for is_first, text in _parts(recovery, validation) if is_first]
     if not len(recovery):
-        return CARE, f"{arm}: no result" if arm else "No result", said
+        return CARE, f"{arm}: no result" if arm else "No result", shown
     word, _, why = estimates.verdict.rstrip(".").partition(": ")
-    partly, doubt = partly_untrusted(recovery), _camera_doubts(recovery)
+    shown = [why, *(text for text in shown if text != estimates.verdict)]
+    partly = partly_untrusted(recovery)
     if estimates.trusted is False:
-        tone, shown = (
-            ALARM,
-            [why, *(text for text in _what_is_wrong(estimates)[1:] if not _is_evidence(text))],
-        )
+        tone = ALARM
+    elif partly or why or not _consistent(validation) or _camera_doubts(recovery):
+        tone = CARE
     else:
-        gaps = gap_summaries(recovery)
-        trusted = [gap for gap in gaps if gap.trusted is not False]
-        check = estimates.self_check
-        consistent = _consistent(validation) and not doubt
-        figure = check.sentence if check is not None else _how_well(recovery, gaps, trusted, consistent)
-        shown = [why, _untrusted(recovery), figure, doubt]
-        care = partly or why or not consistent
-        tone = CARE if care else GOOD if estimates.trusted else ""
+        tone = GOOD if estimates.trusted else ""
     word = (word or "Not judged") + (" in part" if partly and not why else "")
     head = f"{arm}: {word[:1].lower()}{word[1:]}" if arm else word
     return tone, head, [text for text in shown if text]
 
 
-def _is_evidence(text: str) -> bool:
-    return text.startswith("Evidence: ")
+def _parts(recovery: Recovery, validation: Validation | None) -> list[tuple[bool, str]]:
+    """Sentences in order, and whether the first screen has them."""
+    if not len(recovery):
+        return [(True, "The result has no sample.")]
+    gaps, estimates = gap_summaries(recovery), recovery.estimates
+    check = "" if estimates.self_check is None else estimates.self_check.sentence
+    hidden = _what_was_hidden(recovery, gaps)
+    reference = "" if validation is None else _against_reference(validation)
+    if estimates.trusted is False:
+        remedies = [remedy for remedy in estimates.remedies if remedy not in estimates.verdict]
+        signs = [reason for reason in estimates.reasons if estimates.cause not in ("", reason)]
+        parts = [
+            (True, estimates.verdict),
+            (True, f"Run `unocclude smooth` again with {' or '.join(remedies)}." if remedies else ""),
+            (False, f"Evidence: {'; '.join(signs)}." if signs else ""),
+            (True, _WITHDRAWN),
+            *((False, text) for text in (check, hidden, reference)),
+        ]
+    else:
+        trusted = [gap for gap in gaps if gap.trusted is not False]
+        doubt = _camera_doubts(recovery)
+        consistent = _consistent(validation) and not doubt
+        which = "gap" if len(trusted) == len(gaps) else "other gap"
+        parts = [
+            *((True, text) for text in (estimates.verdict, check, _untrusted(recovery))),
+            (False, hidden),
+            (not check, _how_well(recovery, which, trusted, consistent)),
+            (False, reference),
+            (True, doubt),
+            (False, _what_to_trust(trusted, consistent, which)),
+        ]
+    return [(is_first, text) for is_first, text in parts if text]
 
 
-def below(recovery: Recovery, validation: Validation | None) -> list[str]:
-    """The sentences of `summary` that the first screen does not have."""
-    shown = {recovery.estimates.verdict, *box(recovery, validation)[2]}
-    return [text for text in summary(recovery, validation) if text not in shown]
-
-
-def _what_is_wrong(estimates: Estimates) -> list[str]:
-    """The cause with what corrects it, the other signs, and that the figures are withdrawn."""
-    said = [estimates.verdict]
-    remedies = [remedy for remedy in estimates.remedies if remedy not in estimates.verdict]
-    if remedies:
-        said.append(f"Run `unocclude smooth` again with {' or '.join(remedies)}.")
-    signs = [reason for reason in estimates.reasons if reason != estimates.cause] if estimates.cause else []
-    if signs:
-        said.append(f"Evidence: {'; '.join(signs)}.")
-    said.append(
-        "Do not use the figures of this result. Its stated uncertainty is valid only for a correct set-up"
-        " and is not shown on this page; curves and pictures remain, in red, to help find the cause."
-    )
-    return said
+_WITHDRAWN = (
+    "Do not use the figures of this result. Its stated uncertainty is valid only for a correct set-up"
+    " and is not shown on this page; curves and pictures remain, in red, to help find the cause."
+)
 
 
 def _untrusted(recovery: Recovery) -> str:
@@ -120,26 +106,24 @@ def _untrusted(recovery: Recovery) -> str:
 
 
 def _what_was_hidden(recovery: Recovery, gaps: list[GapSummary]) -> str:
-    duration = float(recovery.t_s[-1] - recovery.t_s[0])
+    text = f"The recording lasts {recovery.t_s[-1] - recovery.t_s[0]:.1f} s. The camera"
     if not gaps:
-        return (
-            f"The recording lasts {duration:.1f} s. The camera saw the forearm all the time: there is no gap."
-        )
+        return f"{text} saw the forearm all the time: there is no gap."
     lengths = [gap.gap.length_s for gap in gaps]
     times = "once" if len(gaps) == 1 else f"{len(gaps)} times"
-    text = f"The recording lasts {duration:.1f} s. The camera lost the forearm {times}"
-    text = f"{text}, for {sum(lengths):.1f} s in all"
+    text += f" lost the forearm {times}, for {sum(lengths):.1f} s in all"
     if len(gaps) > 1:
-        text = f"{text}; the longest gap lasts {max(lengths):.1f} s"
+        text += f"; the longest gap lasts {max(lengths):.1f} s"
     without = ~recovery.answered & ~occluded_at(recovery.t_s, recovery.gaps)
     nothing_s = np.count_nonzero(without) / median_rate_hz(recovery.t_s)
     if nothing_s > UNANSWERED_S:
-        text = f"{text}. For {nothing_s:.1f} s more there is no result"
-    paused = len(pauses(recovery.t_s)) > 0
-    return f"{text}. What was hidden while the IMU paused is not counted." if paused else f"{text}."
+        text += f". For {nothing_s:.1f} s more there is no result"
+    if len(pauses(recovery.t_s)):
+        text += ". What was hidden while the IMU paused is not counted"
+    return f"{text}."
 
 
-def _how_well(recovery: Recovery, gaps: list[GapSummary], trusted: list[GapSummary], consistent: bool) -> str:
+def _how_well(recovery: Recovery, which: str, trusted: list[GapSummary], consistent: bool) -> str:
     """What is stated of the gaps that are to be trusted."""
     if not trusted:
         return ""
@@ -147,10 +131,9 @@ def _how_well(recovery: Recovery, gaps: list[GapSummary], trusted: list[GapSumma
     inside, outside = error["occluded"], error["visible"]
     if inside["all"] is None or inside["max"] is None:
         return "This method does not state its uncertainty."
-    which = "gaps" if len(trusted) == len(gaps) else "other gaps"
     share = "in 95 of 100 cases" if consistent else "in 95 %, as stated"
     text = (
-        f"In the {which} the sensor's position is within {100 * inside['all']:.1f} cm {share}"
+        f"In the {which}s the sensor's position is within {100 * inside['all']:.1f} cm {share}"
         f" ({100 * inside['max']:.1f} cm at the least certain moment)"
     )
     if outside["all"] is not None:
@@ -172,15 +155,19 @@ def _against_reference(validation: Validation) -> str:
     )
     if hidden.orientation_rms_deg is not None:
         text += f", the orientation is off by {hidden.orientation_rms_deg:.1f} degrees (root mean square)"
-    if hidden.nees is None:
-        return f"{text}."
-    if hidden.nees > OVER_CONFIDENT:
-        factor = np.sqrt(hidden.nees)
-        return (
-            f"{text}. These errors are about {factor:.1f} times as large as the stated uncertainty allows:"
-            " read every uncertainty on this page as that much larger."
-        )
-    return f"{text}. The stated uncertainty covers these errors."
+    return text + _covered([] if hidden.nees is None else [hidden.nees])
+
+
+def _covered(nees: list[float]) -> str:
+    """Whether the stated uncertainty covers the errors, if that is known."""
+    if not nees:
+        return "."
+    if max(nees) <= OVER_CONFIDENT:
+        return ". The stated uncertainty covers these errors."
+    return (
+        f". These errors are about {np.sqrt(max(nees)):.1f} times as large as the stated uncertainty allows:"
+        " multiply every uncertainty on this page by that factor."
+    )
 
 
 def _joints_against_reference(validation: Validation) -> str:
@@ -193,15 +180,7 @@ def _joints_against_reference(validation: Validation) -> str:
         return "The reference has neither the sensor's position nor a joint to compare there."
     words = [f"{100 * error:.1f} cm at the {joint}" for joint, error in errors.items()]
     text = f"Against the reference the error {where} is {listed(words)} (root mean square)"
-    nees = [value for joint in errors if (value := figures[joint].nees) is not None]
-    if not nees:
-        return f"{text}."
-    if max(nees) > OVER_CONFIDENT:
-        return (
-            f"{text}. These errors are up to {np.sqrt(max(nees)):.1f} times as large as the stated"
-            " uncertainty allows: multiply every uncertainty on this page by that factor."
-        )
-    return f"{text}. The stated uncertainty covers these errors."
+    return text + _covered([value for joint in errors if (value := figures[joint].nees) is not None])
 
 
 def _joint_figures(validation: Validation) -> dict[str, Figures]:

@@ -1,27 +1,24 @@
-"""The report's tables, as HTML."""
+"""The report's tables."""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
-from html import escape
+from collections.abc import Iterable, Iterator
+from dataclasses import replace
 
 import numpy as np
 
 from calib.motion import ArmEstimates
 
-from ..calibration import ArmCalibration
 from ..error_radius import error_radius
 from ..evaluation.advice import rejected
 from ..evaluation.measure_agreement import agreement_table, pair_table
-from ..evaluation.metrics import Figures
 from ..evaluation.summary import GapSummary, error_figures, gap_summaries, recovery_figures
 from ..evaluation.validate import Validation
 from ..result import Estimates, Recovery
 from ..result.untrusted import certain
-from ..table import centimetres
-from .chart import NOT_TRUSTED, badge
-from .sheet import Html, bullets, rendered, table
+from ..table import Table, centimetres, fixed, percent
+from .sheet import NOT_TRUSTED, badge
 from .summary import WIDE_M
 
 #: Figures of a recovery that another section of the page shows.
@@ -33,7 +30,7 @@ ELSEWHERE = (
 WITHDRAWN = "withdrawn: the result is not to be trusted"
 
 
-def overview(recovery: Recovery) -> str:
+def overview(recovery: Recovery) -> Table:
     """What was recovered, in numbers."""
     figures = recovery_figures(recovery)
     error = error_figures(recovery, recovery.trusted)
@@ -65,7 +62,7 @@ def overview(recovery: Recovery) -> str:
         for name, value in recovery.estimates.plain().items()
         if name not in ELSEWHERE
     ]
-    return table(("what", "value"), rows)
+    return Table("Figures", ("what", "value"), rows)
 
 
 _ERRORS = (
@@ -102,49 +99,43 @@ def _too_uncertain(recovery: Recovery) -> str | None:
     return f"{unsure} (above {100 * limit:g} cm)"
 
 
-def rejections(recovery: Recovery) -> str:
+def rejections(recovery: Recovery) -> Table:
     """Rejected camera samples, one row per reason and joint."""
     rows = [
         (
-            row.reason,
-            row.why,
-            row.joint,
-            row.count,
-            f"{100 * row.share:.1f} %",
-            f"{row.first_s:.2f}",
-            f"{row.last_s:.2f}",
+            *(row.reason, row.why, row.joint, row.count, percent(row.share)),
+            *(f"{row.first_s:.2f}", f"{row.last_s:.2f}"),
         )
         for row in rejected(recovery)
     ]
-    if not rows:
-        return "<p>Nothing: all tracked samples were used.</p>"
     columns = ("reason", "in words", "joint", "samples", "of its tracked ones", "first, s", "last, s")
-    return table(columns, rows)
+    return Table("Rejected camera samples", columns, rows, _REJECTED)
 
 
-def camera(estimates: ArmEstimates) -> str:
-    """Noise and constant errors of the camera's joints; "" where they are not known."""
-    if not estimates.camera:
-        return ""
+_REJECTED = "Tracked camera samples that were not used; the plot above shows when."
+
+
+def camera(estimates: ArmEstimates) -> Table:
+    """Noise and constant errors of the camera's joints."""
     rows = [
         (joint, centimetres(error.sample_m), centimetres(error.bias_m) if error.bias_m > 0 else None)
         for joint, error in estimates.camera.items()
     ]
     columns = ("camera's joint", "noise of a sample, cm per axis", "constant error against the others, cm")
-    return table(columns, rows)
+    return Table("Errors of the camera's joints", columns, rows)
 
 
-def cameras(recovery: Recovery) -> str:
+def cameras(recovery: Recovery) -> Table:
     """Where each camera of several stands, and what it saw, one per row."""
     length_s = float(recovery.t_s[-1] - recovery.t_s[0]) if len(recovery) > 1 else float("nan")
     rows = [
         (
             each.name,
-            None if each.p_K_C_m is None else ", ".join(f"{100 * x:.0f}" for x in each.p_K_C_m),
-            None if each.sigma_m is None else centimetres(each.sigma_m),
-            None if each.sigma_deg is None else f"{each.sigma_deg:.2f}",
+            None if each.p_K_C_m is None else _vector(each.p_K_C_m, 0),
+            centimetres(each.sigma_m),
+            fixed(each.sigma_deg),
             None if each.offset_s is None else f"{1000 * each.offset_s:.1f}",
-            f"{100 * sum(b - a for a, b in each.seen_s) / length_s:.0f} %" if each.takes_part else None,
+            percent(sum(b - a for a, b in each.seen_s) / length_s) if each.takes_part else None,
             f"left out: {each.reason}" if each.reason else "is used",
         )
         for each in recovery.estimates.cameras
@@ -153,87 +144,70 @@ def cameras(recovery: Recovery) -> str:
         *("camera", "place in the first one's frame, cm", "sigma, cm per axis", "sigma, degrees per axis"),
         *("first clock less its own, ms", "saw the forearm", "remark"),
     )
-    return table(columns, rows)
+    return Table("Cameras", columns, rows, _CAMERAS)
 
 
-def gaps(recovery: Recovery, validation: Validation | None = None) -> str:
+_CAMERAS = (
+    "Each camera was placed by the joints that it and the first one saw. A gap is a time in which none of"
+    " them saw the forearm."
+)
+
+
+def gaps(recovery: Recovery, validation: Validation | None = None) -> Table:
     """The gaps, one per row; with the errors in them where there is a reference."""
     errors = {} if validation is None else {gap.start_s: figures for gap, figures in validation.gaps}
-    true = [_p95(errors.get(summary.gap.start_s)) for summary in gap_summaries(recovery)]
-    with_errors = any(each is not None for each in true)
-    summaries = gap_summaries(recovery)
-    if not summaries:
-        return "<p>There is no gap.</p>"
-    rows = [
-        (
-            number,
-            f"{summary.gap.start_s:.2f}",
-            f"{summary.gap.length_s:.2f}",
-            *_stated(summary, [true[number - 1]] if with_errors else []),
-            "one side only" if summary.one_sided else "both sides",
-            f"{100 * summary.answered:.0f} %",
-            _remark(summary),
+    true = {start: centimetres(figures.position_p95_m) for start, figures in errors.items()}
+    with_errors = any(each is not None for each in true.values())
+    rows = []
+    for number, summary in enumerate(gap_summaries(recovery), start=1):
+        stated = summary.trusted is not False  # else it is withdrawn
+        flexion_deg = summary.sigma_max_flexion_deg
+        rows.append(
+            (
+                *(number, f"{summary.gap.start_s:.2f}", f"{summary.gap.length_s:.2f}"),
+                centimetres(summary.error_95_m) if stated else None,
+                *([true.get(summary.gap.start_s)] if with_errors else []),
+                fixed(summary.orientation_95_deg, 1) if stated else None,
+                fixed(1.96 * flexion_deg, 1) if stated and flexion_deg is not None else None,
+                "one side only" if summary.one_sided else "both sides",
+                percent(summary.answered),
+                _remark(summary),
+            )
         )
-        for number, summary in enumerate(summaries, start=1)
-    ]
     columns = (
-        "gap",
-        "start, s",
-        "length, s",
-        "position within, cm",
+        *("gap", "start, s", "length, s", "position within, cm"),
         *(["against the reference, cm"] if with_errors else []),
-        "orientation within, degrees",
-        "elbow flexion ±, degrees",
-        "camera saw the arm on",
-        "answered",
-        "",
+        *("orientation within, degrees", "elbow flexion ±, degrees", "camera saw the arm on", "answered", ""),
     )
-    return table(columns, rows)
+    return Table("Gaps", columns, rows, _GAPS)
 
 
-def _stated(summary: GapSummary, true: Sequence[str | None]) -> tuple[str | None, ...]:
-    """What is stated of a gap, and its error where it is known; withdrawn where it is not to be trusted."""
-    if summary.trusted is False:
-        return None, *true, None, None
-    deg, flexion_deg = summary.orientation_95_deg, summary.sigma_max_flexion_deg
-    return (
-        centimetres(summary.error_95_m),
-        *true,
-        None if deg is None else f"{deg:.1f}",
-        None if flexion_deg is None else f"{1.96 * flexion_deg:.1f}",
-    )
-
-
-def _p95(figures: Figures | None) -> str | None:
-    """What 95 % of the errors in a gap lie below, cm."""
-    return None if figures is None else centimetres(figures.position_p95_m)
+_GAPS = (
+    "Times in which the camera did not see the forearm. 95 of 100 errors lie below what is stated, at"
+    " the least certain moment of a gap. The camera constrains a gap seen on both sides before and after it;"
+    " one seen on one side only is not."
+)
+ERRORS = (
+    "rms: root mean square. NEES: mean squared error in standard deviations; 1 where the stated uncertainty"
+    " is consistent with the errors, above 1 where it is over-confident. Of the samples, 95 %"
+    " inside the stated region is consistent."
+)
 
 
 def _remark(summary: GapSummary) -> str:
     """The last cell of a gap: whether to trust it, and why not."""
     if summary.trusted is False:
-        return Html(f"{badge(NOT_TRUSTED)} {escape('; '.join(summary.reasons))}")
+        return badge(NOT_TRUSTED) + " " + "; ".join(summary.reasons)
     return "take with care" if summary.one_sided or summary.is_wider_than(WIDE_M) else ""
 
 
-def validation(comparison: Validation, recovery: Recovery) -> str:
-    """Errors against the reference."""
-    joints = comparison.joint_errors
-    errors = comparison.errors(recovery)
-    sensor = table(errors.columns, errors.rows)
-    if joints.rows and comparison.all.position_rms_m is None and comparison.all.orientation_rms_deg is None:
-        sensor = "<p>The reference has joints only.</p>"
-    return sensor + rendered(joints)
-
-
-def measured(comparison: Validation) -> str:
-    """The measures of answer and reference, and how well they agree; "" where there are none."""
-    measures = comparison.measures
-    if measures is None:
-        return ""
-    below = rendered(pair_table(comparison.title("Measures against the reference"), measures), _MEASURED)
-    below += rendered(agreement_table(comparison.title("How well the measures agree"), measures), _AGREED)
-    return below + bullets(measures.notes)
+def measured(comparison: Validation) -> Iterator[Table]:
+    """The measures of answer and reference, and how well they agree; none where there are none."""
+    if (measures := comparison.measures) is not None:
+        pairs = pair_table(comparison.title("Measures against the reference"), measures)
+        yield replace(pairs, caption=" ".join((_MEASURED, *measures.notes)))
+        agreement = agreement_table(comparison.title("How well the measures agree"), measures)
+        yield replace(agreement, caption=_AGREED)
 
 
 _MEASURED = (
@@ -248,45 +222,47 @@ _AGREED = (
 )
 
 
-def calibration(arm: ArmCalibration | None, estimates: Estimates) -> str:
+def calibration(recovery: Recovery) -> Table:
     """Sensor mounting on the arm, the arm's measures, and the sensor's biases."""
-    if arm is None:
-        return "<p>This method needs none.</p>"
-    rows: list[tuple[object, ...]] = [
-        (f"{joint}, in the sensor's axes", _vector(lever.position_m, 1), _within(lever.sigma_m), "cm")
-        for joint, lever in arm.lever_arms.items()
-    ]
-    if arm.upper_arm is not None:
-        length = arm.upper_arm
+    arm, estimates = recovery.calibration, recovery.estimates
+    rows: list[tuple[object, ...]] = []
+    for joint, lever in () if arm is None else arm.lever_arms.items():
+        radius = error_radius(np.diag(np.asarray(lever.sigma_m) ** 2))
+        rows.append(
+            (
+                f"{joint}, in the sensor's axes",
+                _vector(lever.position_m, 1),
+                f"{100 * float(radius):.1f}",
+                "cm",
+            )
+        )
+    if arm is not None and (length := arm.upper_arm) is not None:
         rows.append(("shoulder to elbow", f"{100 * length.value_m:.1f}", f"{196 * length.sigma_m:.1f}", "cm"))
-    for name, value, unit in (
-        ("accelerometer bias", estimates.accelerometer_bias or arm.accelerometer_bias, "m/s²"),
-        ("gyroscope bias", estimates.gyroscope_bias or arm.gyroscope_bias, "rad/s"),
-    ):
+    for name, unit in (("accelerometer_bias", "m/s²"), ("gyroscope_bias", "rad/s")):
+        value = None if arm is None else getattr(estimates, name) or getattr(arm, name)
         if value is not None:
-            rows.append((name, ", ".join(f"{item:.4f}" for item in value), None, unit))
-    if not rows:
-        return "<p>None was given, and none was needed.</p>"
-    return table(("what", "value (x, y, z)", "within (95 of 100 cases)", "unit"), rows)
+            rows.append((name.replace("_", " "), ", ".join(f"{item:.4f}" for item in value), None, unit))
+    columns = ("what", "value (x, y, z)", "within (95 of 100 cases)", "unit")
+    return Table("Sensor mounting on the arm", columns, rows, _CALIBRATION)
 
 
-def _within(sigma_m: np.ndarray) -> str:
-    return f"{100 * float(error_radius(np.diag(np.asarray(sigma_m) ** 2))):.1f}"
+_CALIBRATION = (
+    "Where the joints lie as seen from the sensor, and the length of the upper arm: as given and improved by"
+    " the recording, or as estimated from the recording where nothing was given."
+)
 
 
-def _vector(metres: np.ndarray, decimals: int) -> str:
+def _vector(metres: Iterable[float], decimals: int) -> str:
     return ", ".join(f"{100 * item:.{decimals}f}" for item in metres)
 
 
-def settings(config: dict[str, object]) -> str:
+def settings(config: dict[str, object]) -> Table:
     """The effective configuration, a setting a row."""
-    rows = []
+    rows: list[tuple[str, str]] = []
     for section, values in config.items():
-        if isinstance(values, dict):
-            rows += [(f"{section}.{name}", _plain(value)) for name, value in values.items()]
-        else:
-            rows.append((section, _plain(values)))
-    return table(("setting", "value"), rows) if rows else "<p>None is stated.</p>"
+        below = values.items() if isinstance(values, dict) else ()
+        rows += [(f"{section}.{name}", _plain(value)) for name, value in below] or [(section, _plain(values))]
+    return Table("Settings", ("setting", "value"), rows)
 
 
 def _plain(value: object) -> str:

@@ -1,4 +1,4 @@
-"""Curves over time: coordinates, angles, uncertainty, what the camera disagrees with."""
+"""Curves over time: coordinates, angles, uncertainty, camera residuals; agreement with a reference."""
 
 from __future__ import annotations
 
@@ -7,12 +7,15 @@ import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
 from ..angles import AngleTable
-from ..array_types import BoolArray, FloatArray, IntArray
+from ..array_types import BoolArray, FloatArray
 from ..error_radius import error_radius
+from ..evaluation.agreement import WORDS, Agreement, AngleComparison, unwound_deg
+from ..evaluation.coverage import LEVELS, StatedAndActual, stated_and_actual
+from ..evaluation.metrics import truth_at
 from ..evaluation.validate import sample_errors
 from ..joint_angles import arm_angles
 from ..recording import JOINTS, CameraFrame, Truth
-from ..result import FrameResiduals, Recovery
+from ..result import Recovery
 from .player import Point
 from .sheet import capitalised, label
 from .style import (
@@ -28,64 +31,64 @@ from .style import (
     decimate,
     dots,
     dress,
+    over_time,
     seen_and_recovered,
-    shade,
 )
 
 #: Of a normal number 95 of 100 lie within this many standard deviations.
 Z_95 = 1.96
 #: Samples of an angle farther apart than this are not joined, degrees.
 MOST_STEP_DEG = 120.0
-#: Most residuals of a joint that are drawn; every dot is an element of the page.
-MOST_RESIDUALS = 1200
-_TIME = "time, s"
+#: Most residuals of a joint, and most differences of an angle, that are drawn.
+MOST_RESIDUALS, MOST_DIFFERENCES = 1200, 1500
+
+
+def _thinned(chosen: BoolArray, most: int) -> np.ndarray:
+    """Places where something is true, at most so many."""
+    index = np.flatnonzero(chosen)
+    return index[decimate(np.zeros(len(index), bool), most)]
+
+
+def _around(t: FloatArray, low: FloatArray, high: FloatArray) -> go.Scatter:
+    """The band that contains 95 of 100 true values."""
+    x, y = band(t, low, high)
+    line = {"width": 0}
+    return go.Scatter(x=x, y=y, name="95 %", fill="toself", fillcolor=BAND, line=line, hoverinfo="skip")
 
 
 def coordinates(recovery: Recovery, shown: list[Point], frame: CameraFrame | None) -> go.Figure:
     """Coordinates over time with a band that contains 95 of 100 true values; buttons choose the point."""
-    figure = make_subplots(rows=3, cols=1, shared_xaxes=True, vertical_spacing=0.04)
     index = decimate(recovery.occluded)
     t, occluded, trusted = recovery.t_s[index], recovery.occluded[index], recovery.trusted[index]
-    owner: list[str] = []
-    for point in shown:
-        for axis in range(3):
-            for trace in _coordinate(point, axis, t, index, occluded, trusted):
-                trace.update(visible=point is shown[0], showlegend=axis == 0)
-                figure.add_trace(trace, row=axis + 1, col=1)
-                owner.append(point.name)
-    for axis, name in enumerate(axis_names(frame)):
-        figure.update_yaxes(title_text=f"{name}, m", row=axis + 1, col=1)
-    figure.update_xaxes(title_text=_TIME, row=3, col=1)
-    shade(figure, recovery)
+    rows, owner = [], []
+    for axis, title in enumerate(axis_names(frame)):
+        traces: list[go.Scatter] = []
+        for point in shown:
+            value = point.position[index, axis]
+            half = Z_95 * np.where(trusted, point.sigma[index, axis], np.nan)
+            mine = [_around(t, value - half, value + half)]
+            if len(point.camera):
+                mine.append(dots(point.camera_t_s, point.camera[:, axis], "camera", CAMERA, 3))
+            mine += seen_and_recovered(t, value, occluded, trusted=trusted)
+            if len(point.truth):
+                at = decimate(np.zeros(len(point.truth), bool))
+                mine.append(reference_line(point.truth_t_s[at], point.truth[at, axis]))
+            owner += [point.name] * len(mine)
+            traces += [trace.update(visible=point is shown[0]) for trace in mine]
+        rows.append((f"{title}, m", traces))
     buttons = [
-        {
-            "label": point.name,
-            "method": "update",
-            "args": [{"visible": [name == point.name for name in owner]}],
-        }
+        {"label": point.name, "method": "update", "args": [{"visible": [n == point.name for n in owner]}]}
         for point in shown
     ]
     menu: dict[str, object] = {"type": "buttons", "direction": "right", "buttons": buttons}
     menu |= {"x": 0, "xanchor": "left", "y": 1.01, "yanchor": "bottom"}
-    return dress(figure, 800, head=90, updatemenus=[menu] if len(shown) > 1 else [])
+    figure = over_time(recovery, rows, 220, head=90)
+    return figure.update_layout(updatemenus=[menu] if len(shown) > 1 else [])
 
 
-def _coordinate(
-    point: Point, axis: int, t: FloatArray, index: np.ndarray, occluded: BoolArray, trusted: BoolArray
-) -> list[go.Scatter]:
-    """Band where it is trusted, camera samples, line seen, line recovered and truth of one coordinate."""
-    value, sigma = point.position[index, axis], np.where(trusted, point.sigma[index, axis], np.nan)
-    x, y = band(t, value - Z_95 * sigma, value + Z_95 * sigma)
-    traces = [
-        go.Scatter(x=x, y=y, name="95 %", fill="toself", fillcolor=BAND, line={"width": 0}, hoverinfo="skip")
-    ]
-    if len(point.camera):
-        traces.append(dots(point.camera_t_s, point.camera[:, axis], "camera", CAMERA, 3))
-    traces += seen_and_recovered(t, value, occluded, trusted=trusted)
-    if len(point.truth):
-        rows = decimate(np.zeros(len(point.truth), bool))
-        traces.append(curve(point.truth_t_s[rows], point.truth[rows, axis], "reference", TRUTH, 1.2, "dash"))
-    return traces
+def reference_line(t: FloatArray, values: FloatArray) -> go.Scatter:
+    """The reference's own curve."""
+    return curve(t, values, "reference", TRUTH, 1.2, "dash")
 
 
 def angles(recovery: Recovery, table: AngleTable, truth: Truth | None = None) -> go.Figure | None:
@@ -93,53 +96,34 @@ def angles(recovery: Recovery, table: AngleTable, truth: Truth | None = None) ->
     shown = [angle for angle in table.angles if np.isfinite(table.values[angle.name]).any()]
     if not shown:
         return None
-    titles = [f"{capitalised(angle.title)}, degrees" for angle in shown]
-    head, row_height = 84, 128
-    height = head + 50 + row_height * len(shown)
-    figure = make_subplots(
-        rows=len(shown),
-        cols=1,
-        shared_xaxes=True,
-        vertical_spacing=30 / (height - head - 50) if len(shown) > 1 else 0.0,
-        subplot_titles=titles,
-    )
-    figure.update_annotations(x=0, xanchor="left", font={"size": 13})
-    reference = (
-        {} if truth is None else arm_angles(truth.joints, len(truth), None, recovery.side, _down(recovery))
-    )
+    down = recovery.gravity_direction if np.isfinite(recovery.gravity_direction).all() else None
+    reference = {} if truth is None else arm_angles(truth.joints, len(truth), None, recovery.side, down)
     index = decimate(recovery.occluded)
     t, trusted = recovery.t_s[index], recovery.trusted[index]
-    named: set[str] = set()
-    for row, angle in enumerate(shown, start=1):
-        value = table.values[angle.name][index]
+    rows, ranges = [], []
+    for angle in shown:
         half = Z_95 * np.where(trusted, table.sigmas[angle.name][index], np.nan)
-        value, breaks = _unwrapped(value)
-        low, high = _range(value)
+        value, breaks = _unwrapped(table.values[angle.name][index])
+        low, high = float(np.nanmin(value)), float(np.nanmax(value))
+        room = max(0.12 * (high - low), 4.0)  # a wide band is cut off
+        ranges.append([low - room, high + room])
         traces = []
         if np.isfinite(half).any():
-            x, y = band(t, np.maximum(value - half, low - 400), np.minimum(value + half, high + 400))
-            around = go.Scatter(x=x, y=y, fill="toself", fillcolor=BAND, line={"width": 0}, hoverinfo="skip")
-            traces.append(around.update(name="95 %"))
-        traces += seen_and_recovered(
-            t, np.where(breaks, np.nan, value), recovery.occluded[index], trusted=trusted
-        )
+            traces.append(
+                _around(t, np.maximum(value - half, low - 400), np.minimum(value + half, high + 400))
+            )
+        whole = np.where(breaks, np.nan, value)
+        traces += seen_and_recovered(t, whole, recovery.occluded[index], trusted=trusted)
         if truth is not None and np.isfinite(reference.get(angle.name, np.nan)).any():
-            rows = decimate(np.zeros(len(truth), bool))
-            true, _ = _unwrapped(reference[angle.name][rows])
+            at = decimate(np.zeros(len(truth), bool))
+            true, _ = _unwrapped(reference[angle.name][at])
             true += 360.0 * np.round((np.nanmedian(value) - np.nanmedian(true)) / 360.0)
-            traces.append(curve(truth.t_s[rows], true, "reference", TRUTH, 1.2, "dash"))
-        for trace in traces:
-            trace.update(legendgroup=trace.name, showlegend=trace.name not in named)
-            named.add(trace.name)
-            figure.add_trace(trace, row=row, col=1)
-        figure.update_yaxes(range=[low, high], nticks=5, row=row, col=1)
-    figure.update_xaxes(title_text=_TIME, row=len(shown), col=1)
-    shade(figure, recovery)
-    return dress(figure, height, head=head)
-
-
-def _down(recovery: Recovery) -> FloatArray | None:
-    return recovery.gravity_direction if np.isfinite(recovery.gravity_direction).all() else None
+            traces.append(reference_line(truth.t_s[at], true))
+        rows.append((f"{capitalised(angle.title)}, degrees", traces))
+    figure = over_time(recovery, rows, 128, head=84, titles_above=True)
+    for row, ends in enumerate(ranges, start=1):
+        figure.update_yaxes(range=ends, nticks=5, row=row, col=1)
+    return figure
 
 
 def _unwrapped(value: FloatArray) -> tuple[FloatArray, BoolArray]:
@@ -154,38 +138,27 @@ def _unwrapped(value: FloatArray) -> tuple[FloatArray, BoolArray]:
     return out, breaks
 
 
-def _range(value: FloatArray) -> tuple[float, float]:
-    """What a row shows: the angle itself, with room; a wide band is cut off."""
-    low, high = float(np.nanmin(value)), float(np.nanmax(value))
-    room = max(0.12 * (high - low), 4.0)
-    return low - room, high + room
-
-
 def uncertainty(recovery: Recovery, truth: Truth | None) -> go.Figure | None:
     """Within which distance and angle 95 of 100 errors lie, over time, and the errors of a truth; or None."""
-    within_cm = np.where(recovery.trusted, 100 * recovery.error_95_m, np.nan)
-    within_deg = np.where(
-        recovery.trusted, np.degrees(error_radius(recovery.pose_covariance[:, 3:, 3:])), np.nan
-    )
+    within_deg = np.degrees(error_radius(recovery.pose_covariance[:, 3:, 3:]))
+    within = [np.where(recovery.trusted, each, np.nan) for each in (100 * recovery.error_95_m, within_deg)]
     errors = None if truth is None else sample_errors(recovery, truth)
-    if not np.isfinite(within_cm).any() and errors is None:
+    if not np.isfinite(within[0]).any() and errors is None:
         return None
-    figure = make_subplots(rows=2, cols=1, shared_xaxes=True, vertical_spacing=0.07)
     index = decimate(recovery.occluded)
     t = recovery.t_s[index]
-    error_cm = None if errors is None else 100 * errors.distance_m
-    error_deg = None if errors is None else errors.angle_deg
-    rows = (("position, cm", within_cm, error_cm), ("orientation, degrees", within_deg, error_deg))
-    for row, (name, within, error) in enumerate(rows, start=1):
-        lines = [curve(t, within[index], "95 of 100 errors lie below", VISIBLE, 1.8)]
-        if error is not None:
-            lines.append(curve(t, error[index], "error against the reference", TRUTH, 1.1))
-        for line in lines:
-            figure.add_trace(line.update(showlegend=row == 1), row=row, col=1)
-        figure.update_yaxes(title_text=name, rangemode="tozero", row=row, col=1)
-    figure.update_xaxes(title_text=_TIME, row=2, col=1)
-    shade(figure, recovery)
-    return dress(figure, 480)
+    traces = [[curve(t, each[index], "95 of 100 errors lie below", VISIBLE, 1.8)] for each in within]
+    if errors is not None:
+        for row, each in zip(traces, (100 * errors.distance_m, errors.angle_deg), strict=True):
+            row.append(curve(t, each[index], "error against the reference", TRUTH, 1.1))
+        hidden = "legendonly" if np.isfinite(errors.distance_m).any() else True
+        for joint, distance in errors.joint_distance_m.items():
+            colour = JOINT_COLOURS.get(joint, CAMERA)
+            traces[0].append(curve(t, 100 * distance[index], f"{joint}, error", colour, 1.1, visible=hidden))
+    figure = over_time(
+        recovery, list(zip(("position, cm", "orientation, degrees"), traces, strict=True)), 190
+    )
+    return figure.update_yaxes(rangemode="tozero")
 
 
 def residuals(recovery: Recovery) -> go.Figure | None:
@@ -195,38 +168,118 @@ def residuals(recovery: Recovery) -> go.Figure | None:
         return None
     parts = [np.isfinite(batch.residual).all(axis=2) for batch in samples.batches()]
     answered = np.concatenate(parts) if parts else np.zeros((0, len(JOINTS)), bool)
-    drawn = np.flatnonzero(answered.any(axis=0)).tolist()
-    if not drawn:
+    sentences = np.array([label(reason.sentence) for reason in samples.reasons])
+    rows = []
+    for joint in np.flatnonzero(answered.any(axis=0)).tolist():
+        known, name = answered[:, joint], JOINTS[joint]
+        used = _thinned(samples.used[:, joint] & known, MOST_RESIDUALS)
+        aside = ~samples.used[:, joint] & known & (samples.reason[:, joint] != 0)
+        rejected = _thinned(aside, MOST_RESIDUALS // 2)
+        used_cm, rejected_cm = (
+            100 * np.linalg.norm(samples.residual[:, joint][each], axis=1) for each in (used, rejected)
+        )
+        crosses = dots(samples.t_s[rejected], rejected_cm, "rejected", OCCLUDED, 6, symbol="x")
+        crosses.update(text=sentences[samples.reason[rejected, joint]])
+        drawn = [dots(samples.t_s[used], used_cm, name, JOINT_COLOURS[name], 3), crosses]
+        rows.append((f"{name}, cm", [trace for trace in drawn if len(trace.x)]))
+    if not rows:
         return None
-    figure = make_subplots(rows=len(drawn), cols=1, shared_xaxes=True, vertical_spacing=0.03)
-    for row, i in enumerate(drawn, start=1):
-        for trace in _residual(samples, answered[:, i], i):
-            figure.add_trace(trace, row=row, col=1)
-        figure.update_yaxes(title_text=f"{JOINTS[i]}, cm", rangemode="tozero", row=row, col=1)
-    figure.update_xaxes(title_text=_TIME, row=len(drawn), col=1)
-    figure.add_trace(_crosses(np.array([None]), np.array([None])), row=1, col=1)
-    shade(figure, recovery)
-    return dress(figure, 160 + 120 * len(drawn))
+    return over_time(recovery, rows, 120, head=60).update_yaxes(rangemode="tozero")
 
 
-def _residual(samples: FrameResiduals, answered: BoolArray, joint: int) -> list[go.Scatter]:
-    def distance_cm(index: IntArray) -> FloatArray:
-        return 100 * np.linalg.norm(samples.residual[:, joint][index], axis=1)
-
-    aside = ~samples.used[:, joint] & answered & (samples.reason[:, joint] != 0)
-    index = np.flatnonzero(samples.used[:, joint] & answered)
-    index = index[decimate(np.zeros(len(index), bool), MOST_RESIDUALS)]
-    name = JOINTS[joint]
-    traces = [dots(samples.t_s[index], distance_cm(index), name, JOINT_COLOURS[name], 3)]
-    index = np.flatnonzero(aside)
-    index = index[decimate(np.zeros(len(index), bool), MOST_RESIDUALS // 2)]
-    if len(index):
-        crosses = _crosses(samples.t_s[index], distance_cm(index))
-        sentences = np.array([label(reason.sentence) for reason in samples.reasons])
-        crosses.update(text=sentences[samples.reason[index, joint]], showlegend=False)
-        traces.append(crosses)
-    return traces
+def against_truth(recovery: Recovery, truth: Truth | None) -> dict[str, StatedAndActual]:
+    """Position errors with what was stated of them, in gaps and while seen; empty without a reference."""
+    if truth is None or not len(truth):
+        return {}
+    reference = truth_at(truth, recovery.t_s)
+    error = np.where(reference.score[:, None], recovery.position - reference.position, np.nan)
+    parts = {"in gaps": recovery.occluded, "while seen": ~recovery.occluded}
+    by_part = {
+        name: stated_and_actual(error[part], recovery.pose_covariance[part, :3, :3])
+        for name, part in parts.items()
+    }
+    return {name: errors for name, errors in by_part.items() if len(errors.squared)}
 
 
-def _crosses(x: np.ndarray, y: np.ndarray) -> go.Scatter:
-    return dots(x, y, "rejected", OCCLUDED, 6, symbol="x")
+def calibration_curves(
+    camera: dict[str, StatedAndActual], truth: dict[str, StatedAndActual]
+) -> go.Figure | None:
+    """Coverage curve, and actual error against stated sigma: a row for the camera, one for a reference."""
+    colours = {**JOINT_COLOURS, "in gaps": OCCLUDED, "while seen": VISIBLE}
+    of = {"distance to camera samples": camera, "errors against the reference": truth}
+    rows = {name: parts for name, parts in of.items() if parts}
+    if not rows:
+        return None
+    figure = make_subplots(
+        rows=len(rows),
+        cols=2,
+        subplot_titles=[
+            f"{w}<br>({n})" for n in rows for w in ("inside the stated region", "stated and actual")
+        ],
+        vertical_spacing=0.2,
+        horizontal_spacing=0.1,
+    )
+    for row, parts in enumerate(rows.values(), start=1):
+        binned = {name: [100 * each for each in errors.binned()] for name, errors in parts.items()}
+        ends = [0, 1.08 * max(0.1, *(each.max(initial=0.0) for both in binned.values() for each in both))]
+        for column, ideal in ((1, [0, 100]), (2, ends)):
+            line = curve(ideal, ideal, "consistent", CAMERA, 1.2, "dash", showlegend=row == column == 1)
+            figure.add_trace(line, row=row, col=column)
+        for name, errors in parts.items():
+            words = f"errors {name}" if name not in JOINT_COLOURS else name
+            inside = curve(100 * LEVELS, 100 * errors.coverage(), words, colours[name], 2)
+            stated, actual = binned[name]
+            sizes = curve(stated, actual, words, colours[name], 2, showlegend=False)
+            figure.add_trace(inside.update(legendgroup=words), row=row, col=1)
+            figure.add_trace(sizes.update(legendgroup=words, mode="lines+markers"), row=row, col=2)
+        figure.update_xaxes(title_text="stated to lie inside, %", range=[0, 100], row=row, col=1)
+        figure.update_yaxes(title_text="do lie inside, %", range=[0, 100], row=row, col=1)
+        figure.update_xaxes(title_text="stated sigma, cm per axis", range=ends, row=row, col=2)
+        figure.update_yaxes(title_text="actual rms, cm per axis", range=ends, row=row, col=2)
+    return dress(figure, 110 + 350 * len(rows), head=80)
+
+
+def share_inside(camera: dict[str, StatedAndActual], truth: dict[str, StatedAndActual]) -> str:
+    """The shares inside the 95 % region, in a sentence."""
+    parts = []
+    if camera:
+        squared = np.concatenate([errors.squared for errors in camera.values()])
+        whole = StatedAndActual(squared, squared, squared)
+        parts.append(f"{100 * whole.inside(0.95):.0f} % of the camera's samples")
+    parts += [f"{100 * errors.inside(0.95):.0f} % of the errors {name}" for name, errors in truth.items()]
+    return f"Inside the region that should contain 95 % are {', '.join(parts)}." if parts else ""
+
+
+def bland_altman(recovery: Recovery, angles: AngleComparison, figures: dict[str, Agreement]) -> go.Figure:
+    """Difference over mean, a panel an angle."""
+    names = angles.compared
+    columns = min(2, len(names))
+    rows = -(-len(names) // columns)
+    figure = make_subplots(
+        rows=rows,
+        cols=columns,
+        subplot_titles=[WORDS[name] for name in names],
+        vertical_spacing=0.28 / rows,
+        horizontal_spacing=0.1,
+    )
+    for number, name in enumerate(names):
+        place = {"row": number // columns + 1, "col": number % columns + 1}
+        answer, true = angles.answer[name].copy(), angles.truth[name].copy()
+        both = np.isfinite(answer) & np.isfinite(true)
+        answer[both], true[both] = unwound_deg(answer[both], true[both])
+        for which, part, colour in (
+            ("while seen", ~recovery.occluded, VISIBLE),
+            ("in gaps", recovery.occluded, OCCLUDED),
+        ):
+            chosen = _thinned(part & both, MOST_DIFFERENCES)
+            mean, difference = 0.5 * (answer + true)[chosen], (answer - true)[chosen]
+            samples = dots(mean, difference, which, colour, 4, legendgroup=which, showlegend=number == 0)
+            figure.add_trace(samples.update(marker_opacity=0.5), **place)
+        each = figures[name]
+        for value, dash in ((each.bias, "solid"), (each.limits_low, "dash"), (each.limits_high, "dash")):
+            if value is not None:
+                line = {"color": TRUTH, "width": 1.2, "dash": dash}
+                figure.add_hline(value, line=line, annotation_text=f"{value:+.1f}", **place)
+    figure.update_xaxes(title_text="mean of both, degrees")
+    figure.update_yaxes(title_text="answer - reference, degrees")
+    return dress(figure, 80 + 330 * rows, head=70)

@@ -148,8 +148,9 @@ def test_a_killed_server_a_closed_tab_and_a_cancel(
     browser.call("Page.navigate", url="about:blank")  # the tab is closed
     before = program.address
     program.start()
-    assert program.address != before and program.address.split("?")[0] == before.split("?")[0], "a new secret"
-    browser.call("Page.navigate", url=f"{before}{place}")
+    (here, secret), old = program.address.split("?"), before.split("?")[1]
+    assert secret != old, "a new secret"
+    browser.call("Page.navigate", url=f"{here}?{old}{place}")
     browser.wait("document.body.textContent.includes('Open the address that `unocclude app` printed')")
     browser.call("Page.navigate", url=f"{program.address}{place}")
     browser.wait("!!document.querySelector('#bar, #ended, #check-step .chip')")

@@ -218,24 +218,23 @@ def test_one_job_at_a_time_and_the_others_wait(page: Page, session_files: dict[s
     assert [page.wait(each)["job"]["state"] for each in names] == ["cancelled"] * 3
 
 
-def test_what_waits_and_what_was_lost_after_a_kill(tmp_path: Path, session_files: dict[str, Path]):
-    """A server that finds jobs of one before: one that ran was stopped, one that waits is begun."""
+def test_what_a_killed_server_was_doing_was_stopped_and_is_repeated(
+    tmp_path: Path, session_files: dict[str, Path]
+):
     folder = AppFolder(tmp_path / "recordings")
-    names = []
-    for state in ({"state": "running", "step": 0}, {}):
-        names.append(folder.add(KeptRecording(name="s")))
-        place = folder.of(names[-1])
-        shutil.copy(session_files["imu"], place / "files")
-        job = place / "jobs" / "0001"
-        job.mkdir(parents=True)
-        write_json(job / "job.json", {"kind": "describe", "steps": describe_steps(folder, place), **state})
+    name = folder.add(KeptRecording(name="s"))
+    place = folder.of(name)
+    shutil.copy(session_files["imu"], place / "files")
+    job = place / "jobs" / "0001"
+    job.mkdir(parents=True)
+    steps = describe_steps(folder, place)
+    write_json(job / "job.json", {"kind": "describe", "steps": steps, "state": "running", "step": 0})
     with TestClient(make_app(folder, JobDesk(folder), TOKEN, PORT), base_url=HOST) as client:
         client.get(f"/?token={TOKEN}")
         page = Page(client, folder)
-        assert page.ask("GET", f"/api/recordings/{names[0]}")["job"]["state"] == "stopped"
-        assert page.wait(names[1])["job"]["state"] == "done"
-        page.begin(names[0], "describe")
-        assert page.wait(names[0])["job"]["state"] == "done"
+        assert page.ask("GET", f"/api/recordings/{name}")["job"]["state"] == "stopped"
+        page.begin(name, "describe")
+        assert page.wait(name)["job"]["state"] == "done"
 
 
 def test_sessions_of_a_person_need_two_results(page: Page, session_files: dict[str, Path]):

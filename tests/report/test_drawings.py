@@ -10,7 +10,7 @@ from smoother.measurements.visibility import Reason
 from smoother.recording import JOINTS
 from smoother.report import write_report
 from smoother.report.summary import summary
-from smoother.report.truth_comparison import timeline
+from smoother.report.traces import residuals
 from smoother.result import Estimates
 
 
@@ -24,15 +24,14 @@ def test_the_page_tells_what_was_set_aside(tmp_path):
     kept = replace(kept, reason=reason, reasons=(Reason(""), Reason("frozen", "<it> stands")), used=used)
     figures = {"max_sigma_m": 0.005, "camera_sigma_m": {"wrist": 0.008, "elbow": 0.008}}
     recovery = replace(recovery, residuals=kept, estimates=Estimates.from_plain(figures))
-    drawn = timeline(recovery)
+    drawn = residuals(recovery)
     assert drawn is not None
-    frozen = next(trace for trace in drawn.data if trace.name == "frozen")
-    assert len(frozen.x) == 60 and set(frozen.y) == {"wrist"}
-    assert timeline(make_recovery(make_recording())) is None
+    (crosses,) = (trace for trace in drawn.data if trace.name == "rejected")
+    assert len(crosses.x) == 60 and "&lt;it&gt; stands" in crosses.text[0]
     write_report(recovery, tmp_path / "r.html")
     text = (tmp_path / "r.html").read_text(encoding="utf-8")
     assert "<td>&lt;it&gt; stands</td><td>wrist</td><td>60</td>" in text
-    assert "% of the camera&#x27;s samples" in text or "% of the camera's samples" in text
+    assert "% of the camera&#39;s samples" in text
     assert f"<td>{len(recovery)} (above 0.5 cm)</td>" in text
     assert "samples repeated the one before" in text  # the advice
     assert "too near to tell on which side" in text  # hand-made lever arms lie in a line

@@ -84,11 +84,11 @@ def test_a_partly_untrusted_page_names_the_gap(tmp_path: Path) -> None:
     said = first_sentences(text)
     assert said[0] == "! Usable with care"
     named = next(each for each in said if each.startswith("Not to be trusted, and red on this page: gap 2 ("))
-    assert "another &lt;person&#x27;s&gt; joints" in named
+    assert "another &lt;person&#39;s&gt; joints" in named
     assert "<p>In the other gaps the sensor" in text
     first, second = re.findall("<tr>(.*?)</tr>", text[text.index(">Gaps</h2>") :], re.DOTALL)[1:3]
     assert "not to be trusted" not in first and "<td>–</td>" not in first
-    assert "not to be trusted</span> another &lt;person&#x27;s&gt; joints" in second
+    assert "not to be trusted</span> another &lt;person&#39;s&gt; joints" in second
     assert second.count("<td>–</td>") == 3
     assert "How certain the answer is" in text and "For the next recording" in text
 
