@@ -20,7 +20,7 @@ class BlendedColumns:
         self._values: dict[str, NDArray] = {}
         self._end = 0  # first row that is not filled yet; on disk, filling all at once takes seconds
 
-    def add(self, rows: slice, columns: Mapping[str, FloatArray], share: FloatArray) -> None:
+    def add(self, rows: slice, columns: Mapping[str, NDArray], share: FloatArray) -> None:
         """The next section's columns at its rows; its share (k,) against the one before at each of them."""
         share = np.where(np.arange(rows.start, rows.stop) < self._end, share, 1.0)
         mixed = np.flatnonzero(share < 1.0)

@@ -29,8 +29,8 @@ from ..selfcal.pairing import find_pairing
 from ..window.solution import BlockShift, Step
 from .camera_faults import camera_faults
 from .change_signs import changed_for_good
+from .samples import SectionAnswer
 from .self_check import HiddenStretch
-from .solve_section import SolvedSection
 
 #: A block is suspicious from this score on: the largest of sound simulated recordings were 0.05 to 1.1.
 SUSPICIOUS = 3.0
@@ -80,7 +80,7 @@ class CameraEvidence:
     stretches: list[HiddenStretch] = field(default_factory=list)
     steps: list[Step] = field(default_factory=list)
 
-    def collecting(self, answers: Iterable[SolvedSection]) -> Iterator[SolvedSection]:
+    def collecting(self, answers: Iterable[SectionAnswer]) -> Iterator[SectionAnswer]:
         """The answers as they come; their evidence on the camera is kept."""
         for answer in answers:
             self.shifts += answer.shifts

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import replace
 
 import numpy as np
 
-from ..array_types import FloatArray, IntArray
+from ..array_types import FloatArray
 from ..body import SEGMENTS
 from ..linalg import interpolate, skew
 from ..measurements.alignment import lever_of
@@ -28,15 +28,6 @@ from .samples import (
 )
 
 
-@dataclass(frozen=True)
-class SectionDraws:
-    """Motions drawn at some of a section's samples."""
-
-    samples: IntArray  # int (m,): which of the section's samples
-    # dict of (m, k, 3): Deviations from the answer by name, as `result.Draws.columns` has them
-    columns: dict[str, FloatArray]
-
-
 def sample_draws(
     answer: SectionAnswer,
     imu_t: FloatArray,  # (n,) s
@@ -45,14 +36,14 @@ def sample_draws(
     model: SelfCalibration,
     layout: SharedLayout,
     plan: DrawPlan,
-) -> SectionDraws:
-    """A section's drawn motions at its samples."""
+) -> SectionAnswer:
+    """The answer of a section with drawn motions at some of its samples."""
     first = -answer.samples.start % plan.every
     samples = np.arange(first, len(imu_t), plan.every)
     t, nodes = imu_t[samples], solution.t
-    R_at_samples = Rotation.from_quat(answer.quaternion, scalar_first=True).as_matrix()
+    R_at_samples = Rotation.from_quat(answer.motion["quaternion"], scalar_first=True).as_matrix()
     R = R_at_samples[samples]
-    v = answer.velocity[samples]
+    v = answer.motion["velocity"][samples]
     #    From here on samples come before draws, (m, k, 3), as the columns have them.
     # 1. Between nodes: the cubic of position and velocity, a smooth curve through the turns.
     p = _hermite(nodes, _nodes_first(drawn.position), _nodes_first(drawn.velocity), t)
@@ -86,7 +77,7 @@ def sample_draws(
                 columns[JOINT + joint] += spread_m * plan.once(f"moves {joint}", 3)
     #    What a further segment carries hangs on the joint that it shares, and turns with its IMU.
     for segment in (SEGMENTS[name] for name in turns):
-        quaternion = next(each.quaternion for each in answer.further if each.segment == segment.name)
+        quaternion = answer.further[segment.name]["quaternion"]
         known = np.isfinite(quaternion[samples]).all(axis=1)
         R_own = np.full((len(samples), 3, 3), np.nan)
         R_own[known] = Rotation.from_quat(quaternion[samples][known], scalar_first=True).as_matrix()
@@ -105,7 +96,8 @@ def sample_draws(
         columns["position"] = p + _turned(R, place_m * plan.once("mounting", 3))
         columns["rotation"] = r + _turned(R, turn_rad * plan.once("mounting turn", 3))
     columns |= {SEGMENTS[name].prefix + TURN: turned for name, turned in turns.items()}
-    return SectionDraws(samples, {name: values.astype(np.float32) for name, values in columns.items()})
+    draws = {name: values.astype(np.float32) for name, values in columns.items()}
+    return replace(answer, drawn=samples, draws=draws)
 
 
 def lever_errors(

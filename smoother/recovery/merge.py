@@ -24,17 +24,12 @@ from ..window.trajectory import share_after
 from .blended_columns import BlendedColumns
 from .magnetometer import Magnetometer
 from .notes import notes_on, unexplained_gaps
-from .samples import ElbowAxis, bone_axes
-from .solve_section import SolvedSection
+from .samples import ElbowAxis, SectionAnswer, bone_axes
 from .task import Task
-
-#: Columns of the forearm's IMU, and of one on a further segment.
-_MOTION = ("position", "quaternion", "velocity", "pose_covariance", "velocity_covariance")
-_FURTHER = ("position", "quaternion", "pose_covariance")
 
 
 def merge(
-    answers: Iterable[SolvedSection],
+    answers: Iterable[SectionAnswer],
     recording: Recording,
     timeline: Timeline,
     task: Task,
@@ -56,26 +51,24 @@ def merge(
     downs: list[FloatArray] = []
     biases: list[FloatArray] = []
     end = 0  # first sample without an answer yet
-    for solved in answers:
-        answer, rows = solved.answer, solved.answer.samples
+    for answer in answers:
+        rows = answer.samples
         t = recording.imu.t_s[rows]
         share = share_after(t, answer.border_s)
-        motion.add(rows, {name: getattr(answer, name) for name in _MOTION}, share)
+        motion.add(rows, answer.motion, share)
         places.add(rows, answer.joints, share)
         spreads.add(rows, answer.joint_covariance, share)
-        for each in answer.further:
-            columns = further.setdefault(each.segment, BlendedColumns(samples))
-            columns.add(rows, {name: getattr(each, name) for name in _FURTHER}, share)
-            elbow.setdefault(each.segment, []).append(each.elbow)
-        if solved.draws is not None and len(solved.draws.samples):
-            first = (rows.start + int(solved.draws.samples[0])) // every
-            own = slice(first, first + len(solved.draws.samples))
-            drawn.add(own, solved.draws.columns, share[solved.draws.samples])
+        for name, columns in answer.further.items():
+            further.setdefault(name, BlendedColumns(samples)).add(rows, columns, share)
+            elbow.setdefault(name, []).append(answer.elbow[name])
+        if answer.drawn is not None and len(answer.drawn):
+            first = (rows.start + int(answer.drawn[0])) // every
+            drawn.add(slice(first, first + len(answer.drawn)), answer.draws, share[answer.drawn])
         mine = (t >= answer.border_s) | (np.arange(rows.start, rows.stop) >= end)
         occluded[rows] = np.where(mine, answer.occluded, occluded[rows])
         residual[answer.frames] = answer.residual
         used[answer.frames], reason[answer.frames] = answer.used, answer.reason
-        gaps, unexplained = merged_gaps(gaps, answer.gaps), merged_gaps(unexplained, solved.unexplained)
+        gaps, unexplained = merged_gaps(gaps, answer.gaps), merged_gaps(unexplained, answer.unexplained)
         downs.append(answer.gravity)
         biases.append(answer.bias)
         end = rows.stop

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,8 +24,11 @@ from ..rotation import Rotation
 from ..selfcal.self_calibration import SelfCalibration
 from ..window.prepare import PreparedSegment
 from ..window.problem import States
-from ..window.solution import SegmentSolution, Solution
+from ..window.solution import BlockShift, SegmentSolution, Solution, Step
 from ..window.trajectory import BLEND_HALF_S, at_times, joint_from_pose, segment_at
+
+if TYPE_CHECKING:
+    from .self_check import HiddenStretch
 
 #: What a sensor whose mounting the motion did not show may be off by: on the arm, m, and turned, rad.
 UNKNOWN_LEVER_M = 0.08
@@ -43,13 +47,11 @@ class SectionAnswer:
 
     samples: slice
     occluded: BoolArray
-    position: FloatArray
-    quaternion: FloatArray
-    velocity: FloatArray
-    pose_covariance: FloatArray
-    velocity_covariance: FloatArray
+    motion: dict[str, FloatArray]  # Columns of the forearm's IMU, as `Recovery` names them
     joints: dict[str, FloatArray]
     joint_covariance: dict[str, FloatArray]
+    further: dict[str, dict[str, FloatArray]]  # Of IMUs on further segments; nan where they have no samples
+    elbow: dict[str, ElbowAxis]  # For the axes of these segments' bones
     border_s: float
     gaps: tuple[Gap, ...]
     frames: slice
@@ -58,7 +60,12 @@ class SectionAnswer:
     reason: NDArray[np.uint8]
     gravity: FloatArray
     bias: FloatArray  # (6,) m/s^2 and rad/s
-    further: tuple[FurtherAnswer, ...] = ()
+    drawn: IntArray | None = None  # (m,) samples at which motions were drawn; None where not asked for
+    draws: dict[str, NDArray] = field(default_factory=dict)  # (m, k, 3), as `Draws.columns` has them
+    unexplained: tuple[Gap, ...] = ()  # Long gaps whose motion the model does not explain
+    shifts: tuple[BlockShift, ...] = ()  # Blocks of the camera's samples against the rest
+    stretches: tuple[HiddenStretch, ...] = ()  # Hidden, recovered and compared
+    steps: tuple[Step, ...] = ()  # What may have changed for good
 
 
 def sample_section(
@@ -85,6 +92,7 @@ def sample_section(
     further = {body.segment: further_poses(body, prepared, clock, t) for body in solution.bodies[1:]}
     poses = {FOREARM.name: (states, pose)} | further
     joints = {joint: _joint(joint, *poses[segment_of(joint, poses)], model, solution, t) for joint in names}
+    places = {joint: place for joint, (place, _) in joints.items()}
     place_m, turn_rad = unknown_mounting(model)  # joints that are seen are known all the same
     pose += np.diag([place_m**2] * 3 + [turn_rad**2] * 3)
     frame_t = segment.frame_t_imu(clock)
@@ -93,12 +101,14 @@ def sample_section(
     return SectionAnswer(
         samples=slice(first_sample + int(first), first_sample + int(last)),
         occluded=occluded_at(t, prepared.gaps),
-        position=states.p,
-        quaternion=Rotation.from_matrix(states.R).as_quat(scalar_first=True),
-        velocity=states.v,
-        pose_covariance=pose,
-        velocity_covariance=velocity,
-        joints={joint: place for joint, (place, _) in joints.items()},
+        motion={
+            "position": states.p,
+            "quaternion": Rotation.from_matrix(states.R).as_quat(scalar_first=True),
+            "velocity": states.v,
+            "pose_covariance": pose,
+            "velocity_covariance": velocity,
+        },
+        joints=places,
         joint_covariance={joint: covariance for joint, (_, covariance) in joints.items()},
         border_s=segment.core_start_s,
         gaps=tuple(
@@ -114,10 +124,8 @@ def sample_section(
         reason=segment.reason[own],
         gravity=solution.forearm.gravity,
         bias=solution.shared[:6],
-        further=tuple(
-            FurtherAnswer.of(name, *own, {joint: place for joint, (place, _) in joints.items()}, t)
-            for name, own in further.items()
-        ),
+        further={name: _columns(*own) for name, own in further.items()},
+        elbow={name: ElbowAxis.of(places, own.R, t) for name, (own, _) in further.items()},
     )
 
 
@@ -291,32 +299,13 @@ class ElbowAxis:
         return cls(share * axes.T @ axes, share * axes.sum(axis=0), weight)
 
 
-@dataclass(frozen=True)
-class FurtherAnswer:
-    """The IMU on a segment beyond the forearm at the samples of a section; see `SegmentMotion`."""
-
-    segment: str  # Name of the segment
-    position: FloatArray  # (n, 3), (n, 4), (n, 6, 6): nan where it has no samples
-    quaternion: FloatArray  # (n, 3), (n, 4), (n, 6, 6): nan where it has no samples
-    pose_covariance: FloatArray  # (n, 3), (n, 4), (n, 6, 6): nan where it has no samples
-    elbow: ElbowAxis  # For the bone's axes
-
-    @classmethod
-    def of(
-        cls,
-        segment: str,
-        states: States,
-        pose_covariance: FloatArray,
-        joints: dict[str, FloatArray],
-        t: FloatArray,
-    ) -> FurtherAnswer:
-        """From the states and covariances at the samples' times (n,), and the arm's joints there."""
-        known = np.isfinite(states.p[:, 0])
-        quaternion = np.full((len(t), 4), np.nan)
-        if known.any():
-            quaternion[known] = Rotation.from_matrix(states.R[known]).as_quat(scalar_first=True)
-        elbow = ElbowAxis.of(joints, states.R, t)
-        return cls(segment, states.p, quaternion, pose_covariance, elbow)
+def _columns(states: States, pose_covariance: FloatArray) -> dict[str, FloatArray]:
+    """Columns of a further IMU, as `SegmentMotion` names them."""
+    known = np.isfinite(states.p[:, 0])
+    quaternion = np.full((len(states.p), 4), np.nan)
+    if known.any():
+        quaternion[known] = Rotation.from_matrix(states.R[known]).as_quat(scalar_first=True)
+    return {"position": states.p, "quaternion": quaternion, "pose_covariance": pose_covariance}
 
 
 def _plane_normals(joints: dict[str, FloatArray], R_K_B: FloatArray) -> FloatArray:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 
 from ..errors import SolveError
@@ -12,20 +12,18 @@ from ..graph.solve import optimise_window, solution_of, solve, steps_of
 from ..measurements.alignment import Alignment
 from ..measurements.outliers import reject_by_camera, reject_by_direction, reject_by_residual
 from ..measurements.segment import Segment
-from ..measurements.visibility import Gap
 from ..runtime.pool import Pool
 from ..selfcal.clock_fit import ClockScore, clock_score, joined_scores, refined_clock
 from ..selfcal.excerpts import most_telling
 from ..window.cut import window_between
 from ..window.prepare import PreparedSegment, prepare
 from ..window.problem import Window
-from ..window.solution import BlockShift, Step
 from ..window.trajectory import started_from
-from .drawn_samples import SectionDraws, sample_draws
+from .drawn_samples import sample_draws
 from .magnetometer import FieldObservation, observe
 from .samples import SectionAnswer, frame_residuals, sample_section
 from .sections import SectionData, Sections
-from .self_check import HiddenStretch, hide_and_recover
+from .self_check import hide_and_recover
 from .task import Task
 
 #: An iteration that lowers the error by less than this share of it is the last.
@@ -34,25 +32,13 @@ TOLERANCE = 1e-3
 CLOCK_SECTIONS, CLOCK_PART_S, CLOCK_TOLERANCE = 5, 20.0, 1e-2
 
 
-@dataclass(frozen=True)
-class SolvedSection:
-    """A section's answer, and what it says of the camera."""
-
-    answer: SectionAnswer  # At its samples
-    unexplained: tuple[Gap, ...]  # Long gaps whose motion the model does not explain
-    shifts: tuple[BlockShift, ...]  # Blocks of the camera's samples against the rest
-    stretches: tuple[HiddenStretch, ...]  # Hidden, recovered and compared
-    steps: tuple[Step, ...]  # What may have changed for good
-    draws: SectionDraws | None  # Motions drawn from the posterior; None where not asked for
-
-
-def solve_sections(sections: Sections, task: Task, workers: Pool) -> Iterator[SolvedSection]:
+def solve_sections(sections: Sections, task: Task, workers: Pool) -> Iterator[SectionAnswer]:
     """The sections' answers in the order of time, solved side by side as they are asked for."""
     solved = workers.map(partial(solve_section, task=task), sections)
     return (each for each in solved if each is not None)
 
 
-def solve_section(data: SectionData, task: Task) -> SolvedSection | None:
+def solve_section(data: SectionData, task: Task) -> SectionAnswer | None:
     """Solve a section; None where the camera saw too little of the forearm."""
     ready = _prepared(data, task)
     if ready is None:
@@ -73,15 +59,16 @@ def solve_section(data: SectionData, task: Task) -> SolvedSection | None:
     solution = solution_of(optimised, with_covariance=True, plan=task.plan, with_blocks=True)
     imu_t, first_sample = data.imu.t_s, data.section.samples.start
     answer = sample_section(imu_t, first_sample, segment, prepared, solution, model, task.joints)
-    draws = None
     if task.plan is not None and solution.draws is not None:
         rows = slice(answer.samples.start - first_sample, answer.samples.stop - first_sample)
         layout = task.prior.layout
-        draws = sample_draws(answer, imu_t[rows], solution.draws, solution, model, layout, task.plan)
+        answer = sample_draws(answer, imu_t[rows], solution.draws, solution, model, layout, task.plan)
     unexplained = () if solution.accepted else tuple(gap for gap in answer.gaps if gap.length_s >= LONG_S)
     # 3. Visible stretches hidden, recovered from the rest, and compared.
     stretches = hide_and_recover(prepared.with_start(solution.forearm.states), task)
-    return SolvedSection(answer, unexplained, solution.shifts, tuple(stretches), steps, draws)
+    return replace(
+        answer, unexplained=unexplained, shifts=solution.shifts, stretches=tuple(stretches), steps=steps
+    )
 
 
 def _prepared(data: SectionData, task: Task) -> tuple[Segment, PreparedSegment, Alignment] | None:

@@ -20,6 +20,7 @@ from smoother.measurements.visibility import Gap
 from smoother.recording import FOREARM_JOINTS, JOINTS, Recording
 from smoother.recovery.blended_columns import BlendedColumns, between_quaternions
 from smoother.recovery.merge import merged_gaps
+from smoother.recovery.samples import SectionAnswer
 from smoother.recovery.sections import (
     SECTION_S,
     Section,
@@ -28,7 +29,6 @@ from smoother.recovery.sections import (
     _visible_times,
     section_borders,
 )
-from smoother.recovery.solve_section import SolvedSection
 from smoother.recovery.task import Task
 from smoother.rotation import Rotation
 from smoother.selfcal.excerpts import informative_excerpts
@@ -214,10 +214,10 @@ def smoothed(
     recording: Recording, made: SimulatedArm, excerpts_of: Recording | None = None
 ) -> tuple[Recovery, list[bool]]:
     """The recovery, and which sections were answered; self-calibrated on another's excerpts."""
-    solve_section: Callable[[SectionData, Task], SolvedSection | None]
+    solve_section: Callable[[SectionData, Task], SectionAnswer | None]
     solve_section, answered = smoother.recovery.solve_section.solve_section, []
 
-    def listen(data: SectionData, task: Task) -> SolvedSection | None:
+    def listen(data: SectionData, task: Task) -> SectionAnswer | None:
         answer = solve_section(data, task)
         answered.append(answer is not None)
         return answer
