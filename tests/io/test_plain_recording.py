@@ -114,7 +114,7 @@ def change(old: str, new: str, stem: str = "recording") -> tuple[str, str, str]:
         ),
         (
             change("0.013000000,", "0.013000000,1,", "imu"),
-            r"imu\.csv, line 3: 8 cells where the header has 7",
+            r"imu\.csv, line 3: 8 cells where there are 7",
         ),
         (change("elbow_right", "elbo_right", "skeleton"), r"line 3: joint 'elbo_right' is not known"),
         (change("not_tracked", "lost", "skeleton"), "column state contains 'lost'"),
@@ -165,7 +165,6 @@ def test_tables_that_are_not_plain(tmp_path: Path, rows: str, x: list[float], wo
     ("rows", "said"),
     [
         ("1,a,2\n" * 5000 + "\n1,a,2\n1,b,x\n", "line 5004: 'x' in column z is not a number"),
-        ("1,a,2\n1,a\n", "line 3: 2 cells where the header has 3"),
         (",b,2\n", "line 2: column x is empty"),
     ],
 )

@@ -33,7 +33,7 @@ from .skeletons import (
     up_axis,
     without_origin,
 )
-from .table import FileHead, Format, decode, plain_minus, shown
+from .table import FileHead, Format, Table, file_text, shown, split_line
 from .units import METRES
 
 #: Files of marker trajectories that can be read.
@@ -105,47 +105,38 @@ def _told_apart(names: list[str]) -> tuple[tuple[str, ...], list[str]]:
 
 # ------------------------------------------------------------------------------------------------------ TRC
 
-#: Spellings of "no number", beyond those that `float` reads: Windows' and spreadsheets' ones.
-_NOTHING = re.compile(
-    r"[-+]?(nan\(.*\)|1\.?#(ind|qnan|snan|inf).*|#n/a|n/?a|null|none|missing|-+|\*+|inf(inity)?)",
-    re.IGNORECASE,
-)
 #: Times that differ from the frame rate's by no more than this were rounded on writing, s.
 ROUNDED_S = 0.00051
-_DECIMAL_COMMA = re.compile(r"[-+]?\d*,\d*([eEdD][-+]?\d+)?")
 
 
 def read_trc(path: Path) -> Markers:
     """Read a TRC file."""
-    check_input(path, RecordingError)
-    lines = decode(path.read_bytes()).splitlines()
-    if not lines:
-        raise RecordingError(
-            f"{path}: not a TRC file: it has no text; is it a C3D file with a wrong extension?"
-        )
-    place = next((k for k, line in enumerate(lines) if _starts(line, "frame#", "frame", "#frame")), None)
+    lines = file_text(path).split("\n")
+    place = next((at for at, line in enumerate(lines) if _begins(line, "frame#", "frame", "#frame")), None)
     if place is None:
         raise RecordingError(
             f"{path}: not a TRC file: no line begins with Frame#, above the markers' names; export it again"
         )
-    header = _header(lines[:place])
+    header: dict[str, str] = {}
+    for above, below in pairwise(lines[:place]):  # values stand under their names
+        if _begins(above, "datarate"):
+            names_and_values = (split_line(line, _mark(above)) for line in (above.lower(), below))
+            header = dict(zip(*names_and_values, strict=False))
     mark = _mark(lines[place])
-    names, twice = _told_apart([cell for cell in _cells(lines[place], mark)[2:] if cell.strip()])
+    names, twice = _told_apart([cell for cell in split_line(lines[place], mark)[2:] if cell])
     if not names:
         raise RecordingError(f"{path}: the line with Frame# names no marker; export the file again")
-    # the line of X1 Y1 Z1 .. may be missing
-    rows = [
-        (number, line)
-        for number, line in enumerate(lines[place + 1 :], place + 2)
-        if line.strip(" \t,;") and not _starts(line, "x1", '"x1')
-    ]
-    if not rows:
+    rows = (
+        at for at, line in enumerate(lines) if at > place and line.strip(" \t,;") and not _begins(line, "x1")
+    )
+    first = next(rows, None)  # the line of X1 Y1 Z1 .. may be missing
+    if first is None:
         raise RecordingError(f"{path}: the file names {len(names)} markers and has no frame")
+    width = 2 + 3 * len(names)
+    cells = Table(path, mark, (), (), ("",) * width, (), -1, first, width, lines, strict=True)
+    table = cells.vectors(range(width))
     counted = header.get("numframes", "")
-    cut_off = counted.isdigit() and int(counted) > len(rows) > 1
-    if cut_off and len(_cells(rows[-1][1], mark)) < len(_cells(rows[-2][1], mark)):
-        rows.pop()  # its last number may have lost digits
-    table = _numbers(path, rows, mark, 2 + 3 * len(names))
+    cut_off = counted.isdigit() and int(counted) > len(table)
     unit = header.get("units", "")
     if not unit:
         raise RecordingError(f"{path}: the header states no Units; add mm or m on its third line")
@@ -156,6 +147,7 @@ def read_trc(path: Path) -> Markers:
     except ValueError:
         rate = float("nan")
     t_s, notes = _times(path, table, rate)
+    notes += [f"{path.name}: {note}" for note in cells.notes]
     if twice:
         notes.append(f"{path.name}: several markers are called {', '.join(dict.fromkeys(twice))}; numbered.")
     stated = header.get("nummarkers", "")
@@ -169,71 +161,14 @@ def read_trc(path: Path) -> Markers:
     return Markers(names, t_s, position, rate, unit, source=str(path), notes=tuple(notes))
 
 
-def _starts(line: str, *words: str) -> bool:
-    cells = re.split(r"[\t,; ]+", line.strip(" \t,;"), maxsplit=1)
-    return cells[0].strip().lower() in words
+def _begins(line: str, *words: str) -> bool:
+    first = re.split(r"[\t,; ]+", line.strip(' \t,;"'), maxsplit=1)[0]
+    return first.strip().lower() in words
 
 
-def _header(lines: list[str]) -> dict[str, str]:
-    """Values of the header by name in small letters: the line under the line of names."""
-    for above, below in pairwise(lines):
-        if _starts(above, "datarate"):
-            mark = _mark(above)
-            names = [cell.strip().lower() for cell in _cells(above, mark)]
-            return dict(zip(names, (cell.strip() for cell in _cells(below, mark)), strict=False))
-    return {}
-
-
-def _mark(line: str) -> str | None:
-    """What parts the cells; None for spaces."""
-    return next((mark for mark in ("\t", ";", ",") if mark in line), None)
-
-
-def _cells(line: str, mark: str | None) -> list[str]:
-    return line.split(mark) if mark else line.split()
-
-
-def _numbers(path: Path, rows: list[tuple[int, str]], mark: str | None, width: int) -> FloatArray:
-    """The table (N, width); cells that a line lacks at its end are nan."""
-    parts = []
-    for number, line in rows:
-        cells = [cell.strip() for cell in _cells(line, mark)]
-        if len(cells) > width and any(cells[width:]):
-            raise RecordingError(
-                f"{path}, line {number}: {len(cells)} cells where {(width - 2) // 3} markers make {width};"
-                " a marker has no name, or a number has a comma for thousands"
-            )
-        if mark is None and len(cells) < width:
-            raise RecordingError(
-                f"{path}, line {number}: {len(cells)} cells where {width} are needed, and with spaces between"
-                " them it is not clear which are missing; export the file with tabs"
-            )
-        parts.append(cells[:width] + [""] * (width - len(cells)))
-    try:
-        return np.array([[cell or "nan" for cell in row] for row in parts], dtype=np.float64)
-    except ValueError:
-        named = zip(rows, parts, strict=True)
-        return np.array(
-            [[_number(cell, path, row[0], at) for at, cell in enumerate(cells)] for row, cells in named]
-        )
-
-
-def _number(cell: str, path: Path, line: int, column: int) -> float:
-    try:
-        return float(cell or "nan")
-    except ValueError:
-        pass
-    text = plain_minus(cell.strip('"').replace(" ", ""))
-    if _DECIMAL_COMMA.fullmatch(text):
-        text = text.replace(",", ".")
-    if not text or _NOTHING.fullmatch(text):
-        return float("nan")
-    try:
-        return float(re.sub("[dD]", "e", text))  # Fortran's exponents
-    except ValueError:
-        raise RecordingError(
-            f"{path}, line {line}: '{shown(cell, 40)}' in column {column + 1} is not a number; correct it"
-        ) from None
+def _mark(line: str) -> str:
+    """What parts the cells."""
+    return next((mark for mark in ("\t", ";", ",") if mark in line), " ")
 
 
 def _times(path: Path, table: FloatArray, rate: float) -> tuple[FloatArray, list[str]]:

@@ -43,8 +43,8 @@ SEPARATORS = (";", "\t", "|", ",", " ")
 LAYOUT_LINES = 400
 #: How columns put stem and axis together.
 AXIS_FORMS = ("{} {}", "{}_{}", "{}{}", "{}.{}", "{}-{}", "{}[{}]", "{}({})", "{}/{}", "{} {}-axis")
-#: Cells without a value, in lower case.
-MISSING = ("", "nan", "na", "n/a", "none", "null", "-", "--", "#n/a", "+nan", "-nan")
+#: Cells without a value, in lower case; Windows and spreadsheets have spellings of their own.
+_MISSING = r"^([-+]?(nan(\(.*\))?|inf(inity)?|1\.?#(ind|qnan|snan|inf).*)|#?n/?a|none|null|missing|-+|\*+)?$"
 #: More columns are no table of a sensor or a skeleton's; a longer line, characters, is no row of one.
 MOST_COLUMNS, LONGEST_LINE = 10_000, 1 << 20
 CUT = "The last line is cut off and was left out."
@@ -267,7 +267,7 @@ class Table:
         if not any(re.search(r"\d[-/.:]\d+[-/.:]\d", cell) for cell in sample):
             return self.numbers(column), False
         seconds = seconds_of_dates(cells)
-        filled = np.array([cell.lower() not in MISSING for cell in cells])
+        filled = np.array([not re.match(_MISSING, cell.lower()) for cell in cells])
         wrong = np.flatnonzero(filled & ~np.isfinite(seconds))
         self._refuse_many(column, wrong, int(np.count_nonzero(filled)), "time")
         return seconds, True
@@ -306,13 +306,14 @@ class Table:
         import pyarrow.compute as pc
 
         text, nothing = self._trimmed(column), pa.scalar(None, pa.string())
-        empty = pc.is_in(pc.utf8_lower(text), value_set=pa.array(MISSING))
+        empty = pc.match_substring_regex(pc.utf8_lower(text), _MISSING)
         text = pc.if_else(empty, nothing, text)
         try:
             numbers = pc.cast(text, pa.float64())
         except pa.ArrowException:
             comma = pc.match_substring_regex(text, _WITH_COMMA)
             text = pc.if_else(comma, pc.replace_substring(text, ",", ".", max_replacements=1), text)
+            text = pc.replace_substring_regex(text, r"(\d\.?)[dD]([+-]?\d)", r"\1e\2")  # Fortran's exponents
             numbers = pc.cast(pc.if_else(pc.match_substring_regex(text, _PLAIN), text, nothing), pa.float64())
         values = np.array(numbers.to_numpy(zero_copy_only=False), dtype=float)
         filled = ~empty.to_numpy(zero_copy_only=False)
@@ -432,7 +433,8 @@ def even_rows(lines: list[str], table: Table) -> tuple[list[str], Sequence[int],
     if notes == [CUT]:
         rows, counts = rows[:-1], counts[:-1]
     # Separators behind the last column make empty columns, which do no harm.
-    if usual >= width - 1 and counts.count(usual) == len(rows) and header not in rows:
+    usable = usual == width - 1 if table.strict else usual >= width - 1
+    if usable and counts.count(usual) == len(rows) and header not in rows:
         return rows, range(first, first + len(rows)), notes
     even, indices, short, long, repeated = [], [], 0, 0, 0
     for at, (row, count) in enumerate(zip(rows, counts, strict=True)):
@@ -441,9 +443,11 @@ def even_rows(lines: list[str], table: Table) -> tuple[list[str], Sequence[int],
         if row.strip() == header or (header and row.startswith(header[:40]) and row.strip()[:1].isalpha()):
             repeated += 1
             continue
-        if table.strict and (count < width - 1 or any(split_line(row, mark)[width:])):
+        # Where blanks part the cells, it is not clear which of a row are missing.
+        lacks = count < width - 1 and table.separator == " "
+        if table.strict and (lacks or any(split_line(row, mark)[width:])):
             raise RecordingError(
-                f"{table.path}, line {first + at + 1}: {count + 1} cells where the header has {width};"
+                f"{table.path}, line {first + at + 1}: {count + 1} cells where there are {width} columns;"
                 " correct the line."
             )
         if count < width - 1:
