@@ -7,7 +7,7 @@ from functools import cache
 from pathlib import Path
 
 from ..errors import RecordingError, UnoccludeError
-from .tables.imu import ImuTable, MissingAxis, missing_axes, missing_axes_words
+from .tables.imu import ImuTable, is_of_sensor, missing_axes, missing_axes_words
 from .tables.imu_formats import IMU_FORMATS, NAMED_IMU
 from .tables.joints import find_joint_columns
 from .tables.table import HEAD_BYTES, FileHead, Format, Tables, first_rows, no_table, read_head, shown
@@ -163,19 +163,20 @@ def _by_names(path: Path, of: Format, error: RecordingError) -> list[ImuTable]:
     return whole
 
 
-def _missing(path: Path, kind: str) -> list[MissingAxis]:
+def _missing(path: Path, kind: str) -> dict[str, list[str]]:
     """Columns of a table's sensors, or of its arms' joints, that are not there while their siblings are."""
     table = read_head(path).table
     if table is None:
-        return []
-    missing = missing_axes(table.names)
-    if kind == "skeleton":
-        incomplete = find_joint_columns(table.names).incomplete
-        return [each for each in missing if set(each.present) & incomplete]
-    return [each for each in missing if each.is_of_sensor]
+        return {}
+    of_joints = find_joint_columns(table.names).incomplete if kind == "skeleton" else None
+    return {
+        name: two
+        for name, two in missing_axes(table.names).items()
+        if (is_of_sensor(name) if of_joints is None else set(two) & of_joints)
+    }
 
 
-def _lacks(path: Path, of: Format, missing: list[MissingAxis]) -> RecordingError:
+def _lacks(path: Path, of: Format, missing: dict[str, list[str]]) -> RecordingError:
     return RecordingError(
         f"{path} ({of.title}) has {missing_axes_words(missing)}; export it again with all three axes."
     )

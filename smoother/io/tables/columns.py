@@ -23,12 +23,11 @@ from ..recording.keypoints import states_of_scores
 from .imu import (
     Columns,
     ImuTable,
-    acceleration_unit,
     find_sensors,
     gravity_unit,
     holds_gravity,
     kind_of_unit,
-    turning_unit,
+    unit_of,
     usual_size,
 )
 from .joints import JointColumns, find_joint_columns, joint_name
@@ -55,7 +54,6 @@ from .units import (
     SECONDS,
     SENSOR_RATES,
     from_1970,
-    plain_unit,
     split_unit,
     time_unit,
 )
@@ -527,7 +525,10 @@ def guess_sensor(table: Table, usual_gyro: str = "") -> Guess:
     acc, gyro = axes.get("acc"), axes.get("gyro")
     force = None if acc is None else _guess_acceleration(table, guess, acc)
     if gyro is not None:
-        _guess_turning(table, guess, gyro, force, t_s, rate, usual_gyro)
+        values = table.vectors(gyro)
+        unit, why = unit_of("gyro", values, table.unit(gyro[0]), usual_gyro, force, t_s, rate)
+        size = why or f"it reads up to {np.nanpercentile(np.abs(values), 99):.3g}"
+        guess.set("gyroscope_unit", unit, size, "" if why else _NO_UNIT_NOTE)
     if acc is None or gyro is None:
         missing = "accelerometer" if acc is None else "gyroscope"
         guess.unsure.append(
@@ -646,13 +647,12 @@ def _by_magnitude(table: Table, guess: Guess) -> dict[str, Columns]:
 
 def _guess_acceleration(table: Table, guess: Guess, acc: Columns) -> FloatArray | None:
     """The unit by what the file states, or by gravity; values in m/s^2 where it is known."""
-    values, stated = table.vectors(acc), plain_unit(table.unit(acc[0]))
-    size = usual_size(values)
-    unit = _key_of(stated, ACCELERATION) or acceleration_unit(values)
+    values = table.vectors(acc)
+    unit, why = unit_of("acc", values, table.unit(acc[0]))
     if unit and holds_gravity(values * ACCELERATION[unit]):
-        why = f"stated ({table.unit(acc[0])})" if stated in ACCELERATION else f"it reads {size:.3g} as a rule"
         guess.set("accelerometer_unit", unit, why)
         return values * ACCELERATION[unit]
+    size = usual_size(values)
     guess.set(
         "accelerometer_unit",
         unit or "m/s^2",
@@ -661,34 +661,6 @@ def _guess_acceleration(table: Table, guess: Guess, acc: Columns) -> FloatArray 
         f" reads 9.81 m/s^2 or 1 g at rest, and not {size:.3g}.",
     )
     return None
-
-
-def _guess_turning(
-    table: Table,
-    guess: Guess,
-    gyro: Columns,
-    force: FloatArray | None,
-    t_s: FloatArray | None,
-    rate: float | None,
-    usual: str,
-) -> None:
-    """The unit by what the file states, by how gravity turns in the sensor, by size."""
-    if unit := _key_of(plain_unit(table.unit(gyro[0])), ANGULAR_VELOCITY):
-        guess.set("gyroscope_unit", unit, f"stated ({table.unit(gyro[0])})")
-        return
-    if usual:
-        guess.set("gyroscope_unit", usual, "that of this device")
-        return
-    values = table.vectors(gyro)
-    unit, why = turning_unit(values, force, t_s, rate)
-    fast = float(np.nanpercentile(np.abs(values), 99)) if np.isfinite(values).any() else 0.0
-    guess.set("gyroscope_unit", unit, why or f"it reads up to {fast:.3g}", "" if why else _NO_UNIT_NOTE)
-
-
-def _key_of(stated: str, units: Mapping[str, float]) -> str:
-    """A stated unit by the name that recording.toml has for it; "" where it is none of these."""
-    factor = units.get(stated)
-    return "" if factor is None else next(unit for unit, one in units.items() if one == factor)
 
 
 #: Words in names of columns of times, and of counters.

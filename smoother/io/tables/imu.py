@@ -173,53 +173,37 @@ def _of_letters(words: Sequence[str]) -> str:
 
 #: The axis letter in a column's name: between signs, a capital behind a word, or the last letter.
 _AXIS = re.compile(r"(?<![A-Za-z])[xyzXYZ](?![A-Za-z])|(?<=[a-z])[XYZ](?![a-z])|(?<=[A-Za-z])[xyzXYZ]$")
-#: Of several incomplete vectors this many are named.
-_MOST = 3
 
 
-@dataclass(frozen=True)
-class MissingAxis:
-    """Two columns of a vector without the third."""
-
-    missing: str  # Name of the column that is not there, spelled as the others are
-    present: tuple[str, str]  # Names of the two that are
-
-    @property
-    def is_of_sensor(self) -> bool:
-        """Whether it is of an accelerometer or a gyroscope, or of nothing that its name says ("x-axis")."""
-        words = words_of(re.split(r"[(\[]", self.missing)[0])
-        if len(words) == 1 and len(words[0]) == 2:  # ax, gy
-            return words[0][0] in "agw"
-        words = [word for word in words if word != "rotation"]  # of a gyroscope, or beside one of its words
-        kind = kind_of([*words, *(word[:-1] for word in words if word[-1:] in "xyz")])
-        return kind in ("acc", "gyro") or set(words) <= {"x", "y", "z", "axis"}
-
-
-def missing_axes(names: Sequence[str]) -> list[MissingAxis]:
-    """Vectors among the columns of a table of which two axes are there and one is not."""
-    there = set(names)
-    found: dict[str, MissingAxis] = {}
+def missing_axes(names: Sequence[str]) -> dict[str, list[str]]:
+    """Columns of a table that are not there, by name, while the two others of their vector are: those."""
+    found: dict[str, list[str]] = {}
     for name in names:
         for match in reversed(list(_AXIS.finditer(name))):  # the last letter that has a sibling counts
             axes = "XYZ" if match[0].isupper() else "xyz"
             triple = [name[: match.start()] + axis + name[match.end() :] for axis in axes]
-            present = [each for each in triple if each in there]
+            present = [each for each in triple if each in names]
             if len(present) == 2:
-                missing = next(each for each in triple if each not in there)
-                found.setdefault(missing, MissingAxis(missing, (present[0], present[1])))
+                found.setdefault(next(each for each in triple if each not in names), present)
             if len(present) > 1:
                 break
-    return list(found.values())
+    return found
 
 
-def missing_axes_words(missing: Sequence[MissingAxis]) -> str:
+def is_of_sensor(name: str) -> bool:
+    """Whether a column is of an accelerometer or a gyroscope, or of nothing that its name says ("x-axis")."""
+    words = words_of(re.split(r"[(\[]", name)[0])
+    if len(words) == 1 and len(words[0]) == 2:  # ax, gy
+        return words[0][0] in "agw"
+    words = [word for word in words if word != "rotation"]  # of a gyroscope, or beside one of its words
+    kind = kind_of([*words, *(word[:-1] for word in words if word[-1:] in "xyz")])
+    return kind in ("acc", "gyro") or set(words) <= {"x", "y", "z", "axis"}
+
+
+def missing_axes_words(missing: dict[str, list[str]]) -> str:
     """What is missing, for a sentence: "no column Gyr_Z beside Gyr_X and Gyr_Y"."""
-    said = [
-        f"no column {shown(each.missing, 60)} beside {shown(' and '.join(each.present), 120)}"
-        for each in missing[:_MOST]
-    ]
-    more = f" (and {len(missing) - _MOST} more like it)" if len(missing) > _MOST else ""
-    return " and ".join(said) + more
+    said = (f"no column {shown(name, 60)} beside {' and '.join(two)}" for name, two in missing.items())
+    return shown(" and ".join(said), 400)
 
 
 # ------------------------------------------------------------------------------------------------- the units
@@ -257,6 +241,29 @@ def acceleration_unit(values: FloatArray) -> str:
     size = usual_size(values)
     in_si = _NO_GRAVITY < size / STANDARD_GRAVITY < _MOST_GRAVITY
     return gravity_unit(size) or ("m/s^2" if in_si else "")
+
+
+def unit_of(
+    kind: str,
+    values: FloatArray,
+    stated: str,
+    usual: str = "",
+    force: FloatArray | None = None,
+    t_s: FloatArray | None = None,
+    rate: float | None = None,
+) -> tuple[str, str]:
+    """Unit of a sensor's values (n, 3) and why: stated, the usual one, or the one that gravity shows.
+
+    The unit is "" where nothing shows it, and why where the gyroscope's size alone does.
+    """
+    known = ACCELERATION if kind == "acc" else ANGULAR_VELOCITY
+    if (factor := known.get(plain_unit(stated))) is not None:
+        return next(unit for unit, one in known.items() if one == factor), f"stated ({stated})"
+    if usual:
+        return usual, "that of this device"
+    if kind == "acc":
+        return acceleration_unit(values), f"it reads {usual_size(values):.3g} as a rule"
+    return turning_unit(values, force, t_s, rate)
 
 
 def turning_unit(

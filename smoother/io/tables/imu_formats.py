@@ -6,7 +6,7 @@ Tables of devices have the vectors' columns that their row names; of others the 
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -20,9 +20,8 @@ from .imu import (
     UNUSED,
     Columns,
     ImuTable,
-    acceleration_unit,
     size_notes,
-    turning_unit,
+    unit_of,
     usual_size,
     with_settled_unit,
 )
@@ -124,13 +123,13 @@ def _sensor(table: Table, device: Device, prefix: str) -> ImuTable | None:
         gyro_unit_assumed=device.settles_unit and gyro is not None and not table.unit(gyro[0]),
     )
     units = []
-    if acc is not None:
-        usual = device.acc_unit or _shown_unit(table, acc, imu.notes)
-        imu.acc, unit = _in_si(table, acc, ACCELERATION, usual)
-        units.append(unit)
-    if gyro is not None:
-        imu.gyro, unit = _in_si(table, gyro, ANGULAR_VELOCITY, device.gyro_unit)
-        units.append(unit)
+    for kind, columns, usual in (("acc", acc, device.acc_unit), ("gyro", gyro, device.gyro_unit)):
+        if columns is not None:
+            values, unit = _in_si(table, kind, columns, usual)
+            setattr(imu, kind, values)
+            units.append(unit)
+            if not usual and unit != "m/s^2" and not table.unit(columns[0]):
+                imu.notes.append(f"The accelerometer states no unit; it reads gravity in {unit}.")
     if mag is not None and np.isfinite(field := table.vectors(mag)).all():
         imu.mag = field
     imu.units = ", ".join(units)
@@ -139,35 +138,23 @@ def _sensor(table: Table, device: Device, prefix: str) -> ImuTable | None:
     return with_settled_unit(imu) if device.settles_unit else imu
 
 
-def _in_si(
-    table: Table, columns: Sequence[int], units: dict[str, float], usual: str
-) -> tuple[FloatArray, str]:
+def _in_si(table: Table, kind: str, columns: Columns, usual: str = "") -> tuple[FloatArray, str]:
     """Three columns in SI units (n, 3), and their unit."""
-    stated = plain_unit(table.unit(columns[0]))
-    if (stated or usual) not in units:
-        what = "acceleration" if units is ACCELERATION else "angular velocity"
+    known = ACCELERATION if kind == "acc" else ANGULAR_VELOCITY
+    values, stated = table.vectors(columns), table.unit(columns[0])
+    unit, _ = unit_of(kind, values, stated, usual)
+    if plain_unit(stated) and plain_unit(stated) not in known:
         raise RecordingError(
-            f"{table.path} states the unit '{shown(stated, 40)}' of {shown(table.name(columns[0]), 60)},"
-            f" which is not a unit of {what}; export calibrated values in {next(iter(units))}."
+            f"{table.path} states the unit '{shown(stated, 40)}' of {shown(table.name(columns[0]), 60)};"
+            f" export calibrated values in {next(iter(known))}."
         )
-    return table.vectors(columns) * units[stated or usual], stated or usual
-
-
-def _shown_unit(table: Table, acc: Columns, notes: list[str]) -> str:
-    """Unit of an accelerometer that states none, by gravity in it."""
-    if table.unit(acc[0]):
-        return ""
-    unit = acceleration_unit(table.vectors(acc))
     if not unit:
         raise RecordingError(
             f"{table.path} states no unit of acceleration, and its usual size of"
-            f" {usual_size(table.vectors(acc)):.3g} is neither 9.81 m/s^2 nor 1 g (uncalibrated values?);"
+            f" {usual_size(values):.3g} is neither 9.81 m/s^2 nor 1 g (uncalibrated values?);"
             " export calibrated acceleration with gravity, or describe it in a recording.toml."
         )
-    if unit != "m/s^2":
-        one = {"g": "1", "mg": "1000"}[unit]
-        notes.append(f"The accelerometer states no unit; gravity is {one}, so it is in {unit}.")
-    return unit
+    return values * known[unit], unit
 
 
 def _counter(table: Table, column: int | None) -> IntArray | None:
@@ -491,15 +478,13 @@ def _read_sensorlog(path: Path, title: str) -> list[ImuTable]:
     notes = ["iOS writes gravity, which points down; the signs were turned to specific force."]
     own_gyro = "gyro" in there and ("raw" in there or "rate" not in there)
     own_acc = "raw" in there and (own_gyro or not summed)
-    parts = [
-        _in_si(table, there[name], ACCELERATION, "g")
-        for name in (("raw",) if own_acc else ("user", "gravity"))
-    ]
+    names = ("raw",) if own_acc else ("user", "gravity")
+    parts = [_in_si(table, "acc", there[name], "g") for name in names]
     if not own_acc:
         notes.append("Acceleration is the sum of user acceleration and gravity of Core Motion.")
     if not own_gyro:
         notes.append("Angular velocity is Core Motion's, which removes an estimate of the bias.")
-    gyro, gyro_unit = _in_si(table, there["gyro" if own_gyro else "rate"], ANGULAR_VELOCITY, "rad/s")
+    gyro, gyro_unit = _in_si(table, "gyro", there["gyro" if own_gyro else "rate"], "rad/s")
     stamp = "accelerometertimestamp_sincereboot" if own_acc else "motiontimestamp_sincereboot"
     times = (seconds(table, table.find(label)) for label in (stamp, *_LOGGED_TIMES))
     t_s = next((each for each in times if each is not None), None)
@@ -625,22 +610,18 @@ def _by_sensor(table: Table, kinds: int, columns: Columns) -> list[ImuTable]:
         [],
     )
     t_s = seconds(table, time_column(table))
-    for part, units in (("acc", ACCELERATION), ("gyr", ANGULAR_VELOCITY)):
+    for kind, part in (("acc", "acc"), ("gyro", "gyr")):
         rows = np.array([part in name and "lin" not in name and "uncal" not in name for name in names], bool)
         if not rows.any():
             continue
-        written = names[rows][0]
-        stated = next(
-            (unit for unit in ("deg/s", "dps", "rad/s", "m/s^2", "g") if written.endswith(f"_{unit}")), ""
-        )
-        unit = stated or (acceleration_unit(values[rows]) if part == "acc" else turning_unit(values[rows])[0])
+        written, known = names[rows][0], ACCELERATION if kind == "acc" else ANGULAR_VELOCITY
+        unit, _ = unit_of(kind, values[rows], written.rpartition("_")[2])
         if not unit:
             raise RecordingError(
                 f"{table.path}: the rows of '{written[:40]}' show no gravity; log the raw accelerometer."
             )
-        scaled = values[rows] * units[unit]
         half = ImuTable("", None if t_s is None else t_s[rows], None, None, units=unit)
-        half.acc, half.gyro = (scaled, None) if part == "acc" else (None, scaled)
+        setattr(half, kind, values[rows] * known[unit])
         half.notes = [*table.notes, f"Rows of '{written[:40]}' were read, in {unit}."]
         halves.append(half)
     return halves

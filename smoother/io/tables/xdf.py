@@ -17,11 +17,9 @@ from .imu import (
     ImuTable,
     SensorChannels,
     find_sensors,
-    gravity_unit,
     joint_label,
     stem_of,
-    turning_unit,
-    usual_size,
+    unit_of,
     with_halves_joined,
 )
 from .joints import find_joint_columns, words_of
@@ -219,24 +217,18 @@ def _imu(stream: _Stream, sensor: SensorChannels) -> tuple[ImuTable, str]:
     name = "_".join(part for part in (stream.name, sensor.name.replace(" ", "_")) if part)
     values = np.where(np.abs(stream.values) < _DAMAGED, stream.values, np.nan)
     vectors = {kind: values[:, columns].astype(float) for kind, columns in sensor.axes.items()}
-    unit = {kind: plain_unit(stream.units[columns[0]]) for kind, columns in sensor.axes.items()}
     table = ImuTable(name, stream.t_s, None, None, vectors.get("mag"), stream.rate_hz)
-    if "acc" in vectors:
-        if unit["acc"] not in ACCELERATION:
-            unit["acc"] = gravity_unit(usual_size(vectors["acc"]))
-            if not unit["acc"]:
-                return table, f"{name}: the accelerometer's unit is not stated, and no gravity shows it"
-            table.notes.append(
-                f"{name}: assumed {unit['acc']} for the accelerometer (it then shows gravity)."
-            )
-        table.acc = vectors["acc"] * ACCELERATION[unit["acc"]]
-    if "gyro" in vectors:
-        if unit["gyro"] not in ANGULAR_VELOCITY:
-            unit["gyro"], why = turning_unit(vectors["gyro"], table.acc, table.t_s, table.rate_hz)
-            if not why and unit["gyro"] == "rad/s":
-                return table, f"{name}: the gyroscope's unit is not stated, and the motion does not show it"
-            why = why or "it is too fast in rad/s"
-            table.notes.append(f"{name}: assumed {unit['gyro']} for the gyroscope ({why}).")
-        table.gyro = vectors["gyro"] * ANGULAR_VELOCITY[unit["gyro"]]
-    table.units = ", ".join(unit[kind] for kind in ("acc", "gyro") if kind in unit)
+    units = []
+    for kind, known in (("acc", ACCELERATION), ("gyro", ANGULAR_VELOCITY)):
+        if kind not in vectors:
+            continue
+        stated = stream.units[sensor.axes[kind][0]]
+        unit, why = unit_of(kind, vectors[kind], stated, "", table.acc, table.t_s, table.rate_hz)
+        if not unit or (not why and unit == "rad/s"):
+            return table, f"{name}: the unit of {kind} is not stated, and the motion does not show it"
+        if plain_unit(stated) not in known:
+            table.notes.append(f"{name}: assumed {unit} for {kind} ({why or 'it is too fast in rad/s'}).")
+        setattr(table, kind, vectors[kind] * known[unit])
+        units.append(unit)
+    table.units = ", ".join(units)
     return table, ""

@@ -131,7 +131,7 @@ def shimmer(
 def test_shimmer(tmp_path: Path, separator: str):
     (table,) = tables(shimmer(tmp_path, separator=separator), "shimmer")
     check(table, printed(ACC), np.radians(printed(DEG)), 1.6294033377807312e9 + TIME)
-    assert table.name == "Shimmer_952D" and table.units == "m/(s^2), deg/s"
+    assert table.name == "Shimmer_952D" and table.units == "m/s^2, deg/s"
     assert "wide-range" in " ".join(table.notes)
 
 

@@ -252,7 +252,7 @@ def test_xdf_without_units(tmp_path: Path, unit: tuple[str, str]) -> None:
     _, (imu,) = streams(path, "xdf")
     assert_allclose(imu.gyro, turning(1000, 100.0)[2], atol=1e-9)
     assert imu.units == ", ".join(unit)
-    assert any("for the gyroscope (it then rotates as gravity does" in note for note in imu.notes)
+    assert any("for gyro (it then rotates as gravity does" in note for note in imu.notes)
 
 
 def test_xdf_in_which_nothing_shows_the_unit(tmp_path: Path) -> None:
@@ -261,7 +261,7 @@ def test_xdf_in_which_nothing_shows_the_unit(tmp_path: Path) -> None:
     stream["values"] = np.tile([0.0, 9.81, 0.0, 0.01, 0.0, 0.0], (1000, 1))
     path = tmp_path / "a.xdf"
     made.xdf(path, [stream])
-    with pytest.raises(RecordingError, match=r"a\.xdf.*gyroscope's unit is not stated.*and units"):
+    with pytest.raises(RecordingError, match=r"a\.xdf.*unit of gyro is not stated.*and units"):
         streams(path, "xdf")
 
 
