@@ -21,18 +21,7 @@ from ...recording import CameraFrame
 from ...runtime.inputs import check_input, crashes_in_subprocess
 from .columns import read_exact, stacked
 from .joints import JointName, joint_name
-from .skeletons import (
-    SkeletonTable,
-    axis_words,
-    down_of,
-    frame_of,
-    half_arm,
-    require_arm,
-    tracked_where_finite,
-    unit_by_arm,
-    up_axis,
-    without_origin,
-)
+from .skeletons import Conventions, RawSkeleton, SkeletonTable, require_arm, without_origin
 from .table import FileHead, Format, Table, file_text, shown, split_line
 from .units import METRES
 
@@ -346,98 +335,41 @@ def _still(markers: Markers) -> dict[str, FloatArray]:
 
 # ------------------------------------------------------------------------------------ markers named as joints
 
-#: A position farther away is a damaged number.
-_FARTHEST_M = 1e6
-#: What is used as a joint if there are several, the best first.
-_ORDER = ("centre", "joint", "skin")
+#: What is used as a joint if there are several, the best first, and what it is called.
+_KINDS = {"centre": "the joint centre", "joint": "the marker", "skin": "the skin marker"}
 
 
-def _skeleton_of(markers: Markers, path: Path, y_up: bool) -> SkeletonTable:
-    """The arms that a file of markers shows."""
-    in_reach = (np.abs(markers.position) < _FARTHEST_M).all(axis=2, keepdims=True)
-    markers = replace(markers, position=np.where(in_reach, markers.position, np.nan))
-    named = [(joint_name(name), column) for column, name in enumerate(markers.names)]
-    points = [(name, markers.position[:, column]) for name, column in named if name is not None]
+def _skeleton_of(markers: Markers, path: Path, up: tuple[int, int] | None) -> list[SkeletonTable]:
+    """The arms that a file of markers shows; `up` counts where the body does not show it."""
+    notes = list(markers.notes)
+    raw = RawSkeleton(path, time=markers.t_s, time_scale=1.0, notes=notes)
     by_joint: dict[str, list[tuple[JointName, int]]] = {}
-    for name, column in named:
-        if name is not None and name.joint:
+    for column, marker in enumerate(markers.names):
+        if (name := joint_name(marker)) is not None and name.joint:
             by_joint.setdefault(name.joint, []).append((name, column))
-    position, sentences, skin = {}, [], False
-    for joint in sorted(by_joint):
-        rows, words, is_skin = _taken(by_joint[joint], markers)
-        if np.isfinite(rows).all(axis=1).any():
-            position[joint] = rows
-            sentences.append(f"{joint} is {words}")
-            skin |= is_skin
-    require_arm(position, path, "markers", list(markers.names))
-    notes = [*markers.notes, "; ".join(sentences) + "."]
-    if skin:
-        notes.append(
-            "Skin markers are 1 to 4 cm from the joint centre: expect lengths that differ from the bones'."
-        )
-    notes += _in_metres(position, markers.unit, path)
-    is_camera = any("k4abt" in name.lower() for name in markers.names)
-    frame, down, words = _axes(points, y_up, is_camera)
-    notes.append(words)
-    state = {joint: tracked_where_finite(rows) for joint, rows in position.items()}
+        elif name is not None:
+            raw.rest.append((name, markers.position[:, column]))
+    words = {}
+    for joint, candidates in sorted(by_joint.items()):
+        kind = next(kind for kind in _KINDS if any(name.kind == kind for name, _ in candidates))
+        columns = {name.pair: at for name, at in reversed(candidates) if name.kind == kind}
+        pair = [columns[side] for side in "ab"] if {"a", "b"} <= columns.keys() else []
+        used = pair or list(columns.values())[-1:]
+        raw.position[joint] = markers.position[:, used].mean(axis=1)
+        called = " and ".join(markers.names[at] for at in used)
+        words[joint] = f"{joint} is {'the middle of' if pair else _KINDS[kind]} {called}"
+        if kind == "skin" and (note := _ON_SKIN) not in notes:
+            notes.append(note)
+    require_arm(raw.position, path, "markers", list(markers.names))
+    seen = [text for joint, text in words.items() if np.isfinite(raw.position[joint]).any()]
+    notes.insert(len(markers.notes), "; ".join(seen) + ".")
+    camera = CameraFrame.OPTICAL if any("k4abt" in name.lower() for name in markers.names) else None
+    tables = raw.skeletons(Conventions("m", camera, up=up))
     rate = markers.rate_hz if np.isfinite(markers.rate_hz) else None
-    return SkeletonTable(0, markers.t_s, position, state, frame, down, rate, units=markers.unit, notes=notes)
+    return [replace(table, units=markers.unit, rate_hz=rate) for table in tables]
 
 
-def _in_metres(position: dict[str, FloatArray], unit: str, path: Path) -> list[str]:
-    """Correct positions whose unit is not the one that the header states; what is to be said of it."""
-    length = half_arm(position)
-    if not np.isfinite(length):
-        return []
-    fits = unit_by_arm(position)
-    if fits is None:
-        raise RecordingError(
-            f"{path}: upper arms and forearms are {length:.3g} m long in the unit that the file states"
-            f" ({unit}); export it again, with lengths in m or mm."
-        )
-    if fits[1] != 1.0:
-        for joint in position:
-            position[joint] = position[joint] * fits[1]
-        return [
-            f"The file states {unit}, and half an arm would be {length:.3g} m long: positions were multiplied"
-            f" by {fits[1]:g}, which makes it {length * fits[1]:.2f} m."
-        ]
-    return []
-
-
-def _taken(candidates: list[tuple[JointName, int]], markers: Markers) -> tuple[FloatArray, str, bool]:
-    """Positions (F, 3) of a joint, words for what they are, whether they are on the skin."""
-    for kind in _ORDER:
-        of_kind = [(name, column) for name, column in candidates if name.kind == kind]
-        first = {name.pair: column for name, column in reversed(of_kind)}
-        if "a" in first and "b" in first:
-            a, b = first["a"], first["b"]
-            middle = 0.5 * (markers.position[:, a] + markers.position[:, b])
-            return middle, f"the middle of {markers.names[a]} and {markers.names[b]}", True
-        if first:
-            column = next(iter(first.values()))
-            what = {"centre": "the joint centre", "joint": "the marker", "skin": "the skin marker"}[kind]
-            return markers.position[:, column], f"{what} {markers.names[column]}", kind == "skin"
-    raise ValueError("no candidate")
-
-
-def _axes(
-    points: list[tuple[JointName, FloatArray]], y_up: bool, camera: bool
-) -> tuple[CameraFrame | None, FloatArray | None, str]:
-    """Convention of the axes, direction of down, and a sentence."""
-    upright = up_axis(points)
-    if upright is not None:
-        said = f"Assumed axes: {axis_words(*upright)} (the body is then upright in most frames)."
-        return frame_of(*upright, camera), down_of(*upright), said
-    unseen = "the body does not show them."
-    if camera:
-        return CameraFrame.OPTICAL, None, f"Assumed axes: the depth camera's (y down); {unseen}"
-    if y_up:
-        return None, down_of(1, 1), f"Assumed axes: y up, as usual in this format; {unseen}"
-    unknown = "Which axis is up is not known: the file does not state it and the body does not show it."
-    return None, None, unknown
-
-
+_ON_SKIN = "Skin markers are 1 to 4 cm from the joint centre: expect lengths that differ from the bones'."
 #: What the origin of a segment is, by the segment's name without side.
 _ORIGINS = {
     **dict.fromkeys(("uarm", "upperarm", "humerus"), "shoulder"),
@@ -508,8 +440,7 @@ def _is_c3d(head: FileHead) -> bool:
 
 
 def _read_c3d_skeleton(path: Path) -> list[SkeletonTable]:
-    markers = _read_segment_origins(path) or read_c3d(path)
-    return [_skeleton_of(markers, path, y_up=False)]
+    return _skeleton_of(_read_segment_origins(path) or read_c3d(path), path, None)
 
 
 C3D_SKELETON = Format(
@@ -534,5 +465,5 @@ TRC_SKELETON = Format(
     kind="skeleton",
     recognised_by="a line that begins with Frame#, above the names of markers",
     recognises=_is_trc,
-    read=lambda path: [_skeleton_of(read_trc(path), path, y_up=True)],  # as OpenSim has it
+    read=lambda path: _skeleton_of(read_trc(path), path, (1, 1)),  # y, as OpenSim has it
 )

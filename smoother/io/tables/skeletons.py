@@ -254,6 +254,7 @@ class Conventions:
     unit: str = ""  # "m" or "mm", what the format is written in as a rule; "" where it has no rule
     frame: CameraFrame | None = None  # Axes of the camera that the format has
     relative: bool = False  # Positions are about the hips
+    up: tuple[int, int] | None = None  # Axis and sign of up in a room, where the body does not show it
     rate_hz: float = USUAL_RATE_HZ  # Counts where the file has no times
 
 
@@ -376,6 +377,9 @@ class RawSkeleton:
                 " most frames)."
             )
             return frame_of(*upright, camera=True), None
+        if upright is None and conventions.up is not None:
+            self.notes.append(f"Assumed axes: {axis_words(*conventions.up)}, as usual in this format.")
+            return None, down_of(*conventions.up)
         if upright is None:
             self.notes.append("It is not known which axis is up: neither the file nor the body shows it.")
             return None, None
