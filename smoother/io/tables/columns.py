@@ -31,7 +31,7 @@ from .imu import (
     usual_size,
 )
 from .joints import JointColumns, find_joint_columns, joint_name
-from .skeletons import PIXELS, BodyRows, SkeletonTable, gathered, unit_by_arm
+from .skeletons import PIXELS, RawSkeleton, SkeletonTable, gathered, unit_by_arm
 from .table import (
     CUT,
     SEPARATORS,
@@ -306,16 +306,13 @@ def read_skeleton_columns(path: Path, keys: CameraKeys) -> list[SkeletonTable]:
     """The bodies of a skeleton's table."""
     columns = keys.columns or dict(zip(_LONG_COLUMNS, ("t_s", *_LONG_COLUMNS[1:]), strict=True))
     table = _described(path, keys, columns, keys.is_plain)
-    rows = _long_rows(table, keys, columns) if "joint" in columns else _wide_rows(table, keys, columns)
-    metres = METRES[keys.position_unit]
-    rows.position = {joint: values * metres for joint, values in rows.position.items()}
+    raw = _long_rows(table, keys, columns) if "joint" in columns else _wide_rows(table, keys, columns)
+    raw.notes = table.notes
+    raw.position = {joint: values * METRES[keys.position_unit] for joint, values in raw.position.items()}
     hint = None if keys.gravity is None else np.array(keys.gravity)
-    pattern = SkeletonTable(
-        0, None, {}, {}, keys.frame, hint, keys.rate_hz, False, keys.position_unit, table.notes
-    )
-    tables = rows.skeletons(pattern, 1.0 if "t" in columns else None)
-    if not tables:
-        raise RecordingError(f"{path} has no rows of a skeleton; export it again.")
+    pattern = SkeletonTable(0, None, {}, {}, keys.frame, hint, keys.rate_hz, units=keys.position_unit)
+    assert raw.time is not None
+    tables = raw.bodies(pattern, raw.time, 1.0 if "t" in columns else None)
     for one in tables if len(tables) > 1 else ():  # not every body has all joints
         seen = [joint for joint, states in one.state.items() if states.any()] or list(one.state)
         one.position = {joint: one.position[joint] for joint in seen}
@@ -342,7 +339,7 @@ def _lost(values: FloatArray) -> NDArray[np.bool_]:
     return np.asarray((values == 0).all(axis=1) | ~np.isfinite(values).all(axis=1))
 
 
-def _wide_rows(table: Table, keys: CameraKeys, columns: dict[str, Column | list[Column]]) -> BodyRows:
+def _wide_rows(table: Table, keys: CameraKeys, columns: dict[str, Column | list[Column]]) -> RawSkeleton:
     """One row per frame and body: three columns per joint."""
     names = [name for name in columns if name not in ("t", "body")]
     for name in names:
@@ -368,10 +365,11 @@ def _wide_rows(table: Table, keys: CameraKeys, columns: dict[str, Column | list[
     body = columns.get("body")
     bodies = None if body is None else table.numbers(_needed(table, "body", body))
     t_s = _frame_times(table, keys, columns)
-    return BodyRows(np.arange(len(table), dtype=float) if t_s is None else t_s, bodies, position, state)
+    time = np.arange(len(table), dtype=float) if t_s is None else t_s
+    return RawSkeleton(table.path, position, state, time, body=bodies)
 
 
-def _long_rows(table: Table, keys: CameraKeys, columns: dict[str, Column | list[Column]]) -> BodyRows:
+def _long_rows(table: Table, keys: CameraKeys, columns: dict[str, Column | list[Column]]) -> RawSkeleton:
     """One row per joint: the rows of one time and body become one."""
     _refuse_others(table.path, columns, _LONG_COLUMNS)
     t_s = _frame_times(table, keys, columns)
@@ -396,14 +394,12 @@ def _long_rows(table: Table, keys: CameraKeys, columns: dict[str, Column | list[
             f" {t_s[bare][0]:.3f} s."
         )
     said = np.where(_lost(values), JointState.NOT_TRACKED, said)
-    first, joints = gathered(t_s, bodies, [meaning[name] for name in names], values, said)
-    joints.pop("", None)
+    first, position, state = gathered(t_s, bodies, [meaning[name] for name in names], values, said)
+    for each in (position, state):
+        each.pop("", None)
     if len(table) > len(first) * len(meaning):
         table.notes.append("Rows repeat a joint and time; the last of each was taken.")
-    position = {joint: rows for joint, (rows, _) in joints.items()}
-    return BodyRows(
-        t_s[first], bodies[first], position, {joint: state for joint, (_, state) in joints.items()}
-    )
+    return RawSkeleton(table.path, position, state, t_s[first], body=bodies[first])
 
 
 def _joint_of(name: str) -> str:

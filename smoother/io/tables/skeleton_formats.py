@@ -422,12 +422,14 @@ def _by_frame(table: Table, columns: dict[str, int], names: list[str], states: S
     said = None
     if "state" in columns:
         said = states_of({"all": state_numbers(table, columns["state"])}, states)["all"]
-    first, joints = gathered(key, body, names, table.vectors([columns[axis] for axis in "xyz"]), said)
+    first, position, state = gathered(
+        key, body, names, table.vectors([columns[axis] for axis in "xyz"]), said
+    )
     raw.time = None if time is None else time[first]
     raw.frame = None if frame is None else frame[first]
     raw.body = body[first] if "body" in columns else None
-    for name, (position, state) in joints.items():
-        raw.add(name, position, None if said is None else state)
+    for name, rows in position.items():
+        raw.add(name, rows, None if said is None else state[name])
     return raw
 
 

@@ -140,49 +140,9 @@ _LARGEST_BODY = 2**31 - 1
 _UNIT_OF = {seconds: unit for unit, seconds in SECONDS.items()}
 
 
-@dataclass
-class BodyRows:
-    """The bodies of a file, one row per frame and body."""
-
-    time: FloatArray  # (N,): by which rows belong to one frame: the time in any unit, or the frame's number
-    body: FloatArray | None  # (N,): the body of each row; nan where the frame has none. None = one body
-    position: dict[str, FloatArray]  # dict of (N, 3) m: by joint and side
-    state: dict[str, NDArray[np.int8]]  # int (N,): `JointState` values of the same joints
-    notes: list[str] = field(default_factory=list)  # What was decided in reading
-
-    def skeletons(self, pattern: SkeletonTable, seconds: float | None) -> list[SkeletonTable]:
-        """One skeleton a body, on the times of all frames of the file."""
-        frame, times = frames_of_rows(self.time, self.body)
-        t_s = None if seconds is None else times * seconds
-        bodies = np.zeros(len(frame)) if self.body is None else self.body
-        numbers = np.unique(bodies[np.isfinite(bodies)])
-        tables = []
-        for count, number in enumerate(numbers.tolist()):
-            rows = np.flatnonzero(bodies == number)
-            fits = 0 <= number <= _LARGEST_BODY and number == int(number)
-            notes = [*pattern.notes, *self.notes]
-            if not fits:
-                notes.append(f"Body {number:.0f} is called {count}.")
-            position = {joint: np.full((len(times), 3), np.nan) for joint in self.position}
-            state = {joint: np.zeros(len(times), np.int8) for joint in self.position}
-            for joint in self.position:
-                position[joint][frame[rows]] = self.position[joint][rows]
-                state[joint][frame[rows]] = self.state[joint][rows]
-            own = replace(
-                pattern,
-                body=int(number) if fits else count,
-                t_s=None if t_s is None else t_s.copy(),
-                position=position,
-                state=state,
-                notes=notes,
-            )
-            tables.append(own)
-        return tables
-
-
 def gathered(
     key: FloatArray, body: FloatArray, names: Sequence[str], xyz: FloatArray, state: NDArray | None
-) -> tuple[IntArray, dict[str, tuple[FloatArray, NDArray[np.int8]]]]:
+) -> tuple[IntArray, dict[str, FloatArray], dict[str, NDArray[np.int8]]]:
     """Rows of joints as rows of frames and bodies: the first row of each; positions, states by joint."""
     written, joint_of = np.unique(names, return_inverse=True)
     number_of_body = np.unique(body, return_inverse=True)[1]
@@ -195,14 +155,13 @@ def gathered(
     _, first, row = np.unique(pairs, axis=1, return_index=True, return_inverse=True)
     order = np.argsort(first)  # frames in the order of the file
     row = np.argsort(order)[np.reshape(row, -1)]
-    joints = {}
-    for code, name in enumerate(written.tolist()):
+    position = {name: np.full((len(first), 3), np.nan) for name in written.tolist()}
+    states = {name: np.zeros(len(first), np.int8) for name in position}
+    for code, name in enumerate(position):
         mine = np.flatnonzero(joint_of == code)
-        position, states = np.full((len(first), 3), np.nan), np.zeros(len(first), np.int8)
-        position[row[mine]] = xyz[mine]
-        states[row[mine]] = JointState.TRACKED if state is None else state[mine]
-        joints[name] = (position, states)
-    return first[order], joints
+        position[name][row[mine]] = xyz[mine]
+        states[name][row[mine]] = JointState.TRACKED if state is None else state[mine]
+    return first[order], position, states
 
 
 def frames_of_rows(time: FloatArray, body: FloatArray | None) -> tuple[IntArray, FloatArray]:
@@ -295,17 +254,37 @@ class RawSkeleton:
         unit, metres = self._unit(conventions)
         frame, down = self._axes(conventions)
         time, seconds, rate = self._times(conventions)
-        position = {joint: rows * metres for joint, rows in self.position.items()}
-        state = {
+        self.position = {joint: rows * metres for joint, rows in self.position.items()}
+        self.state = {
             joint: without_position(self.state[joint], rows)
             if joint in self.state
             else tracked_where_finite(rows)
-            for joint, rows in position.items()
+            for joint, rows in self.position.items()
         }
-        pattern = SkeletonTable(
-            0, None, {}, {}, frame, down, rate, conventions.relative, unit, list(self.notes)
-        )
-        tables = BodyRows(time, self.body, position, state).skeletons(pattern, seconds)
+        pattern = SkeletonTable(0, None, {}, {}, frame, down, rate, conventions.relative, unit)
+        return self.bodies(pattern, time, seconds)
+
+    def bodies(self, pattern: SkeletonTable, time: FloatArray, seconds: float | None) -> list[SkeletonTable]:
+        """One skeleton a body of positions in metres, on the times (N,) of all frames of the file."""
+        frame, times = frames_of_rows(time, self.body)
+        bodies = np.zeros(len(frame)) if self.body is None else self.body
+        numbers = np.unique(bodies[np.isfinite(bodies)])
+        tables = []
+        for count, number in enumerate(numbers.tolist()):
+            rows = np.flatnonzero(bodies == number)
+            fits = 0 <= number <= _LARGEST_BODY and number == int(number)
+            own = replace(
+                pattern,
+                body=int(number) if fits else count,
+                t_s=None if seconds is None else times * seconds,
+                position={joint: np.full((len(times), 3), np.nan) for joint in self.position},
+                state={joint: np.zeros(len(times), np.int8) for joint in self.position},
+                notes=[*self.notes, *([] if fits else [f"Body {number:.0f} is called {count}."])],
+            )
+            for joint in self.position:
+                own.position[joint][frame[rows]] = self.position[joint][rows]
+                own.state[joint][frame[rows]] = self.state[joint][rows]
+            tables.append(own)
         if not tables:
             raise RecordingError(
                 f"{self.path} has no frame with a body; record again with the person in view."

@@ -433,8 +433,8 @@ def even_rows(lines: list[str], table: Table) -> tuple[list[str], Sequence[int],
     if notes == [CUT]:
         rows, counts = rows[:-1], counts[:-1]
     # Separators behind the last column make empty columns, which do no harm.
-    usable = usual == width - 1 if table.strict else usual >= width - 1
-    if usable and counts.count(usual) == len(rows) and header not in rows:
+    is_wide = usual == width - 1 if table.strict else usual >= width - 1
+    if is_wide and counts.count(usual) == len(rows) and header not in rows:
         return rows, range(first, first + len(rows)), notes
     even, indices, short, long, repeated = [], [], 0, 0, 0
     for at, (row, count) in enumerate(zip(rows, counts, strict=True)):
@@ -444,8 +444,8 @@ def even_rows(lines: list[str], table: Table) -> tuple[list[str], Sequence[int],
             repeated += 1
             continue
         # Where blanks part the cells, it is not clear which of a row are missing.
-        lacks = count < width - 1 and table.separator == " "
-        if table.strict and (lacks or any(split_line(row, mark)[width:])):
+        unclear = count < width - 1 and table.separator == " "
+        if table.strict and (unclear or any(split_line(row, mark)[width:])):
             raise RecordingError(
                 f"{table.path}, line {first + at + 1}: {count + 1} cells where there are {width} columns;"
                 " correct the line."
