@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
@@ -178,75 +179,38 @@ def read_camera_file(path: Path) -> dict[str, CameraFile]:
     return cameras
 
 
+def read_intrinsics(path: str | os.PathLike[str]) -> Intrinsics:
+    """The lens of a file with one camera."""
+    cameras = read_camera_file(Path(path))
+    if len(cameras) > 1:
+        raise CalibrationError(f"{path} has the lenses {', '.join(cameras)}; give a file with one of them.")
+    return next(iter(cameras.values())).lens
+
+
 def _is_camera(table: Mapping[str, Any]) -> bool:
     return any(name in table for name in _MATRIX) or {"fx", "fy", "cx", "cy"} <= table.keys()
 
 
 def _document(path: Path) -> dict[str, Any]:
+    import yaml
+
     try:
         if path.suffix.lower() == ".toml":
             return read_toml(path)
         text = path.read_text(encoding="utf-8")
-        found = json.loads(text) if text.lstrip().startswith("{") else plain_yaml(text)
+        if text.lstrip().startswith("{"):
+            found = json.loads(text)
+        else:  # OpenCV's first line and tags are not YAML's
+            found = yaml.safe_load(re.sub(r"^%.*$|!!opencv[\w-]*", "", text, flags=re.MULTILINE))
+        if not isinstance(found, dict):
+            raise ValueError("it contains no table")
+        return found
     except OSError as error:
         raise CalibrationError(f"{path} cannot be read: {error.strerror or error}.") from error
-    except (ValueError, RecursionError) as error:
+    except (ValueError, RecursionError, yaml.YAMLError) as error:
         raise CalibrationError(
             f"{path} is not a calibration that can be read (TOML, JSON or YAML): {error}."
         ) from error
-    if not isinstance(found, dict):
-        raise CalibrationError(f"{path} contains no table of a camera.")
-    return found
-
-
-def plain_yaml(text: str) -> dict[str, Any]:
-    """The part of YAML that calibration files use: tables by indentation, numbers, words, lists."""
-    lines: list[str] = []
-    for raw in text.splitlines():
-        line = re.sub(r"(^|\s)#.*$", "", raw).rstrip()
-        if not line or line.startswith(("%", "---", "...")):
-            continue
-        if lines and lines[-1].count("[") > lines[-1].count("]"):
-            lines[-1] += " " + line.strip()  # a list goes on
-        else:
-            lines.append(line)
-    root: dict[str, Any] = {}
-    open_tables: list[tuple[int, dict[str, Any]]] = [(-1, root)]
-    last: tuple[dict[str, Any], str] | None = None
-    for line in lines:
-        indent, body = len(line) - len(line.lstrip()), line.strip()
-        if body.startswith("- "):
-            if last is None:
-                raise ValueError("a list without a name")
-            table, key = last
-            if not isinstance(table[key], list):
-                table[key] = []
-            table[key].append(_scalar(body[2:]))
-            continue
-        key, mark, rest = body.partition(":")
-        if not mark:
-            raise ValueError(f"line '{body[:40]}'")
-        while len(open_tables) > 1 and indent <= open_tables[-1][0]:
-            open_tables.pop()
-        parent = open_tables[-1][1]
-        key, rest = key.strip().strip("\"'"), re.sub(r"^\s*!!\S+", "", rest).strip()
-        if rest:
-            parent[key] = _scalar(rest)
-        else:
-            parent[key] = {}
-            open_tables.append((indent, parent[key]))
-        last = parent, key
-    return root
-
-
-def _scalar(text: str) -> Any:
-    text = text.strip()
-    if text.startswith("["):
-        return json.loads(re.sub(r"(?<![\d.])\.(?=\d)", "0.", re.sub(r"(?<=\d)\.(?=[\s,\]eE])", ".0", text)))
-    try:
-        return float(text)
-    except ValueError:
-        return text.strip("\"'")
 
 
 def _numbers(value: Any) -> FloatArray:
@@ -264,7 +228,7 @@ def _camera(path: Path, name: str, table: Mapping[str, Any], before: CameraFile 
     return CameraFile(lens, R, t_m)
 
 
-def is_no_pinhole(table: Mapping[str, Any]) -> bool:
+def _is_no_pinhole(table: Mapping[str, Any]) -> bool:
     """Whether a camera's table names a lens with another projection, whatever its coefficients are."""
     said = any(str(table.get(key, 0)).lower() in ("true", "1", "1.0") for key in _IS_FISHEYE)
     model = " ".join(str(table.get(key, "")) for key in _MODEL).lower()
@@ -275,7 +239,7 @@ def _lens(where: str, table: Mapping[str, Any]) -> Intrinsics:
     distortion = _numbers(next((table[name] for name in _DISTORTION if name in table), []))
     if not distortion.size:
         distortion = np.array([float(table.get(name, 0.0)) for name in ("k1", "k2", "p1", "p2", "k3")])
-    if is_no_pinhole(table) or distortion[5:].any():
+    if _is_no_pinhole(table) or distortion[5:].any():
         raise CalibrationError(
             f"{where}: only pinhole lenses with k1, k2, p1, p2, k3 are read; calibrate with that model."
         )

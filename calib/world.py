@@ -18,10 +18,10 @@ from smoother.linalg import nearest_rotation, skew, unit
 from smoother.recording import CameraFrame, ImuStream, Recording
 
 from .file import CalibrationFile
+from .images import View
 from .intrinsics import Intrinsics
-from .panel.definition import Panel
-from .panel.images import View
-from .panel.panel_calibration import SeenPanel, see_panel
+from .panel import SeenPanel, see_panel
+from .plane import Panel
 from .protocol import Answer, Verdict
 from .sensor import corrected_streams, sensor_of
 

@@ -17,9 +17,9 @@ from .load import load_arm, refuse_twice
 
 if TYPE_CHECKING:
     from calib.clock import Receptions
+    from calib.images import View
     from calib.intrinsics import Intrinsics
     from calib.motion_clock import MotionClock
-    from calib.panel.images import View
     from calib.sound import Beep
 
     from ..array_types import FloatArray
@@ -55,9 +55,7 @@ def panel(
     Example: unocclude calibrate panel --depth d.png --infrared i.png --markers m.csv --intrinsics k.toml
     --panel panel.toml -o cal.toml
     """
-    from calib.panel.definition import read_panel
-    from calib.panel.panel_calibration import calibrate_panel
-    from calib.panel.panel_table import panel_answer
+    from calib.panel import calibrate_panel, panel_answer, read_panel
 
     depths, infrareds, marked = depth or [], infrared or [], markers or []
     if panel is None:
@@ -82,8 +80,8 @@ def _session(
     notes: list[str],
 ) -> tuple[list[View], list[dict[str, FloatArray]], Intrinsics]:
     """Views, mocap markers by view, and the lens: from files, or from a recording."""
-    from calib.panel.definition import read_intrinsics
-    from calib.panel.images import read_view
+    from calib.images import read_view
+    from calib.intrinsics import read_intrinsics
 
     from ..io.tables.markers import read_positions
 
@@ -122,14 +120,14 @@ def _check_alike(files: dict[str, list[Path]]) -> None:
 @contextmanager
 def pictured(path: Path) -> Iterator[None]:
     """Where the markers could not be identified, write a picture of what was seen, and print its path."""
-    from calib.panel.identify import NotIdentified
+    from calib.panel import NotIdentified
 
     try:
         yield
     except NotIdentified as error:
         if error.view is None or error.blobs is None:
             raise
-        from calib.panel.images import drawn_spots
+        from calib.images import drawn_spots
 
         from ..runtime.outputs import writing
 
@@ -170,7 +168,8 @@ def world(
 
     Example: unocclude calibrate world session.mcap --panel panel.toml -o cal.toml
     """
-    from calib.panel.definition import read_intrinsics, read_panel
+    from calib.intrinsics import read_intrinsics
+    from calib.panel import read_panel
     from calib.world import calibrate_world_from_views, world_answer
 
     images = (depth or [], infrared or [], panel_imu or [], base_imu or [])
@@ -199,7 +198,7 @@ def _from_files(
     depths: list[Path], infrareds: list[Path], panels: list[Path], bases: list[Path]
 ) -> tuple[list[View], list[float], list[ImuStream], list[ImuStream]]:
     """Views, their times, and both IMUs by pose; a pose's time is the middle of its samples."""
-    from calib.panel.images import read_view
+    from calib.images import read_view
     from calib.world import common_time
 
     from ..io.tables.columns import read_imu_table

@@ -450,7 +450,7 @@ def panel(
     """
     import numpy as np
 
-    from calib.panel.definition import read_panel
+    from calib.panel import read_panel
 
     from ..io.rig.panel import PanelShot, check_folder, write_panel_folder, write_panel_recording
     from ..simulation.panel import PanelSimulation, simulate_panel

@@ -10,8 +10,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from calib.intrinsics import read_camera_file
-from calib.panel.definition import read_intrinsics
+from calib.intrinsics import read_camera_file, read_intrinsics
 from smoother.errors import CalibrationError
 
 MATRIX = np.array([[910.5, 0.0, 633.0], [0.0, 905.0, 362.5], [0.0, 0.0, 1.0]])

@@ -11,15 +11,14 @@ from panel_scene import LENS, PANEL, blobs_of, held, seen_plane
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
-from calib.panel import panel_graph
-from calib.panel.definition import Frame
-from calib.panel.panel_graph import (
+from calib import panel
+from calib.panel import (
     PanelSolution,
     PoseData,
     _build,
     solve,
 )
-from calib.panel.plane import Plane
+from calib.plane import Frame, Plane
 from smoother.array_types import FloatArray
 from smoother.errors import CalibrationError
 
@@ -54,7 +53,7 @@ def pose(seed: int, noise: float = 1.0) -> PoseData:
     rays = markers_K[:, :2] / markers_K[:, 2:] + noise * sigmas[:, None] * rng.normal(size=(4, 2))
     sigma_E = 0.0003 + 0.0001 * seed
     markers_E = (markers_K - ORIGIN) @ TURN + noise * sigma_E * rng.normal(size=(4, 3))
-    return PoseData(rays, sigmas, plane, markers_E, sigma_E, HEIGHT_M, f"pose {seed}")
+    return PoseData(rays, sigmas, plane, markers_E, sigma_E, HEIGHT_M)
 
 
 def huber(size: float) -> float:
@@ -62,7 +61,7 @@ def huber(size: float) -> float:
 
 
 def marker(p: int, k: int) -> int:
-    return panel_graph._marker(p, k)
+    return panel._marker(p, k)
 
 
 def moved(values: gtsam.Values, scale: float, with_offset: bool) -> gtsam.Values:
@@ -91,7 +90,7 @@ def test_each_factor_has_the_error_of_its_formula(with_offset: bool) -> None:
     R, t = camera.rotation().matrix().T, -camera.rotation().matrix().T @ camera.translation()
     priors, rays, customs = [], [], []
     for p, each in enumerate(poses):
-        theta = values.atVector(panel_graph._plane(p))
+        theta = values.atVector(panel._plane(p))
         shifted = each.plane.theta + offset * each.plane.offset_rate + offset**2 * each.plane.offset_curve
         off = theta - shifted
         customs.append(0.5 * off @ np.linalg.solve(each.plane.covariance, off))
@@ -140,7 +139,7 @@ def test_where_the_graph_begins() -> None:
     np.testing.assert_allclose(camera.translation(), -TURN.T @ ORIGIN, atol=1e-9)
     assert start.atVector(1) == np.zeros(1)
     for p, each in enumerate(poses):
-        np.testing.assert_array_equal(start.atVector(panel_graph._plane(p)), each.plane.theta)
+        np.testing.assert_array_equal(start.atVector(panel._plane(p)), each.plane.theta)
         for k in range(4):
             np.testing.assert_array_equal(start.atPoint3(marker(p, k)), each.markers_E[k])
     one, _ = _build(poses[:1], False)
@@ -158,7 +157,7 @@ def test_markers_on_rays_at_their_height() -> None:
     np.testing.assert_allclose((shifted @ theta - 1) / np.linalg.norm(theta), -HEIGHT_M, atol=1e-12)
     flat = PoseData(each.rays, each.sigmas, each.plane, each.markers_E, each.sigma_E_m)
     np.testing.assert_allclose(flat.points_K() @ each.plane.theta, 1.0)
-    assert flat.name == "" and flat.height_m == 0.0
+    assert flat.height_m == 0.0
 
 
 class Dense:
@@ -222,7 +221,7 @@ def test_several_poses_are_the_dense_solution() -> None:
 
 def test_one_pose_is_the_dense_solution() -> None:
     poses = [pose(1)]
-    found, free = solve(poses), panel_graph._graph_solution(poses, solve_offset=True)
+    found, free = solve(poses), panel._graph_solution(poses, solve_offset=True)
     agrees(found, Dense(poses, False), poses)
     agrees(free, Dense(poses, True), poses)
     assert found.depth_offset_m == 0.0 and found.depth_offset_sigma_m == np.inf
@@ -262,14 +261,14 @@ def test_when_one_pose_tells_of_a_wrong_depth(
     poses: int, offset_m: float, misfit: float, is_free: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Four sigmas, with a misfit below three; several poses always do."""
-    some = panel_graph._graph_solution([pose(1)], solve_offset=False)
+    some = panel._graph_solution([pose(1)], solve_offset=False)
 
     def answer(given: list[PoseData], solve_offset: bool) -> PanelSolution:
         if not solve_offset:
             return some
         return replace(some, depth_offset_m=offset_m, depth_offset_sigma_m=0.001, misfit=misfit)
 
-    monkeypatch.setattr(panel_graph, "_graph_solution", answer)
+    monkeypatch.setattr(panel, "_graph_solution", answer)
     found = solve([pose(1)] * poses)
     assert found.depth_offset_m == (offset_m if is_free else 0.0)
     assert found.misfit == (misfit if is_free else some.misfit)

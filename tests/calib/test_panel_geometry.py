@@ -14,26 +14,20 @@ from panel_scene import LENS, PANEL, Held, blobs_of, held
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
+from calib.images import find_blobs
 from calib.intrinsics import Intrinsics
-from calib.panel.definition import (
-    Frame,
-    Panel,
+from calib.panel import (
+    NotIdentified,
+    NotSeen,
     fit_frame,
     frame_of_markers,
     frame_of_points,
+    identify_markers,
+    identify_spots,
     kabsch,
     principal,
 )
-from calib.panel.identify import (
-    DepthMissing,
-    EdgeOn,
-    MirrorImage,
-    NotIdentified,
-    identify_markers,
-    identify_spots,
-)
-from calib.panel.images import find_blobs
-from calib.panel.plane import fit_plane, on_plane
+from calib.plane import Frame, Panel, fit_plane, on_plane
 from smoother.array_types import FloatArray
 from smoother.errors import CalibrationError
 from smoother.simulation.panel import PanelSimulation
@@ -91,18 +85,16 @@ def test_markers_are_told_at_any_roll_among_other_spots(roll, tilt, to, z, order
     rng = np.random.default_rng(seed)
     others = rng.uniform([0.1, 0.12], [0.5, 0.36], (2, 2))  # on the panel, off its L
     points = pose.points(np.concatenate([PANEL.markers_P, others]))[list(order)]
-    reading, places = identify_spots(blobs_of(points), pose.depth(), LENS.ray_image(), PANEL, "view")
+    reading = identify_spots(blobs_of(points), pose.depth(), LENS.ray_image(), PANEL, "view")
     assert [order[index] for index in reading.index] == [0, 1, 2, 3]
     assert reading.misfit_m < 1e-5 and abs(reading.scale - 1) < 1e-5
-    np.testing.assert_allclose(places, pose.points(PANEL.markers_P), atol=1e-5)
+    np.testing.assert_allclose(reading.places, pose.points(PANEL.markers_P), atol=1e-5)
 
 
 def test_a_depth_of_5_mm_too_much_does_not_matter():
     pose = held(30, 20, 70)
     depth = pose.depth() + 0.005
-    reading, _ = identify_spots(
-        blobs_of(pose.points(PANEL.markers_P)), depth, LENS.ray_image(), PANEL, "view"
-    )
+    reading = identify_spots(blobs_of(pose.points(PANEL.markers_P)), depth, LENS.ray_image(), PANEL, "view")
     assert reading.index == (0, 1, 2, 3)
 
 
@@ -112,7 +104,7 @@ def test_a_depth_of_5_mm_too_much_does_not_matter():
 def test_a_mirrored_definition_is_refused(mirrored: FloatArray):
     pose = held(75, 15, 10)
     panel = Panel(mirrored, PANEL.extent_P)
-    with pytest.raises(MirrorImage, match="mirror image"):
+    with pytest.raises(NotSeen, match="mirror image"):
         identify_spots(blobs_of(pose.points(PANEL.markers_P)), pose.depth(), LENS.ray_image(), panel, "view")
 
 
@@ -128,7 +120,7 @@ def test_a_fifth_spot_that_makes_a_second_panel_is_refused():
 def test_a_fifth_spot_that_makes_the_mirror_image_is_left_out():
     pose = held(20, 10, 40)
     points = pose.points(np.concatenate([[[0.0, -0.35]], PANEL.markers_P]))
-    reading, _ = identify_spots(blobs_of(points), pose.depth(), LENS.ray_image(), PANEL, "view")
+    reading = identify_spots(blobs_of(points), pose.depth(), LENS.ray_image(), PANEL, "view")
     assert reading.index == (1, 2, 3, 4)
 
 
@@ -140,12 +132,12 @@ def test_what_cannot_be_told_is_refused_in_words():
         identify_spots(blobs_of(pose.points(PANEL.markers_P[:3])), depth, rays, PANEL, "view")
     with pytest.raises(NotIdentified, match="no bright spot is"):
         identify_spots(blobs_of(np.empty((0, 3))), depth, rays, PANEL, "view")
-    with pytest.raises(DepthMissing, match="depth is missing"):
+    with pytest.raises(NotSeen, match="depth is missing"):
         identify_spots(right, np.full_like(depth, np.nan), rays, PANEL, "view")
     with pytest.raises(NotIdentified, match="do not have the distances"):
         identify_spots(blobs_of(pose.points(1.2 * PANEL.markers_P)), depth, rays, PANEL, "view")
     flat = held(20, 80, 40)
-    with pytest.raises(EdgeOn, match="edge-on"):
+    with pytest.raises(NotSeen, match="edge-on"):
         identify_spots(blobs_of(flat.points(1.3 * PANEL.markers_P)), flat.depth(), rays, PANEL, "view")
 
 
@@ -155,7 +147,7 @@ def test_a_panel_seen_so_flat_that_its_depth_is_lost_is_edge_on(behind_m: float,
     flat = held(20, 88, 40)
     depth = np.full_like(flat.depth(), behind_m)  # of a panel less than a pixel thick
     spots = blobs_of(flat.points(np.concatenate([PANEL.markers_P, np.reshape(further, (-1, 2))])))
-    with pytest.raises(EdgeOn, match="on one line"):
+    with pytest.raises(NotSeen, match="on one line"):
         identify_spots(spots, depth, LENS.ray_image(), PANEL, "view")
 
 

@@ -7,10 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from calib.images import Blobs
 from calib.intrinsics import Intrinsics
-from calib.panel.definition import Panel
-from calib.panel.images import Blobs
-from calib.panel.plane import Plane, fit_plane, on_plane
+from calib.plane import Panel, Plane, fit_plane, on_plane
 
 LENS = Intrinsics(512, 424, 365.0, 366.0, 254.0, 205.0)
 PANEL = Panel(

@@ -10,7 +10,7 @@ import pytest
 import ros_bags
 from scipy.io import wavfile
 
-from calib.panel.images import read_view, unpacked
+from calib.images import read_view, unpacked
 from smoother.errors import CalibrationError, RecordingError
 from smoother.io.mcap.merge import Output, OutputStream
 from smoother.io.rig import panel as panel_files

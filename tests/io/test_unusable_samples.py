@@ -12,7 +12,7 @@ import pytest
 from made_recordings import make
 
 from calib.file import read_calibration
-from calib.panel.images import stated_size
+from calib.images import stated_size
 from smoother.errors import CalibrationError, RecordingError
 from smoother.io import read_recording
 from smoother.io.recording.clean import clean_arm, clean_imu, unusable_samples

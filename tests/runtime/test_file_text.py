@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from calib.file import CalibrationFile, read_calibration, write_calibration
-from calib.panel.definition import read_intrinsics
+from calib.intrinsics import read_intrinsics
 from smoother.cli.config import read_config
 from smoother.errors import UnoccludeError
 from smoother.evaluation.measure_files import _detectable_of_user

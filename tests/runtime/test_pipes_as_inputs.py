@@ -12,8 +12,9 @@ import pytest
 
 import smoother
 from calib.file import read_calibration
-from calib.panel.definition import read_intrinsics, read_panel
-from calib.panel.images import read_view
+from calib.images import read_view
+from calib.intrinsics import read_intrinsics
+from calib.panel import read_panel
 from smoother.cli import run as cli_run
 from smoother.cli.config import read_config
 from smoother.errors import UnoccludeError

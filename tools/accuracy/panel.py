@@ -19,12 +19,10 @@ import numpy as np
 from scipy.io import loadmat
 from scipy.spatial.transform import Rotation
 
+from calib.images import view
 from calib.intrinsics import Intrinsics
-from calib.panel.definition import Frame, Panel, principal
-from calib.panel.images import view
-from calib.panel.panel_calibration import PanelCalibration, calibrate_panel
-from calib.panel.panel_table import accuracy
-from calib.panel.plane import Plane, fit_plane
+from calib.panel import PanelCalibration, accuracy, calibrate_panel, principal
+from calib.plane import Frame, Panel, Plane, fit_plane
 from calib.world import WorldCalibration, calibrate_world, view_panel, world_poses
 from smoother.errors import UnoccludeError
 from smoother.simulation.panel import PanelSimulation, SimulatedPanel, simulate_panel

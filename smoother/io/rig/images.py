@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from calib.images import unpacked
 from calib.intrinsics import Intrinsics
-from calib.panel.images import unpacked
 
 from ...errors import RecordingError
 from ..mcap.container import Container

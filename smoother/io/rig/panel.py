@@ -19,8 +19,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.file import to_toml
+from calib.images import View, view
 from calib.intrinsics import Intrinsics
-from calib.panel.images import View, view
 
 from ...array_types import FloatArray
 from ...errors import RecordingError, UnoccludeError

@@ -1,4 +1,4 @@
-"""The panel as a plane through depth pixels, and the three parts of it without markers (JA fig. 1b)."""
+"""The panel, the plane through its depth pixels, and the three parts of it without markers (JA fig. 1b)."""
 
 from __future__ import annotations
 
@@ -10,9 +10,44 @@ from smoother.array_types import BoolArray, FloatArray
 from smoother.errors import CalibrationError
 from smoother.linalg import robust_sigma
 
-from ..intrinsics import Intrinsics
-from .definition import Frame, Panel
 from .images import Blobs
+from .intrinsics import Intrinsics
+
+#: How far from one line markers may lie and still be an arm of the L, m.
+ON_A_LINE_M = 0.01
+
+
+@dataclass(frozen=True)
+class Panel:
+    """A flat panel with four markers in the shape of an L."""
+
+    markers_P: FloatArray  # (4, 2) m: the first is the corner of the L, the origin
+    extent_P: FloatArray  # (2, 2) m: lower and upper corner of the panel
+    height_m: float = 0.0  # Of the markers' centres above the panel; 0 for flat ones
+
+    @property
+    def size_m(self) -> float:
+        """Largest distance between two markers."""
+        return float(np.linalg.norm(self.markers_P[:, None] - self.markers_P[None], axis=2).max())
+
+    def arms(self) -> tuple[FloatArray, FloatArray]:
+        """Markers (n, 2) of the arm along x and of the arm along y, the corner in both."""
+        away = np.abs(self.markers_P - self.markers_P[0])
+        return self.markers_P[away[:, 1] < ON_A_LINE_M], self.markers_P[away[:, 0] < ON_A_LINE_M]
+
+
+@dataclass(frozen=True)
+class Frame:
+    """Axes of the panel (columns of `R`) and its origin, seen from another frame, m."""
+
+    R: FloatArray
+    origin: FloatArray
+
+    def after(self, other: Frame) -> Frame:
+        """The transform that takes `other`'s frame to this one's (JA eq 4 and 5)."""
+        R = self.R @ other.R.T
+        return Frame(R, self.origin - R @ other.origin)
+
 
 #: A pixel farther from the plane than this many sigmas is not used.
 OUTLIER = 3.5

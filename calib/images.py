@@ -16,7 +16,7 @@ from smoother.errors import CalibrationError
 from smoother.linalg import robust_sigma
 from smoother.runtime.inputs import check_input
 
-from ..intrinsics import Intrinsics
+from .intrinsics import Intrinsics
 
 #: A larger image is none of a camera; 111 bytes of PNG may state a thousand times as much.
 MOST_PIXELS = 1 << 26
@@ -212,10 +212,8 @@ def _spots(infrared: FloatArray, mask: NDArray[np.bool_], lens: Intrinsics) -> B
         row = _centroid(infrared, stats[index], labels, int(index))
         if row is not None:
             rows.append(row)
-    rows = sorted(rows, key=lambda row: -row[4])[:MOST]
-    table = np.array(rows).reshape(-1, 5)
-    pixels = table[:, :2]
-    return Blobs(pixels, lens.rays(pixels), table[:, 2], table[:, 3], table[:, 4])
+    table = np.array(sorted(rows, key=lambda row: -row[4])[:MOST]).reshape(-1, 5)
+    return Blobs(table[:, :2], lens.rays(table[:, :2]), *table[:, 2:].T)
 
 
 def _centroid(
@@ -243,12 +241,8 @@ def _centroid(
     weight = np.maximum(over, 0.0)
     total = weight.sum()
     x, y = (weight * u).sum() / total, (weight * v).sum() / total
-    spread = np.array(
-        [
-            [(weight * (u - x) ** 2).sum(), (weight * (u - x) * (v - y)).sum()],
-            [(weight * (u - x) * (v - y)).sum(), (weight * (v - y) ** 2).sum()],
-        ]
-    )
+    away = np.stack([(u - x).ravel(), (v - y).ravel()])
+    spread = (weight.ravel() * away) @ away.T
     low, high = np.linalg.eigvalsh(spread / total + np.eye(2) / 12)
     if high > ELONGATION**2 * low:
         return None
@@ -276,7 +270,10 @@ def drawn_spots(
     import cv2
 
     factor = max(1, -(-LEAST_WIDTH // infrared.shape[1]))
-    image = cv2.resize(grey(infrared), None, fx=factor, fy=factor, interpolation=cv2.INTER_NEAREST)
+    # both the room and the spots are to be seen
+    top = max(float(np.percentile(infrared, 98)) * 4, 1e-9)
+    grey = (255 * np.clip(infrared / top, 0, 1) ** 0.6).astype(np.uint8)
+    image = cv2.resize(grey, None, fx=factor, fy=factor, interpolation=cv2.INTER_NEAREST)
     picture = cv2.cvtColor(image, cv2.COLOR_GRAY2BGR)
     for index, (pixel, radius) in enumerate(zip(blobs.pixels, blobs.radii_px, strict=True)):
         # the centre of pixel (0, 0) is in the middle of its enlarged square
@@ -287,21 +284,8 @@ def drawn_spots(
         cv2.circle(picture, (round(x), round(y)), ring, colour, 2, cv2.LINE_AA)
         cv2.drawMarker(picture, (round(x), round(y)), colour, cv2.MARKER_CROSS, 4 * factor, 1)
         label = f"marker {markers.index(index) + 1}" if known else f"spot {index + 1}" if not markers else ""
-        _write(picture, label, (round(x) + ring + 3, round(y) - ring), factor)
+        at, size = (round(x) + ring + 3, round(y) - ring), 0.25 * max(factor, 2)
+        for shade, width in (((0, 0, 0), 4), (TEXT, 1)):
+            cv2.putText(picture, label, at, cv2.FONT_HERSHEY_SIMPLEX, size, shade, width, cv2.LINE_AA)
     _, packed = cv2.imencode(".png", picture)
     return bytes(packed.tobytes())
-
-
-def grey(infrared: FloatArray) -> NDArray[np.uint8]:
-    """An infrared image in 256 shades, so that both the room and the spots are to be seen."""
-    top = max(float(np.percentile(infrared, 98)) * 4, 1e-9)
-    return (255 * np.clip(infrared / top, 0, 1) ** 0.6).astype(np.uint8)
-
-
-def _write(picture: NDArray, text: str, at: tuple[int, int], factor: int) -> None:
-    import cv2
-
-    if text:
-        size = 0.25 * max(factor, 2)
-        cv2.putText(picture, text, at, cv2.FONT_HERSHEY_SIMPLEX, size, (0, 0, 0), 4, cv2.LINE_AA)
-        cv2.putText(picture, text, at, cv2.FONT_HERSHEY_SIMPLEX, size, TEXT, 1, cv2.LINE_AA)

@@ -1,0 +1,887 @@
+"""`calibrate panel`: camera to mocap from views of the marker panel (JA II-F.1, refined).
+
+Bright spots, which is which, regions without markers, a plane, the panel's axes as published, and one factor
+graph over all poses. Its variables: the camera in the mocap frame, every marker in the mocap frame, the plane
+of every pose in the camera frame, and, with several poses, a constant error of the camera's depth. Its
+factors: a marker where mocap has it; the marker's pixel, as a ray; the marker on the panel's plane; the plane
+as the depth has it, which shifts with the depth's error.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import combinations, permutations
+from pathlib import Path
+from typing import Annotated, Any, Self
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+from scipy.spatial.transform import Rotation
+
+from smoother.array_types import BoolArray, FloatArray
+from smoother.errors import CalibrationError
+from smoother.linalg import nearest_rotation, skew, unit
+
+from .file import CalibrationFile, checked, toml_document
+from .images import Blobs, View, check_size, find_blobs
+from .intrinsics import Intrinsics
+from .plane import Frame, Panel, Plane, Regions, fit_plane, on_plane, panel_regions, regions_on_plane
+from .protocol import Answer, Verdict
+
+#: A panel that is larger, or whose markers are nearer, was not measured in metres.
+LARGEST_M, NEAREST_M = 5.0, 0.02
+_Pair = Annotated[list[float], Field(min_length=2, max_length=2)]
+
+
+class _PanelSection(BaseModel):
+    model_config = ConfigDict(allow_inf_nan=False)
+
+    markers: Annotated[list[_Pair], Field(min_length=4, max_length=4)]
+    extent: Annotated[list[_Pair], Field(min_length=2, max_length=2)]
+    marker_height: float = Field(default=0.0, ge=0.0, le=0.1)
+
+    @model_validator(mode="after")
+    def _sound(self) -> Self:
+        markers, extent = np.array(self.markers), np.array(self.extent)
+        gaps = np.linalg.norm(markers[:, None] - markers[None], axis=2)[np.triu_indices(4, 1)]
+        if gaps.max() > LARGEST_M:
+            raise ValueError(f"the markers are up to {gaps.max():.0f} m apart; give them in metres")
+        if gaps.min() < NEAREST_M:
+            raise ValueError("two markers are less than 2 cm apart")
+        if not (extent[1] > extent[0]).all():
+            raise ValueError("extent must be [[xmin, ymin], [xmax, ymax]]")
+        if (markers < extent[0]).any() or (markers > extent[1]).any():
+            raise ValueError("a marker lies outside extent")
+        spread = np.linalg.svd(markers - markers.mean(axis=0), compute_uv=False)
+        if spread[1] < 0.1 * spread[0]:
+            raise ValueError("the markers lie on one line; they must form an L")
+        return self
+
+
+def read_panel(path: str | os.PathLike[str]) -> Panel:
+    """Read the table `[panel]` of a TOML file: `markers`, `extent` and, if any, `marker_height` (m)."""
+    document = toml_document(Path(path), str(path))
+    if not isinstance(document.get("panel"), dict):
+        raise CalibrationError(f"{path} has no table [panel] with markers and extent.")
+    section = checked(_PanelSection, document["panel"], f"{path}: panel")
+    return Panel(np.array(section.markers), np.array(section.extent), section.marker_height)
+
+
+#: Fewer points than this make no group for a principal component.
+FEWEST = 20
+#: Principal components are taken of not more points than this: more add nothing and cost seconds.
+MOST = 20_000
+#: Statistical removal of outliers: neighbours looked at, and sigmas allowed.
+NEIGHBOURS, SIGMAS = 20, 2.5
+
+
+def frame_of_points(
+    points_K: FloatArray, along_x: BoolArray, along_y: BoolArray, about_R: FloatArray
+) -> Frame | None:
+    """The panel in the camera by principal components, as published (JA II-F.1)."""
+    if min(along_x.sum(), along_y.sum()) < FEWEST:
+        return None
+    centre_x, axes_x = principal(points_K[along_x])
+    centre_y, axes_y = principal(points_K[along_y])
+    axes = np.column_stack([axes_x[:, 0], axes_y[:, 0], principal(points_K)[1][:, 2]])
+    axes *= np.sign(np.sum(axes * about_R, axis=0))
+    return Frame(nearest_rotation(axes), _meeting(centre_x, axes[:, 0], centre_y, axes[:, 1]))
+
+
+def frame_of_markers(markers: FloatArray, panel: Panel) -> Frame:
+    """The panel from its markers in order, (4, 3) m, as published: axes along the arms, z = x cross y."""
+    away = panel.markers_P - panel.markers_P[0]
+    axes = np.zeros((3, 3))
+    for axis in (0, 1):
+        along = np.abs(away[:, axis])
+        end = np.argmax(np.where(along > 2 * np.abs(away[:, 1 - axis]), along, -1.0))
+        axes[:, axis] = unit((markers[end] - markers[0]) * np.sign(away[end, axis]))
+    axes[:, 2] = unit(np.cross(axes[:, 0], axes[:, 1]))
+    return Frame(nearest_rotation(axes), markers[0])
+
+
+def fit_frame(points: FloatArray, panel: Panel) -> Frame:
+    """Pose of the panel by least squares on its markers (4, 3), in order; `origin` is {P}'s."""
+    return kabsch(np.column_stack([panel.markers_P, np.full(4, panel.height_m)]), points)
+
+
+def kabsch(source: FloatArray, target: FloatArray) -> Frame:
+    """Rotation and shift that take points (N, 3) of one frame to those of another, by least squares."""
+    a, b = source.mean(axis=0), target.mean(axis=0)
+    R = nearest_rotation((target - b).T @ (source - a))
+    return Frame(R, b - R @ a)
+
+
+def principal(points: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Centre (3,) and principal components (columns, the largest first) of points (N, 3) less outliers."""
+    from smoother.runtime.packages import load_open3d
+
+    open3d = load_open3d()
+    points = points[:: -(-len(points) // MOST)]
+    cloud = open3d.geometry.PointCloud(open3d.utility.Vector3dVector(np.ascontiguousarray(points)))
+    if len(points) > 2 * NEIGHBOURS:
+        cloud, _ = cloud.remove_statistical_outlier(NEIGHBOURS, SIGMAS)
+    mean, covariance = cloud.compute_mean_and_covariance()
+    axes = np.linalg.eigh(np.asarray(covariance))[1][:, ::-1]
+    return np.asarray(mean, dtype=np.float64), np.asarray(axes, dtype=np.float64)
+
+
+def _meeting(a: FloatArray, x: FloatArray, b: FloatArray, y: FloatArray) -> FloatArray:
+    """Middle of the shortest link between the lines a + s x and b + t y."""
+    s, t = np.linalg.lstsq(np.column_stack([x, -y]), b - a, rcond=None)[0]
+    return np.asarray(0.5 * (a + s * x + b + t * y))
+
+
+#: Distances between markers agree with the panel's this well (rms), m or as a share of its size.
+FIT_M, FIT_SHARE = 0.005, 0.006
+#: All distances may be this much too long or too short together: the depth's error, the focal length's.
+SCALE = 0.04
+#: Another reading is as good where its misfit is below this many times the best one's, and this much more, m.
+AS_GOOD, MORE_M = 3.0, 0.0015
+#: Steeper against the line of sight than this a panel is edge-on, degrees between normal and line of sight.
+EDGE_ON_DEG = 65.0
+#: Spots whose spread across is below this share of that along lie on one line.
+ON_ONE_LINE = 0.1
+SEE_DEPTH = "check that the camera measures depth there (dull surface, 0.5 to 4 m away, no sunlight)."
+TURN_IT = "turn it towards the camera, within 40 degrees of facing it."
+_PAIRS = np.array(list(combinations(range(4), 2)))
+_ORDERS = np.array(list(permutations(range(4))))
+
+
+class NotSeen(CalibrationError):
+    """The panel was not found in a view."""
+
+    def __init__(self, text: str, final: bool = False):
+        super().__init__(text)
+        self.final = final  # No other threshold of brightness would help
+        self.view: View | None = None  # What was looked at
+        self.blobs: Blobs | None = None
+
+
+class NotIdentified(NotSeen):
+    """The four markers could not be identified; a picture of what was seen helps."""
+
+
+@dataclass(frozen=True)
+class Reading:
+    """One way to read four points as the panel's markers."""
+
+    index: tuple[int, ...]  # (4,) which point is which marker
+    misfit_m: float  # Rms of the distances' differences, after `scale`
+    scale: float  # Distances over the panel's
+    places: FloatArray  # (4, 3) m: the points, in the panel's order
+
+
+def identify_spots(blobs: Blobs, depth_m: FloatArray, rays: FloatArray, panel: Panel, name: str) -> Reading:
+    """The spots that are the panel's markers."""
+    if len(blobs) < 4:
+        count = ("no bright spot is", "one bright spot is", "two bright spots are", "three bright spots are")
+        raise NotIdentified(
+            f"{name}: {count[len(blobs)]} visible in the infrared image and the panel has four markers;"
+            " check that all four face the camera and nothing covers them."
+        )
+    sets = np.array(list(combinations(range(len(blobs)), 4)))
+    thetas, known = _planes(blobs.pixels[sets], depth_m, rays)
+    if not known.any():
+        if _on_one_line(blobs):
+            raise _edge_on_line(name)
+        raise NotSeen(f"{name}: depth is missing under the panel; {SEE_DEPTH}")
+    sets, thetas = sets[known], thetas[known]
+    ray = np.concatenate([blobs.rays[sets], np.ones((*sets.shape, 1))], axis=2)
+    inverse = np.einsum("skj,sj->sk", ray, thetas)
+    places = ray / np.where(inverse > 0.05, inverse, np.nan)[..., None]
+    readings = _readings(places, sets, panel.markers_P, SCALE)
+    facing = [reading for reading in readings if _faces(reading, panel)]
+    if not facing and readings:
+        raise NotSeen(
+            f"{name}: the markers are the mirror image of the panel's definition; give its markers as seen"
+            " from the side of the markers, x along the longer arm and x cross y towards the camera.",
+            final=True,
+        )
+    if not facing:
+        raise _none_fits(name, blobs, places)
+    return _clearly_best(
+        facing,
+        f"{name}: {len(blobs)} bright spots are visible and fit the panel in more than one way; cover"
+        " reflections beside the four markers.",
+    )
+
+
+def identify_markers(markers_E: FloatArray, panel: Panel, name: str) -> Reading:  # markers_E (M, 3) m
+    """The mocap markers that are the panel's."""
+    if len(markers_E) < 4:
+        raise NotIdentified(f"{name}: {len(markers_E)} mocap markers were given and the panel has four.")
+    if len(markers_E) > 40:
+        raise NotIdentified(f"{name}: {len(markers_E)} markers are too many; give only the panel's four.")
+    sets = np.array(list(combinations(range(len(markers_E)), 4)))
+    readings = _readings(markers_E[sets], sets, panel.markers_P, 0.02)
+    if not readings:
+        size = np.ptp(markers_E, axis=0).max() / panel.size_m
+        unit = " (they look like millimetres; give metres)" if 200 < size < 5000 else ""
+        raise NotIdentified(
+            f"{name}: the mocap markers do not have the distances of the panel's definition{unit}; check"
+            " that the file belongs to this panel, and measure the panel again."
+        )
+    return _clearly_best(
+        readings,
+        f"{name}: the mocap markers fit the panel in more than one way; use a panel whose arms differ in"
+        " length, and give only its four markers.",
+    )
+
+
+def _readings(places: FloatArray, sets: FloatArray, markers_P: FloatArray, scale_off: float) -> list[Reading]:
+    """All ways to read sets of four places (S, 4, 3) as the panel, the best first."""
+    lengths = np.linalg.norm(places[:, _PAIRS[:, 0]] - places[:, _PAIRS[:, 1]], axis=2)  # (S, 6)
+    # markers (orders, pairs): the set's point k is taken for marker order[k]
+    wanted = np.linalg.norm(markers_P[_ORDERS[:, _PAIRS[:, 0]]] - markers_P[_ORDERS[:, _PAIRS[:, 1]]], axis=2)
+    scale = lengths @ wanted.T / (wanted**2).sum(axis=1)  # (S, 24)
+    misfit = np.sqrt(np.mean((lengths[:, None] / scale[..., None] - wanted[None]) ** 2, axis=2))
+    fits = (misfit < max(FIT_M, FIT_SHARE * wanted.max())) & (np.abs(scale - 1) < scale_off)
+    found = []
+    for row, order in zip(*np.nonzero(fits), strict=True):
+        own = np.argsort(_ORDERS[order])
+        fit = float(misfit[row, order]), float(scale[row, order])
+        found.append(Reading(tuple(sets[row][own].tolist()), *fit, places[row][own]))
+    return sorted(found, key=lambda reading: reading.misfit_m)
+
+
+def _clearly_best(readings: list[Reading], otherwise: str) -> Reading:
+    best = readings[0]
+    if len(readings) > 1 and readings[1].misfit_m < max(AS_GOOD * best.misfit_m, best.misfit_m + MORE_M):
+        raise NotIdentified(otherwise, final=True)
+    return best
+
+
+def _faces(reading: Reading, panel: Panel) -> bool:
+    """Whether x cross y of this reading points towards the camera."""
+    markers, at = panel.markers_P - panel.markers_P.mean(axis=0), reading.places
+    axes = np.linalg.lstsq(markers, at - at.mean(axis=0), rcond=None)[0]  # images of the panel's x and y
+    return bool(np.cross(axes[0], axes[1]) @ at.mean(axis=0) < 0)
+
+
+def _planes(corners: FloatArray, depth_m: FloatArray, rays: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Planes (S, 3) of the depth between four spots each, and whether there was enough depth for one."""
+    rng = np.random.default_rng(0)
+    weights = rng.dirichlet(np.ones(4), 400)
+    weights = weights[weights.max(axis=1) < 0.8][:240]  # away from the markers' own holes
+    at = np.rint(np.einsum("nk,skj->snj", weights, corners)).astype(int)
+    depth = depth_m[at[..., 1], at[..., 0]]
+    full = np.concatenate([rays[at[..., 1], at[..., 0]], np.ones((*depth.shape, 1))], axis=2)
+    seen = np.isfinite(depth)
+    known = seen.sum(axis=1) >= 30
+    inverse = np.where(seen, 1 / depth, 0.0)
+    triples = rng.integers(0, depth.shape[1], (60, 3))
+    matrices, values = full[:, triples], inverse[:, triples]
+    sound = seen[:, triples].all(axis=2) & (np.abs(np.linalg.det(matrices)) > 1e-8)
+    matrices = np.where(sound[..., None, None], matrices, np.eye(3))
+    tried = np.linalg.solve(matrices, values[..., None])[..., 0]  # (S, T, 3)
+    off = np.abs(np.einsum("snj,stj->stn", full, tried) - inverse[:, None])
+    off = np.where(seen[:, None], off, np.nan)
+    with np.errstate(invalid="ignore"):
+        median = np.nanmedian(np.where(known[:, None, None], off, 0.0), axis=2)
+    median = np.where(sound, median, np.inf)
+    best = np.argmin(median, axis=1)
+    rows = np.arange(len(corners))
+    theta, limit = tried[rows, best], 3 * 1.4826 * median[rows, best] + 1e-4
+    near = seen & (off[rows, best] <= limit[:, None])
+    known &= np.isfinite(median[rows, best]) & (near.sum(axis=1) >= 20)
+    weight = near[..., None] * full
+    normal = np.einsum("snj,snk->sjk", weight, full) + 1e-12 * np.eye(3)
+    refined = np.linalg.solve(normal, np.einsum("snj,sn->sj", weight, inverse)[..., None])[..., 0]
+    return np.where(known[:, None], refined, theta), known
+
+
+def _none_fits(name: str, blobs: Blobs, places: FloatArray) -> NotSeen:
+    """The message where no four spots fit the panel; `places` (S, 4, 3) of all sets of four."""
+    if _on_one_line(blobs):
+        return _edge_on_line(name)
+    if len(blobs) > 4:
+        return NotIdentified(
+            f"{name}: of {len(blobs)} bright spots no four have the distances of the panel's definition;"
+            " check that all four markers are visible, and cover other reflections."
+        )
+    centre = places[0].mean(axis=0)
+    if np.isfinite(centre).all():
+        normal = np.linalg.svd(places[0] - centre)[2][2]
+        angle = np.degrees(np.arccos(min(abs(normal @ centre) / np.linalg.norm(centre), 1.0)))
+        if angle > EDGE_ON_DEG - 10:
+            return NotSeen(f"{name}: the panel is seen edge-on; {TURN_IT}")
+    return NotIdentified(
+        f"{name}: the four bright spots do not have the distances of the panel's definition; check that"
+        " all four are markers of this panel, and that the panel was measured in metres."
+    )
+
+
+def _on_one_line(blobs: Blobs) -> bool:
+    spread = np.linalg.svd(blobs.rays - blobs.rays.mean(axis=0), compute_uv=False)
+    return bool(spread[1] < ON_ONE_LINE * spread[0])
+
+
+def _edge_on_line(name: str) -> NotSeen:
+    return NotSeen(
+        f"{name}: the bright spots lie on one line, as those of a panel that is seen edge-on; {TURN_IT}"
+    )
+
+
+#: A constant error of the depth before anything is known of it, m (Kinect v2: some mm).
+OFFSET_SIGMA_M = 0.01
+#: A marker lies on the panel's plane to this, m: the panel's own flatness about a marker.
+ON_PLANE_SIGMA_M = 0.0002
+#: Huber's bound in sigmas, of a vector of 2 or 3 residuals: touches ordinary noise hardly at all.
+HUBER = 3.5
+#: The stated noise weighs like this many residuals against those found.
+PRIOR_RESIDUALS = 12.0
+#: A depth error of one pose alone is believed from this many sigmas on if with it the misfit is below this.
+#: One marker that is off looks like a wrong depth too, but leaves residuals.
+CLEAR, EXPLAINED = 4.0, 3.0
+
+
+@dataclass(frozen=True)
+class PoseData:
+    """What one pose of the panel gives; markers in the panel's order."""
+
+    rays: FloatArray  # (4, 2): of the markers, undistorted
+    sigmas: FloatArray  # (4,): of a ray, per axis
+    plane: Plane  # From the depth
+    markers_E: FloatArray  # (4, 3) m: in the mocap frame
+    sigma_E_m: float  # Of a marker, per axis
+    height_m: float = 0.0  # Of the markers over the plane
+
+    def points_K(self, offset_m: float = 0.0) -> FloatArray:
+        """The markers in the camera frame, (4, 3) m: their rays on the plane raised by their height."""
+        return on_plane(raised(self.plane.at_offset(offset_m), self.height_m), self.rays)
+
+
+def raised(theta: FloatArray, height_m: float) -> FloatArray:
+    """The plane theta . p = 1 moved by a height along the normal that faces the camera."""
+    return np.asarray(theta / (1 - height_m * float(np.linalg.norm(theta))))
+
+
+@dataclass(frozen=True)
+class PanelSolution:
+    """The graph's answer."""
+
+    camera_from_mocap: Frame  # p_K = R p_E + origin
+    # (6, 6): Of a small rotation about {K}'s axes at the camera's place (rad) and a shift (m)
+    covariance: FloatArray
+    depth_offset_m: float  # The camera's depth is this much too long; 0 and inf where it was not solved
+    depth_offset_sigma_m: float  # The camera's depth is this much too long; 0 and inf where it was not solved
+    offset_apart_m: float  # That error by the markers' spacing alone
+    offset_apart_sigma_m: float  # That error by the markers' spacing alone
+    ray_residuals: FloatArray  # (poses, 4): of a marker's ray from where the answer puts the mocap marker
+    # (poses, 4) m: Distance between a marker in mocap and where the answer puts it
+    marker_residuals_m: FloatArray
+    # (poses, 4) m: Mocap markers' distances from the depth's plane, signed, away positive
+    plane_residuals_m: FloatArray
+    misfit: float  # Squared residuals over what the stated noise makes expected
+    residuals: int  # Number of independent residuals
+
+
+def solve(poses: list[PoseData]) -> PanelSolution:
+    """Solve for camera from mocap."""
+    free = _graph_solution(poses, solve_offset=True)
+    clear = abs(free.depth_offset_m) > CLEAR * free.depth_offset_sigma_m and free.misfit < EXPLAINED
+    answer = free if len(poses) > 1 or clear else _graph_solution(poses, solve_offset=False)
+    return replace(answer, offset_apart_m=free.depth_offset_m, offset_apart_sigma_m=free.depth_offset_sigma_m)
+
+
+def _graph_solution(poses: list[PoseData], solve_offset: bool) -> PanelSolution:
+    import gtsam
+
+    graph, start = _build(poses, solve_offset)
+    settings = gtsam.LevenbergMarquardtParams()
+    settings.setRelativeErrorTol(1e-12)
+    settings.setAbsoluteErrorTol(1e-12)
+    try:
+        values = gtsam.LevenbergMarquardtOptimizer(graph, start, settings).optimize()
+        marginals = gtsam.Marginals(graph, values)
+        covariance = np.array(marginals.marginalCovariance(_CAMERA))
+        offset_variance = marginals.marginalCovariance(_OFFSET)[0, 0] if solve_offset else np.inf
+    except RuntimeError as error:
+        raise CalibrationError(
+            "the panel's poses contradict each other or do not determine the transform; check that images and"
+            " markers of a pose were taken at the same moment"
+        ) from error
+    camera_in_mocap = values.atPose3(_CAMERA)
+    inverse = camera_in_mocap.inverse()
+    transform = Frame(inverse.rotation().matrix(), np.array(inverse.translation()))
+    offset = float(values.atVector(_OFFSET)[0]) if solve_offset else 0.0
+    misfit, count = 2 * graph.error(values), 6 * len(poses)
+    scale = (PRIOR_RESIDUALS + misfit) / (PRIOR_RESIDUALS + count)
+    return PanelSolution(
+        camera_from_mocap=transform,
+        covariance=covariance * scale,
+        depth_offset_m=offset,
+        depth_offset_sigma_m=float(np.sqrt(offset_variance * scale)),
+        offset_apart_m=0.0,
+        offset_apart_sigma_m=np.inf,
+        misfit=misfit / count,
+        residuals=count,
+        **_residuals(poses, transform, offset),
+    )
+
+
+_CAMERA, _OFFSET = 0, 1
+
+
+def _marker(pose: int, k: int) -> int:
+    return 10 + 5 * pose + k
+
+
+def _plane(pose: int) -> int:
+    return 10 + 5 * pose + 4
+
+
+def _build(poses: list[PoseData], solve_offset: bool) -> tuple[Any, Any]:
+    """The graph and its start: Kabsch on rays that meet the depth's plane."""
+    import gtsam
+
+    graph, start = gtsam.NonlinearFactorGraph(), gtsam.Values()
+    lens = gtsam.Cal3_S2(1.0, 1.0, 0.0, 0.0, 0.0)
+    huber = gtsam.noiseModel.mEstimator.Huber.Create(HUBER)
+    on_plane = gtsam.noiseModel.Isotropic.Sigma(1, ON_PLANE_SIGMA_M)
+    seen = np.concatenate([pose.points_K() for pose in poses])
+    first = kabsch(seen, np.concatenate([pose.markers_E for pose in poses]))
+    start.insert(_CAMERA, gtsam.Pose3(gtsam.Rot3(first.R), first.origin))
+    if solve_offset:
+        start.insert(_OFFSET, np.zeros(1))
+        graph.add(
+            gtsam.PriorFactorVector(_OFFSET, np.zeros(1), gtsam.noiseModel.Isotropic.Sigma(1, OFFSET_SIGMA_M))
+        )
+    for p, pose in enumerate(poses):
+        mocap = gtsam.noiseModel.Robust.Create(huber, gtsam.noiseModel.Isotropic.Sigma(3, pose.sigma_E_m))
+        start.insert(_plane(p), pose.plane.theta)
+        graph.add(_depth_factor(p, pose.plane, solve_offset))
+        for k in range(4):
+            start.insert(_marker(p, k), pose.markers_E[k])
+            graph.add(gtsam.PriorFactorPoint3(_marker(p, k), pose.markers_E[k], mocap))
+            ray = gtsam.noiseModel.Isotropic.Sigma(2, float(pose.sigmas[k]))
+            graph.add(
+                gtsam.GenericProjectionFactorCal3_S2(
+                    pose.rays[k],
+                    gtsam.noiseModel.Robust.Create(huber, ray),
+                    _CAMERA,
+                    _marker(p, k),
+                    lens,
+                )
+            )
+            graph.add(_on_plane_factor(p, k, pose.height_m, on_plane))
+    return graph, start
+
+
+def _depth_factor(p: int, plane: Plane, solve_offset: bool) -> Any:
+    """The pose's plane as the depth has it once its constant error is taken off."""
+    import gtsam
+
+    noise = gtsam.noiseModel.Gaussian.Covariance(plane.covariance)
+    keys = [_plane(p), _OFFSET] if solve_offset else [_plane(p)]
+
+    def error(this: Any, values: Any, jacobians: Any) -> FloatArray:
+        offset = float(values.atVector(_OFFSET)[0]) if solve_offset else 0.0
+        if jacobians is not None:
+            jacobians[0] = np.eye(3)
+            if solve_offset:
+                jacobians[1] = -(plane.offset_rate + 2 * offset * plane.offset_curve)[:, None]
+        return np.asarray(values.atVector(_plane(p)) - plane.at_offset(offset))
+
+    return gtsam.CustomFactor(noise, keys, error)
+
+
+def _on_plane_factor(p: int, k: int, height_m: float, noise: Any) -> Any:
+    """Signed distance of a marker from the pose's plane, less its height, m."""
+    import gtsam
+
+    def error(this: Any, values: Any, jacobians: Any) -> FloatArray:
+        camera, theta = values.atPose3(_CAMERA), values.atVector(_plane(p))
+        d_camera, d_marker = np.zeros((3, 6), order="F"), np.zeros((3, 3), order="F")
+        at = camera.transformTo(values.atPoint3(_marker(p, k)), d_camera, d_marker)
+        size = float(np.linalg.norm(theta))
+        away = (float(theta @ at) - 1) / size
+        if jacobians is not None:
+            normal = theta / size
+            jacobians[0] = (normal @ d_camera)[None]
+            jacobians[1] = (normal @ d_marker)[None]
+            jacobians[2] = ((at - away * normal) / size)[None]
+        return np.array([away + height_m])  # the normal theta points away from the camera
+
+    return gtsam.CustomFactor(noise, [_CAMERA, _marker(p, k), _plane(p)], error)
+
+
+def _residuals(poses: list[PoseData], transform: Frame, offset_m: float) -> dict[str, FloatArray]:
+    rays, markers, planes = [], [], []
+    for pose in poses:
+        at = pose.markers_E @ transform.R.T + transform.origin
+        rays.append(np.linalg.norm(at[:, :2] / at[:, 2:] - pose.rays, axis=1))
+        markers.append(np.linalg.norm(at - pose.points_K(offset_m), axis=1))
+        theta = pose.plane.at_offset(offset_m)
+        planes.append((at @ theta - 1) / np.linalg.norm(theta) + pose.height_m)
+    return {
+        "ray_residuals": np.array(rays),
+        "marker_residuals_m": np.array(markers),
+        "plane_residuals_m": np.array(planes),
+    }
+
+
+#: Noise of a mocap marker where nothing else is said, m per axis.
+MOCAP_SIGMA_M = 0.0002
+#: Less of the panel than this with depth is as good as none.
+LEAST_COVERED = 0.15
+
+
+@dataclass(frozen=True)
+class SeenPanel:
+    """The panel in one view."""
+
+    blobs: Blobs  # All bright spots
+    spots: tuple[int, ...]  # Those of the four markers, in the panel's order
+    regions: Regions  # Its depth pixels and the plane through them
+    plane: Plane  # Its depth pixels and the plane through them
+    points_K: FloatArray  # (4, 3) m: the markers in the camera frame
+    frame: Frame  # The panel's axes and {P}'s origin in the camera frame, by markers and plane
+    published: Frame | None  # The same as published, by principal components; its origin is the first marker
+    tilt_deg: float  # Between the panel's normal and the line of sight
+    distance_m: float  # Of the markers' middle from the camera
+
+
+@dataclass(frozen=True)
+class PanelCalibration:
+    """Camera to mocap with the data it is based on."""
+
+    solution: PanelSolution  # The graph's answer
+    published: Frame | None  # Camera from mocap as published (JA eq 4 and 5), the poses' mean
+    seen: tuple[SeenPanel, ...]  # By pose, the panel in the view
+    markers_E: tuple[FloatArray, ...]  # (4, 3) m: by pose, the panel's mocap markers
+    labels: tuple[tuple[str, ...], ...]  # By pose, their names
+    names: tuple[str, ...]  # Of the poses
+    panel: Panel  # What was known beforehand
+    lens: Intrinsics  # What was known beforehand
+
+
+def calibrate_panel(
+    views: Sequence[View],
+    markers: Sequence[dict[str, FloatArray]],
+    panel: Panel,
+    lens: Intrinsics,
+    mocap_sigma_m: float = MOCAP_SIGMA_M,
+) -> PanelCalibration:
+    """Find camera from mocap from views of the panel, each with the mocap markers of the same moment."""
+    labels, markers_E = [], []
+    for each, view in zip(markers, views, strict=True):
+        reading = identify_markers(np.array(list(each.values())).reshape(-1, 3), panel, view.name)
+        labels.append(tuple(list(each)[index] for index in reading.index))
+        markers_E.append(reading.places)
+    seen = [see_panel(view, panel, lens) for view in views]
+    solution = solve(
+        [
+            PoseData(
+                rays=found.blobs.rays[list(found.spots)],
+                sigmas=found.blobs.sigmas_px[list(found.spots)] / lens.focal_px,
+                plane=found.plane,
+                markers_E=at,
+                sigma_E_m=mocap_sigma_m,
+                height_m=panel.height_m,
+            )
+            for found, at in zip(seen, markers_E, strict=True)
+        ]
+    )
+    published = [
+        found.published.after(frame_of_markers(at, panel))
+        for found, at in zip(seen, markers_E, strict=True)
+        if found.published is not None
+    ]
+    return PanelCalibration(
+        solution=solution,
+        published=_mean(published, markers_E) if published else None,
+        seen=tuple(seen),
+        markers_E=tuple(markers_E),
+        labels=tuple(labels),
+        names=tuple(view.name for view in views),
+        panel=panel,
+        lens=lens,
+    )
+
+
+def see_panel(view: View, panel: Panel, lens: Intrinsics) -> SeenPanel:
+    """Find the panel in a view: spots, which is which, regions, plane, axes."""
+    check_size(view, lens)
+    blobs, reading = _spots(view, panel, lens)
+    rays, frame = blobs.rays[list(reading.index)], fit_frame(reading.places, panel)
+    # the markers' places are read off the depth between them; then the whole panel's depth is used
+    for _ in range(2):
+        regions = panel_regions(view.depth_m, lens, blobs, panel, frame)
+        if regions.covered < LEAST_COVERED:
+            raise NotSeen(
+                f"{view.name}: depth is missing under the panel: {100 * regions.covered:.0f} % of it has one;"
+                f" {SEE_DEPTH}"
+            )
+        plane = fit_plane(regions.pixels, regions.rays, regions.depth_m, view.name)
+        points = on_plane(raised(plane.theta, panel.height_m), rays)
+        frame = fit_frame(points, panel)
+    middle = points.mean(axis=0)
+    distance = float(np.linalg.norm(middle))
+    tilt = float(np.degrees(np.arccos(np.clip(-(plane.normal @ middle) / distance, -1, 1))))
+    if tilt > EDGE_ON_DEG:
+        raise NotSeen(
+            f"{view.name}: the panel is seen edge-on, {tilt:.0f} degrees from facing the camera; {TURN_IT}"
+        )
+    inside = plane.inliers
+    regions = regions_on_plane(regions, inside, panel)
+    full = np.column_stack([regions.rays, np.ones(len(regions.rays))])[inside] * regions.depth_m[inside, None]
+    published = frame_of_points(full, regions.along_x[inside], regions.along_y[inside], frame.R)
+    if published is not None:
+        published = Frame(published.R, published.origin + panel.height_m * published.R[:, 2])
+    return SeenPanel(blobs, reading.index, regions, plane, points, frame, published, tilt, distance)
+
+
+def _spots(view: View, panel: Panel, lens: Intrinsics) -> tuple[Blobs, Reading]:
+    """Bright spots at the first threshold at which four of them are the panel's."""
+    said: list[tuple[int, NotSeen]] = []
+    for blobs in find_blobs(view.infrared, lens):
+        try:
+            return blobs, identify_spots(blobs, view.depth_m, lens.ray_image(), panel, view.name)
+        except NotSeen as error:
+            error.view, error.blobs = view, blobs
+            said.append((len(blobs), error))
+            if error.final:
+                break
+    # of all thresholds the one that came nearest to four spots shows best what is wrong
+    raise min(said, key=lambda item: abs(item[0] - 4))[1]
+
+
+def _mean(frames: list[Frame], markers_E: list[FloatArray]) -> Frame:
+    """Mean of transforms: rotation by chordal mean, shift at the markers' middle."""
+    R = nearest_rotation(np.mean([each.R for each in frames], axis=0))
+    middle = np.mean(np.concatenate(markers_E), axis=0)
+    at = np.mean([each.R @ middle + each.origin for each in frames], axis=0)
+    return Frame(R, at - R @ middle)
+
+
+#: From the panel's places this far away the answer is judged, m: the volume in which an arm moves.
+WITHIN_M = 1.0
+#: Two sigmas of a position that are good for comparing arm motion to a centimetre, or still usable, m.
+GOOD_M, USABLE_M = 0.003, 0.010
+#: Two sigmas of the rotation likewise, degrees.
+GOOD_DEG, USABLE_DEG = 0.3, 1.0
+#: Misfits (squared residuals over what is expected) from which poses contradict each other.
+CONTRADICTS = 4.0
+#: The panel's definition is off by more than this, m.
+DEFINITION_M = 0.002
+#: Enough poses, and enough spread of their normals, degrees.
+ENOUGH_POSES, ENOUGH_SPREAD_DEG = 4, 15.0
+
+
+@dataclass(frozen=True)
+class PanelAccuracy:
+    """Standard deviations of the answer."""
+
+    rotation_deg: FloatArray  # (3,) degrees: about the camera's axes
+    translation_m: FloatArray  # (3,) m: of the mocap's origin in the camera frame
+    at_panel_m: FloatArray  # (3,) m: of a point in the middle of the panel's places
+    within_m: float  # Square root of the trace for the worst point `WITHIN_M` away from there
+    # (6, 6): Of a small rotation about the camera's axes (rad) and of the translation (m)
+    covariance: FloatArray
+
+
+def accuracy(calibration: PanelCalibration) -> PanelAccuracy:
+    """Sigmas of the answer at the mocap's origin, at the panel and about it."""
+    solution = calibration.solution
+    transform = solution.camera_from_mocap
+    middle = np.mean([found.points_K.mean(axis=0) for found in calibration.seen], axis=0)
+    at_origin = _moved(solution.covariance, transform.origin)
+    at_panel = _moved(solution.covariance, middle)[3:, 3:]
+    about = middle + WITHIN_M * np.array([*np.eye(3), *-np.eye(3)])
+    within = max(float(np.trace(_moved(solution.covariance, point)[3:, 3:])) for point in about)
+    return PanelAccuracy(
+        rotation_deg=np.degrees(np.sqrt(np.diag(solution.covariance)[:3])),
+        translation_m=np.sqrt(np.diag(at_origin)[3:]),
+        at_panel_m=np.sqrt(np.diag(at_panel)),
+        within_m=float(np.sqrt(within)),
+        covariance=at_origin,
+    )
+
+
+def verdict(calibration: PanelCalibration) -> Verdict:
+    """Whether the answer is good, for what, and what to record next."""
+    found = accuracy(calibration)
+    rotation = 2 * float(np.linalg.norm(found.rotation_deg))
+    position = 2 * found.within_m
+    misfit = calibration.solution.misfit
+    good = rotation <= GOOD_DEG and position <= GOOD_M and misfit < CONTRADICTS
+    usable = rotation <= USABLE_DEG and position <= USABLE_M and misfit < 3 * CONTRADICTS
+    grade, use = "not good enough", "for comparing with motion capture; record again as follows"
+    if good:
+        grade, use = "good", "for comparing arm motion with motion capture to a centimetre and a degree"
+    elif usable:
+        grade, use = "usable", "for comparing arm motion with motion capture to some centimetres"
+    sentence = (
+        f"Rotation within {rotation:.2f} degrees, positions within"
+        f" {2e3 * float(np.linalg.norm(found.at_panel_m)):.1f} mm at the panel and {1e3 * position:.1f} mm"
+        f" {WITHIN_M:.0f} m away from it (two sigmas): {grade} {use}."
+    )
+    return Verdict(grade, sentence, tuple(_findings(calibration)), tuple(_next(calibration, grade)))
+
+
+def _findings(calibration: PanelCalibration) -> list[str]:
+    solution, poses = calibration.solution, len(calibration.seen)
+    sentences = []
+    if np.isfinite(solution.depth_offset_sigma_m):
+        offset, sigma = 1e3 * solution.depth_offset_m, 1e3 * solution.depth_offset_sigma_m
+        length = "long" if offset > 0 else "short"
+        sentences.append(
+            f"The camera's depth is {abs(offset):.1f} +- {sigma:.1f} mm too {length}, by the markers'"
+            " spacing; the result is corrected for it."
+        )
+    else:
+        sentences.append(
+            "A constant depth error of the camera is ignored: one pose separates it from the markers'"
+            f" spacing only as {1e3 * solution.offset_apart_m:+.1f} +-"
+            f" {1e3 * solution.offset_apart_sigma_m:.1f} mm, and it would pass into the distance; several"
+            " poses would show it."
+        )
+    if solution.misfit > CONTRADICTS:
+        pose, marker = np.unravel_index(
+            np.argmax(solution.marker_residuals_m), solution.marker_residuals_m.shape
+        )
+        worst = 1e3 * solution.marker_residuals_m[pose, marker]
+        sentences.append(
+            f"The residuals are {np.sqrt(solution.misfit):.1f} times what the stated noise makes expected,"
+            f" and sigma is widened for it; the worst is marker {calibration.labels[pose][marker]} of"
+            f" {calibration.names[pose]}, {worst:.1f} mm off: try without that pose."
+        )
+    ends = np.array(list(combinations(range(4), 2))).T
+    wanted, *measured = (
+        np.linalg.norm(at[ends[0]] - at[ends[1]], axis=1)
+        for at in (calibration.panel.markers_P, *calibration.markers_E)
+    )
+    shape = max(float(np.sqrt(np.mean((each - wanted) ** 2))) for each in measured)
+    if shape > DEFINITION_M:
+        sentences.append(
+            f"The mocap markers' distances differ from the panel's definition by {1e3 * shape:.1f} mm rms;"
+            " the definition only shows which marker is which, so the result is not affected."
+        )
+    tilted = [
+        name for name, each in zip(calibration.names, calibration.seen, strict=True) if each.tilt_deg > 45
+    ]
+    if tilted:
+        sentences.append(
+            f"{', '.join(tilted)}: turned more than 45 degrees from the camera, where depth is poor."
+        )
+    ours, theirs = solution.camera_from_mocap, calibration.published
+    if theirs is None:
+        sentences.append(
+            "The published method (principal components of regions) has too few depth points along the arms."
+        )
+        return sentences
+    angle = np.arccos(np.clip((np.trace(ours.R @ theirs.R.T) - 1) / 2, -1, 1))
+    middle = np.mean(np.concatenate(calibration.markers_E), axis=0)
+    apart = np.linalg.norm((ours.R - theirs.R) @ middle + ours.origin - theirs.origin)
+    mean = ", mean of the poses" if poses > 1 else ""
+    sentences.append(
+        f"The published method (principal components of regions{mean}) differs from the result by"
+        f" {np.degrees(angle):.2f} degrees and {1e3 * apart:.1f} mm at the panel."
+    )
+    return sentences
+
+
+def _next(calibration: PanelCalibration, grade: str) -> list[str]:
+    seen = calibration.seen
+    sentences = []
+    if len(seen) < ENOUGH_POSES:
+        sentences.append(
+            f"Record {ENOUGH_POSES} to 8 poses instead of {len(seen)}: error falls with their number, and the"
+            " depth's constant error is found."
+        )
+    normals = np.array([each.plane.normal for each in seen])
+    spread = max(
+        (float(np.degrees(np.arccos(np.clip(a @ b, -1, 1)))) for a, b in combinations(normals, 2)),
+        default=0.0,
+    )
+    if len(seen) > 1 and spread < ENOUGH_SPREAD_DEG:
+        sentences.append(
+            f"Tilt the panel about 20 degrees to different sides: its normals differ by {spread:.0f} degrees."
+        )
+    far = [each.distance_m for each in seen]
+    if max(far) > 2.5:
+        sentences.append(
+            f"Hold the panel nearer than 2.5 m (farthest {max(far):.1f} m): depth is better there."
+        )
+    if len(seen) > 1:
+        middles = np.array([each.points_K.mean(axis=0) for each in seen])
+        if float(np.ptp(middles, axis=0).max()) < 0.3:
+            sentences.append("Spread the poses over the volume in which the arm will move.")
+    if not sentences:
+        sentences.append(
+            "Nothing more is needed; record again when camera or mocap has been moved."
+            if grade == "good"
+            else "Record more poses with the panel still, facing the camera within 30 degrees, 1 to 2 m away."
+        )
+    return sentences
+
+
+def _moved(covariance: FloatArray, point: FloatArray) -> FloatArray:
+    """Covariance (6, 6) of the small rotation and of what it and the shift do to a point in {K}."""
+    J = np.eye(6)
+    J[3:, :3] = -skew(point)
+    return np.asarray(J @ covariance @ J.T)
+
+
+NAME = "camera_from_mocap"
+
+
+def panel_answer(calibration: PanelCalibration) -> Answer:
+    """Camera from mocap, p_camera = R p_mocap + t, m; camera optical, x right, y down, z forward."""
+    found, words, solution = accuracy(calibration), verdict(calibration), calibration.solution
+    table = _transform_values(solution.camera_from_mocap)
+    table |= {
+        "rotation_sigma_deg": found.rotation_deg.tolist(),
+        "translation_sigma_m": found.translation_m.tolist(),
+        "position_sigma_at_panel_m": found.at_panel_m.tolist(),
+        "covariance": found.covariance.tolist(),
+        "poses": len(calibration.seen),
+        "misfit": _rounded(solution.misfit),
+        "grade": words.grade,
+        "verdict": words.sentence,
+    }
+    known = bool(np.isfinite(solution.depth_offset_sigma_m))
+    if known:
+        table["depth_offset_m"] = float(solution.depth_offset_m)
+        table["depth_offset_sigma_m"] = float(solution.depth_offset_sigma_m)
+    table["residuals"] = [
+        {
+            "pose": calibration.names[number],
+            "markers": list(calibration.labels[number]),
+            "distance_m": round(seen.distance_m, 4),
+            "tilt_deg": round(seen.tilt_deg, 2),
+            "pixels_rms": _rms(calibration.lens.focal_px * solution.ray_residuals[number]),
+            "markers_rms_m": _rms(solution.marker_residuals_m[number]),
+            "plane_rms_m": _rms(solution.plane_residuals_m[number]),
+            "depth_noise_m": _rounded(seen.plane.noise_m),
+            "depth_pixels": int(seen.plane.inliers.sum()),
+        }
+        for number, seen in enumerate(calibration.seen)
+    ]
+    if calibration.published is not None:
+        table["published"] = _transform_values(calibration.published)
+    return Answer(
+        verdict=words,
+        open_questions=() if known else ("a constant error of the camera's depth",),
+        table=CalibrationFile().with_table(NAME, table),
+        figures={NAME: table, "words": words.words},
+    )
+
+
+def _transform_values(transform: Frame) -> dict[str, Any]:
+    """Rotation (qw, qx, qy, qz) and translation (m)."""
+    quaternion = Rotation.from_matrix(transform.R).as_quat(canonical=True, scalar_first=True)
+    return {"rotation": quaternion.tolist(), "translation": transform.origin.tolist()}
+
+
+def _rms(values: np.ndarray) -> float:
+    return _rounded(float(np.sqrt(np.mean(np.square(values)))))
+
+
+def _rounded(value: float) -> float:
+    """Four digits: residuals are for reading."""
+    return float(f"{value:.4g}")
