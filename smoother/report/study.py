@@ -10,28 +10,22 @@ from typing import TYPE_CHECKING, Any
 from urllib.parse import quote
 
 import numpy as np
-import plotly.graph_objects as go
-from plotly.subplots import make_subplots
 
 from ..array_types import FloatArray
 from ..evaluation.group import GroupMeasure, Spread, group_measures, write_long
 from ..evaluation.progress import first_of
 from ..evaluation.summary import trust_word
 from ..table import Table
-from .sheet import ALARM, NOT_TRUSTED, Fold, Html, Page, Section, badge, label, rendered
-from .style import OCCLUDED, VISIBLE, dress
+from .sheet import ALARM, NOT_TRUSTED, Html, Page, Section, badge, rendered
 
 if TYPE_CHECKING:
     import pyarrow as pa
 
 
-#: Rows of the table of the worst recordings, and of failures; points of the scatter plot.
-MOST_WORST, MOST_POINTS = 200, 5000
-_BINS = 40
+#: Rows of the table of the worst recordings, and of failures.
+MOST_WORST = 200
 #: Measures in the table of recordings.
 MOST_SHOWN = 4
-#: Decimals that are drawn, so that no axis spans rounding errors only.
-_DIGITS = 3
 
 
 def write_study(
@@ -48,13 +42,13 @@ def write_study(
 
     recovered = rows.filter(pc.equal(rows["status"], "done"))
     failed = rows.filter(pc.equal(rows["status"], "failed"))
-    columns = {name: _numbers(recovered, name) for name in _PLOTTED}
+    columns = {name: _numbers(recovered, name) for name in _NEEDED}
     sound = columns["trusted"] != 0  # nan where not judged
-    for name in ("sigma_max_m", "error_95_m", "clock_offset_s"):
+    for name in ("sigma_max_m", "error_95_m"):
         columns[name] = np.where(sound, columns[name], np.nan)
     rows_failed = [(row["recording"], row["error"]) for row in failed.slice(0, MOST_WORST).to_pylist()]
     caption = "The other recordings are not affected."
-    sections: list[Section | Fold] = [rendered(Table("Failed", ("recording", "why"), rows_failed, caption))]
+    sections = [rendered(Table("Failed", ("recording", "why"), rows_failed, caption))]
     if len(recovered):
         order = worst_first(columns["sigma_max_m"], columns["trusted"], columns["gaps_untrusted"])
         worst = recovered.take(order[:MOST_WORST]).to_pylist()
@@ -63,19 +57,7 @@ def write_study(
             file = Path(path).with_name(f"{Path(path).stem}_measures.csv")
             write_long(long, file)
             sections.append(_group(group_measures(long), file.name))
-        without = _without(int((~sound).sum()))
-        distributions = Section(
-            "Distributions",
-            "One count per recording. The error is what 95 of 100 errors of the sensor's position in gaps"
-            f" stay below, as stated. The outermost bars include values beyond them.{without}",
-            _distributions(columns),
-        )
-        scatter = Section(
-            "Gaps and their uncertainty",
-            f"A point per recording; the worst ones if there are very many.{without}",
-            _scatter(recovered, columns, order),
-        )
-        sections.append(Fold([distributions, scatter, _notes(recovered)], has_contents=True))
+        sections.append(_notes(recovered))
     Page(
         "Study",
         f"{len(rows)} recordings",
@@ -83,11 +65,6 @@ def write_study(
         sections,
         tone=ALARM if not sound.all() else "",
     ).write(path, force)
-
-
-def _without(distrusted: int) -> str:
-    """A caption's last sentence: whose sigma is not drawn."""
-    return f" The {distrusted} results that are not to be trusted are left out." if distrusted else ""
 
 
 def worst_first(
@@ -99,9 +76,9 @@ def worst_first(
     return np.lexsort((-np.nan_to_num(sigma_m, nan=-1.0), ~(gaps_untrusted > 0), trusted != 0))
 
 
-_PLOTTED = (
-    *("duration_s", "occluded_s", "gap_longest_s", "sigma_max_m", "error_95_m"),
-    *("clock_offset_s", "seconds", "notes", "trusted", "gaps_untrusted"),
+#: Columns that the page computes with.
+_NEEDED = (
+    *("duration_s", "occluded_s", "sigma_max_m", "error_95_m", "seconds", "trusted", "gaps_untrusted"),
 )
 
 
@@ -147,52 +124,6 @@ def _duration(seconds: float) -> str:
     if seconds < 90:
         return f"{seconds:.0f} s"
     return f"{seconds / 60:.0f} min" if seconds < 5400 else f"{seconds / 3600:.1f} h"
-
-
-def _distributions(columns: dict[str, FloatArray]) -> go.Figure:
-    share = 100 * columns["occluded_s"] / np.maximum(columns["duration_s"], 1e-9)
-    speed = columns["duration_s"] / np.maximum(columns["seconds"], 1e-9)
-    panels = [
-        ("error in gaps (95 %), cm", 100 * columns["error_95_m"]),
-        ("longest gap, s", columns["gap_longest_s"]),
-        ("length, min", columns["duration_s"] / 60),
-        ("occluded, %", share),
-        ("clock offset, ms", 1000 * columns["clock_offset_s"]),
-        ("times real time", speed),
-    ]
-    plot = make_subplots(rows=2, cols=3, vertical_spacing=0.2)
-    for place, (title, values) in enumerate(panels):
-        row, column = 1 + place // 3, 1 + place % 3
-        kept = np.round(values[np.isfinite(values)], _DIGITS)
-        if len(kept):
-            # a few extreme values would leave one bar of all others; they count in the outermost bars
-            low, high = np.percentile(kept, [0.5, 99.5])
-            bins = min(_BINS, max(5, int(np.sqrt(len(kept)))))
-            counts, edges = np.histogram(kept.clip(low, high), bins=bins)
-            bars = go.Bar(
-                x=(edges[:-1] + edges[1:]) / 2, y=counts, width=np.diff(edges), marker={"color": VISIBLE}
-            )
-            plot.add_trace(bars, row=row, col=column)
-        plot.update_xaxes(title=title, row=row, col=column)
-    plot.update_yaxes(tickformat="d", rangemode="tozero", minallowed=0, dtick=1 if len(share) < 8 else None)
-    plot.update_yaxes(title="recordings", col=1)
-    return dress(plot, 620, head=20, showlegend=False, bargap=0.05)
-
-
-def _scatter(recovered: pa.Table, columns: dict[str, FloatArray], order: np.ndarray) -> go.Figure:
-    kept = order[:MOST_POINTS]
-    plot = go.Figure(
-        go.Scatter(
-            x=np.round(columns["gap_longest_s"][kept], _DIGITS),
-            y=np.round(100 * columns["error_95_m"][kept], _DIGITS),
-            text=[label(name) for name in recovered["recording"].take(kept).to_pylist()],
-            mode="markers",
-            marker={"color": OCCLUDED, "size": 6, "opacity": 0.6},
-        )
-    )
-    plot.update_xaxes(title="longest gap, s")
-    plot.update_yaxes(title="error in gaps (95 %), cm")
-    return dress(plot, 420, head=20, showlegend=False)
 
 
 def _worst(

@@ -9,6 +9,7 @@ import csv
 import glob
 import hashlib
 import io
+import itertools
 import json
 import math
 import os
@@ -104,7 +105,8 @@ def find_entries(source: str, output: Path) -> list[Entry]:
     if path.is_dir():
         base, files = path, [(file, "") for file in _below(path)]
     elif glob.has_magic(source) and not path.exists():
-        base = _fixed_part(source)
+        fixed = itertools.takewhile(lambda part: not glob.has_magic(part), path.parts[:-1])
+        base = Path(*fixed)  # names count from the first wildcard
         files = [(Path(file), "") for file in glob.iglob(source, recursive=True) if file.endswith(ENDING)]
     elif path.suffix == ENDING:
         base, files = path.parent, [(path, "")]
@@ -115,24 +117,17 @@ def find_entries(source: str, output: Path) -> list[Entry]:
         raise UnoccludeError(f"{source} is in {output}, where results go; give -o another folder")
     if not recordings:
         raise UnoccludeError(f"{source}: there is no recording ({ENDING}) here; name a folder that has some")
-    entries = {
-        entry.path: entry
-        for entry in (
-            Entry(_name(file, base), _absolute(file), calibration) for file, calibration in recordings
-        )
-    }
-    return sorted(_told_apart(entries.values()), key=lambda entry: entry.name)
-
-
-def _told_apart(entries: Iterable[Entry]) -> Iterator[Entry]:
-    """Entries whose names are text: bytes that are not UTF-8 are written out, and no name comes twice."""
-    taken: set[str] = set()
-    for entry in sorted(entries, key=lambda entry: (entry.name != _as_text(entry.name), entry.name)):
+    entries = {}
+    for file, calibration in recordings:
+        place = _absolute(file)
+        entries[place] = Entry(Path(place).relative_to(_absolute(base)).as_posix(), place, calibration)
+    named: dict[str, Entry] = {}  # names that are text, none twice
+    for entry in sorted(entries.values(), key=lambda entry: (entry.name != _as_text(entry.name), entry.name)):
         name = _as_text(entry.name)
-        if name in taken:
+        if name in named:
             name = f"{name.removesuffix(ENDING)}-{text_hash(entry.path)[:8]}{ENDING}"
-        taken.add(name)
-        yield replace(entry, name=name)
+        named[name] = replace(entry, name=name)
+    return [named[name] for name in sorted(named)]
 
 
 def _as_text(name: str) -> str:
@@ -151,16 +146,6 @@ def _below(folder: Path) -> Iterator[Path]:
             if not each.startswith(".") and not StudyFolder(here / each).mark.exists()
         ]
         yield from (here / name for name in names if name.endswith(ENDING) and not name.startswith("."))
-
-
-def _fixed_part(pattern: str) -> Path:
-    """The folders of a pattern before its first wildcard."""
-    fixed: list[str] = []
-    for part in Path(pattern).parts[:-1]:
-        if glob.has_magic(part):
-            break
-        fixed.append(part)
-    return Path(*fixed)
 
 
 def _listed(path: Path) -> tuple[Path, list[tuple[Path, str]]]:
@@ -199,10 +184,6 @@ def _listed(path: Path) -> tuple[Path, list[tuple[Path, str]]]:
 
 def _inside(file: Path, folder: Path) -> bool:
     return Path(_absolute(file)).is_relative_to(_absolute(folder))
-
-
-def _name(file: Path, base: Path) -> str:
-    return Path(_absolute(file)).relative_to(_absolute(base)).as_posix()
 
 
 def _absolute(path: str | os.PathLike[str]) -> str:

@@ -82,54 +82,56 @@ def _progress(
     person: str, attendances: Sequence[SessionEntry], rows: Mapping[str, Row], mdc95: Mapping[str, float]
 ) -> PersonProgress:
     """One person: the sessions' values by measure, then their changes, then what limits them."""
-    _refuse_doubles(attendances)
     left_out: list[str] = []
     values: dict[_Key, list[SessionValue]] = {}
     about: dict[_Key, tuple[str, str]] = {}
-    used: dict[str, float] = {}
+    days: dict[str, float] = {}
+    taken: dict[tuple[str, str], str] = {}
     for session in in_order(attendances):
         day = min(each.day for each in session)
-        for attendance in session:
-            row = rows[attendance.recording]
-            usable, why = _usable(row)
-            left_out += [f"session {attendance.session} ({attendance.recording}): {each}" for each in why]
+        for each in session:
+            other = taken.setdefault((each.session, each.task), each.recording)
+            if other != each.recording:
+                raise UnoccludeError(
+                    f"{other} and {each.recording} are both session {each.session} of {each.person};"
+                    " distinguish them by a column task in the table (--sessions), or by another session"
+                )
+            usable, why = _usable(rows[each.recording])
+            left_out += [f"session {each.session} ({each.recording}): {reason}" for reason in why]
             for entry in usable:
-                key = (entry["side"] or "", attendance.task, entry["key"])
-                used.setdefault(attendance.session, day)
+                key = (entry["side"] or "", each.task, entry["key"])
+                days.setdefault(each.session, day)
                 about[key] = entry["name"], entry["unit"] or ""
-                values.setdefault(key, []).append(_value(attendance, day, entry))
-    first_day = next(iter(used.values()), math.nan)
-    series = [
-        _series(person, key, about[key], [_since(value, first_day) for value in each], mdc95)
-        for key, each in values.items()
+                first_day = next(iter(days.values()))
+                values.setdefault(key, []).append(_value(each, day - first_day, entry))
+    series = []
+    for (side, task, measure), found in values.items():
+        known = mdc95.get(measure, math.nan)
+        changes = [change_between(found[0], later, known) for later in found[1:]]
+        if measure in BY_MOVEMENT:  # means over movements, only where the sessions have like movements
+            counts = {each.session: each for each in values.get((side, task, "movement_count"), ())}
+            changes = [
+                without_like_movements(each, counts.get(each.first.session), counts.get(each.last.session))
+                for each in changes
+            ]
+        names = about[side, task, measure]
+        series.append(Series(person, side, task, measure, *names, tuple(found), tuple(changes)))
+    doubts = [
+        f"session {each.session} ({each.recording}): {row['gaps_untrusted']} of {row['gaps']} gaps are not"
+        " to be trusted; what was measured in them may be wrong"
+        for each in attendances
+        if (row := rows[each.recording])["status"] == DONE
+        and row["trusted"] is not False
+        and row["gaps_untrusted"]
     ]
-    series = [_of_like_movements(each, values) for each in series]
     return PersonProgress(
         person=person,
-        sessions=tuple(used),
-        days=tuple(day - first_day for day in used.values()),
+        sessions=tuple(days),
+        days=tuple(day - next(iter(days.values())) for day in days.values()),
         series=tuple(_counted_together(series)),
         left_out=tuple(left_out),
-        notes=(
-            *(
-                _partly(each, rows[each.recording])
-                for each in attendances
-                if _has_doubts(rows[each.recording])
-            ),
-            *_notes([rows[each.recording] for each in attendances], used),
-        ),
+        notes=(*doubts, *_notes([rows[each.recording] for each in attendances], days)),
     )
-
-
-def _refuse_doubles(attendances: Sequence[SessionEntry]) -> None:
-    first: dict[tuple[str, str], str] = {}
-    for each in attendances:
-        other = first.setdefault((each.session, each.task), each.recording)
-        if other != each.recording:
-            raise UnoccludeError(
-                f"{other} and {each.recording} are both session {each.session} of {each.person};"
-                " distinguish them by a column task in the table (--sessions), or by another session"
-            )
 
 
 def _usable(row: Row) -> tuple[list[dict[str, Any]], list[str]]:
@@ -151,18 +153,6 @@ def _usable(row: Row) -> tuple[list[dict[str, Any]], list[str]]:
     return usable, why
 
 
-def _has_doubts(row: Row) -> bool:
-    """Whether some gaps are not to be trusted of a result that is used."""
-    return row["status"] == DONE and row["trusted"] is not False and bool(row["gaps_untrusted"])
-
-
-def _partly(attendance: SessionEntry, row: Row) -> str:
-    return (
-        f"session {attendance.session} ({attendance.recording}): {row['gaps_untrusted']} of {row['gaps']}"
-        " gaps are not to be trusted; what was measured in them may be wrong"
-    )
-
-
 def _value(attendance: SessionEntry, day: float, entry: Mapping[str, Any]) -> SessionValue:
     return SessionValue(
         session=attendance.session,
@@ -172,36 +162,6 @@ def _value(attendance: SessionEntry, day: float, entry: Mapping[str, Any]) -> Se
         note=entry["note"] or "",
         recording=attendance.recording,
     )
-
-
-def _since(value: SessionValue, first_day: float) -> SessionValue:
-    return replace(value, day=value.day - first_day)
-
-
-def _series(
-    person: str,
-    key: _Key,
-    about: tuple[str, str],
-    values: Sequence[SessionValue],
-    mdc95: Mapping[str, float],
-) -> Series:
-    side, task, measure = key
-    known = mdc95.get(measure, math.nan)
-    changes = tuple(change_between(values[0], later, known) for later in values[1:])
-    return Series(person, side, task, measure, *about, tuple(values), changes)
-
-
-def _of_like_movements(series: Series, values: Mapping[_Key, Sequence[SessionValue]]) -> Series:
-    """Changes of means over movements only where the sessions have like movements."""
-    if series.key not in BY_MOVEMENT:
-        return series
-    counted = values.get((series.side, series.task, "movement_count"), ())
-    counts = {value.session: value for value in counted}
-    changes = [
-        without_like_movements(change, counts.get(change.first.session), counts.get(change.last.session))
-        for change in series.changes
-    ]
-    return replace(series, changes=tuple(changes))
 
 
 def _counted_together(series: Sequence[Series]) -> list[Series]:
