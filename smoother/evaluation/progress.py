@@ -32,6 +32,11 @@ def shown_unit(unit: str) -> str:
     return _shown(unit)[1].strip()
 
 
+def scaled(value: float, unit: str) -> float:
+    """A value in its unit for people."""
+    return value * _shown(unit)[0]
+
+
 def number(value: float, unit: str, signed: bool = False) -> str:
     """A value in its unit for people, without the unit; a dash where there is none."""
     if not math.isfinite(value):
