@@ -15,7 +15,7 @@ from .output import check_outputs, print_notes, say, say_written, write_json, wr
 
 if TYPE_CHECKING:
     from ..array_types import FloatArray
-    from ..io.export.prepare import Export
+    from ..io.export.rows import Export
     from ..result import Recovery
 
 
@@ -203,7 +203,7 @@ def _level_down(result: Path, recoveries: list[Recovery]) -> FloatArray | None:
 
 def prepared_rrd(result: Path, recoveries: list[Recovery]) -> Export:
     """All arms for Rerun."""
-    from ..io.export.prepare import prepare_rrd
+    from ..io.export.rrd import prepare_rrd
 
     return prepare_rrd(recoveries, _level_down(result, recoveries))
 

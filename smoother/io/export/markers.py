@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from ...array_types import BoolArray, FloatArray
+from ...array_types import FloatArray
 from ...errors import UnoccludeError
 from ...joint_angles import torso_axes
 from ...recording import JOINTS, JointState
@@ -21,7 +21,7 @@ from ...result import Recovery
 from ...result.untrusted import untrusted_sentences, usable
 from ...runtime.outputs import locked, writing
 from .grid import Grid, at_grid, constant_step, frames_at_grid, nearest
-from .rows import write_rows
+from .rows import Export, write_rows
 
 #: Millimetres in the file, with this many decimals: a nanometre.
 UNIT, PER_METRE, DECIMALS = "mm", 1000.0, 6
@@ -167,8 +167,6 @@ def _check_size(path: Path, frames: int, numbers: int) -> None:
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
 
-#: Axes that markers may be written in.
-FRAMES = ("camera", "opensim")
 #: Before a joint's name, what the camera said of it.
 BEFORE = "camera_"
 #: Residuals in a C3D file.
@@ -179,37 +177,20 @@ _RESIDUALS = (
 )
 
 
-@dataclass(frozen=True)
-class MarkerTable:
-    """Markers of one arm with a constant time step."""
-
-    grid: Grid  # The times
-    names: tuple[str, ...]  # Recovered joints and `imu`, then `camera_` and a joint
-    position: FloatArray  # (G, M, 3) m: in the chosen axes; nan where there is none
-    residual: FloatArray  # (G, M): as C3D files have it: 1, 0, -1 (see `_RESIDUALS`)
-    occluded: BoolArray  # bool (G,): the camera did not see the forearm
-    # (G, A) m: One standard deviation of the A recovered markers, root mean square over the axes
-    sigma_m: FloatArray
-
-
-def marker_table(
+def prepare_markers(
     recovery: Recovery,
-    frame: str = "camera",
-    rate_hz: float | None = None,
-    level_down: FloatArray | None = None,  # (3,)
-    origin: str = "camera",
-) -> MarkerTable:
-    """Markers before and after."""
+    format_name: str,
+    frame: str,
+    rate_hz: float | None,
+    level_down: FloatArray | None,  # (3,)
+    version: str,
+    origin: str,
+) -> Export:
+    """Markers before and after with a constant time step, as a TRC or C3D file."""
     grid = constant_step(recovery, rate_hz)
     after = {joint: recovery.joints[joint] for joint in JOINTS[:-1] if joint in recovery.joints}
     after["imu"] = recovery.position
-    spread = [recovery.joint_covariance.get(name) for name in list(after)[:-1]]
-    spread.append(recovery.pose_covariance[:, :3, :3])
     near = nearest(recovery.t_s, grid)
-    sigma = [
-        np.full(len(near), np.nan) if one is None else np.sqrt(np.einsum("nii->n", one) / 3)[near]
-        for one in spread
-    ]
     occluded = recovery.occluded[near]
     position = [at_grid(recovery.t_s, values, grid) for values in after.values()]
     residual = [np.where(occluded, COMPUTED, MEASURED)] * len(position)
@@ -223,7 +204,26 @@ def marker_table(
     if frame == "opensim":
         whole = whole @ opensim_axes(recovery, level_down)
     names = (*after, *(BEFORE + joint for joint in before))
-    return MarkerTable(grid, names, whole, marks, occluded, np.stack(sigma, axis=1))
+    rate, rows = grid.rate_hz, len(grid.t_s)
+    notes = level_note(recovery) if frame == "opensim" else ()
+    if format_name == "trc":
+        return Export(
+            rows,
+            lambda path, force: write_trc(path, names, grid.t_s, whole, rate, force),
+            rate,
+            frame,
+            notes,
+        )
+    check_frames(recovery.name, rows, rate)
+    content = _c3d_content(recovery, grid, names, whole, marks, frame, version)
+    return Export(rows, lambda path, force: write_c3d(path, content, force), rate, frame, notes)
+
+
+def level_note(recovery: Recovery) -> tuple[str, ...]:
+    """A note where OpenSim's axes are those of a camera that is taken to stand level."""
+    if np.isfinite(recovery.gravity_direction).all():
+        return ()
+    return (f"the method '{recovery.method}' found no gravity: the camera is assumed level.",)
 
 
 def shoulder_place(recovery: Recovery) -> FloatArray:
@@ -251,23 +251,35 @@ def opensim_axes(
     return torso_axes(down)
 
 
-def c3d_content(recovery: Recovery, table: MarkerTable, frame: str, version: str) -> C3dContent:
-    """What the C3D file of a recovery contains."""
-    answers = table.sigma_m.shape[1]
-    near = nearest(recovery.t_s, table.grid)
-    channels = {"occluded": (table.occluded.astype(float), "1")}
+def _c3d_content(
+    recovery: Recovery,
+    grid: Grid,
+    names: Sequence[str],
+    position: FloatArray,  # (G, M, 3)
+    residual: FloatArray,  # (G, M)
+    frame: str,
+    version: str,
+) -> C3dContent:
+    """With trust and sigmas as channels, gaps as events, and what is known of the result as parameters."""
+    answers = [name for name in names if not name.startswith(BEFORE)]
+    near = nearest(recovery.t_s, grid)
+    channels = {"occluded": (recovery.occluded[near].astype(float), "1")}
     if recovery.has_verdict:
         channels["trusted"] = (recovery.trusted[near].astype(float), "1")
     channels["usable"] = (usable(recovery)[near].astype(float), "1")
-    for name, sigma in zip(table.names[:answers], table.sigma_m.T, strict=True):
+    for name in answers:
+        spread = recovery.pose_covariance[:, :3, :3] if name == "imu" else recovery.joint_covariance.get(name)
+        variance = np.full(len(recovery), np.nan) if spread is None else np.einsum("nii->n", spread) / 3
+        sigma = np.sqrt(variance)[near]  # root mean square over the axes
         channels[f"sigma_{name}"] = (np.where(np.isfinite(sigma), 1000.0 * sigma, -1.0), "mm")
-    start, end = table.grid.t_s[0], table.grid.t_s[-1]
+    start, end = grid.t_s[0], grid.t_s[-1]
     events = []
     for gap in recovery.gaps:
         if gap.end_s >= start and gap.start_s <= end:
             events.append(("gap start", float(np.clip(gap.start_s, start, end) - start)))
             events.append(("gap end", float(np.clip(gap.end_s, start, end) - start)))
-    descriptions = ["recovered"] * answers + ["as the camera delivered it"] * (len(table.names) - answers)
+    descriptions = ["recovered"] * len(answers)
+    descriptions += ["as the camera delivered it"] * (len(names) - len(answers))
     parameters = {
         "METHOD": [recovery.method],
         "VERSION": [version],
@@ -286,10 +298,10 @@ def c3d_content(recovery: Recovery, table: MarkerTable, frame: str, version: str
         "NOTES": list(recovery.notes) or ["none"],
     }
     return C3dContent(
-        table.names,
-        table.position,
-        table.grid.rate_hz,
-        table.residual,
+        names,
+        position,
+        grid.rate_hz,
+        residual,
         descriptions,
         channels,
         events,

@@ -31,7 +31,7 @@ _GROUP = 100_000
 
 
 def export_parquet(
-    recovery: Recovery, path: str | os.PathLike[str], version: str = "unknown", force: bool = False
+    recovery: Recovery, path: str | os.PathLike[str], force: bool = False, version: str = "unknown"
 ) -> None:
     """Write one row a forearm-IMU sample, null where the method has no answer."""
     import pyarrow as pa
@@ -83,7 +83,7 @@ def drawn_rows(recovery: Recovery) -> int:
 
 
 def export_draws(
-    recovery: Recovery, path: str | os.PathLike[str], version: str = "unknown", force: bool = False
+    recovery: Recovery, path: str | os.PathLike[str], force: bool = False, version: str = "unknown"
 ) -> None:
     """Write every drawn motion, one after the other, a row a drawn time; null where there is no answer."""
     import pyarrow as pa

@@ -1,9 +1,11 @@
-"""Tables as text: a head, and a line a row."""
+"""What is ready to be written in a format, and tables as text: a head, and a line a row."""
 
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,6 +13,17 @@ from numpy.typing import NDArray
 from ...runtime.outputs import writing
 
 _TOGETHER = 20_000
+
+
+@dataclass(frozen=True)
+class Export:
+    """An arm in a format: all that can fail for the data's sake is behind us."""
+
+    rows: int  # In the file
+    write: Callable[[Path, bool], None]  # Writes it to a path; the second argument is `force`
+    rate_hz: float | None = None  # Rows per second where the step is constant
+    frame: str | None = None  # Axes of the positions
+    notes: tuple[str, ...] = ()  # What a reader must know, one sentence each
 
 
 def write_rows(

@@ -24,6 +24,7 @@ from ...result.untrusted import untrusted_sentences
 from ...runtime.outputs import writing
 from ...runtime.packages import extra_module
 from ..result.drawing import ANSWER, CAMERA, CHAIN, DISTRUST, GUESSED, VISIBLE, Color, common_down, world_axes
+from .rows import Export
 
 TIMELINE = "time"
 #: Pictures a second in space, and points of the angles besides the elbow's; other curves have every sample.
@@ -249,24 +250,27 @@ def rerun_module() -> ModuleType:
     return extra_module("rerun", "rerun-sdk", "view", ["StateChange"], ["blueprint"])
 
 
-def check_rrd(recoveries: Sequence[Recovery]) -> None:
-    """Refuse what could not be shown, before any work is done for it."""
+def prepare_rrd(
+    recoveries: Sequence[Recovery],
+    level_down: FloatArray | None = None,  # (3,)
+) -> Export:
+    """All arms of a result as one file of Rerun, without writing yet."""
     rerun_module()
     if not any(recovery.answered.any() for recovery in recoveries):
         raise UnoccludeError(f"{recoveries[0].name}: there is no answer at any time, and nothing to show")
+    rows = sum(len(recovery) for recovery in recoveries)
+    return Export(rows, lambda path, force: write_rrd(recoveries, path, level_down, force), frame="camera")
 
 
 def write_rrd(
     recoveries: Sequence[Recovery],
     path: str | os.PathLike[str],
-    *,
     level_down: FloatArray | None = None,  # (3,)
     force: bool = False,
 ) -> None:
     """Write all arms of a result into one file of Rerun."""
     rr = rerun_module()
     results = list(recoveries)
-    check_rrd(results)
     several = len(results) > 1
     down = common_down(results, level_down)
     R_W_K = np.eye(3) if down is None else world_axes(down)

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import os
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -15,24 +14,11 @@ from ...result import Recovery
 from ...result.untrusted import untrusted_sentences
 from ...rotation import Rotation
 from .grid import Grid, at_grid, constant_step, nearest, unbroken
-from .markers import opensim_axes
-from .rows import write_rows
+from .markers import level_note, opensim_axes
+from .rows import Export, write_rows
 
 
-@dataclass(frozen=True)
-class MotTable:
-    """Joint angles of one arm with a constant time step and a number in every cell."""
-
-    t_s: FloatArray  # (G,) s: after the recovery's origin
-    rate_hz: float  # Rows per second
-    angles: dict[str, FloatArray]  # dict of (G,) deg: by coordinate
-    occluded: BoolArray  # bool (G,): the camera did not see the forearm
-    answered: BoolArray  # bool (G,): False where the method has no answer and a straight line bridges it
-    notes: tuple[str, ...]  # What a reader must know, one sentence each
-    trusted: BoolArray | None = None  # bool (G,): which rows are to be trusted; None where not judged
-
-
-def mot_table(recovery: Recovery, rate_hz: float | None = None) -> MotTable:
+def prepare_mot(recovery: Recovery, rate_hz: float | None = None) -> Export:
     """The joint angles by the names of OpenSim's MoBL-ARMS model of the upper extremity, degrees.
 
     `elv_angle`, `shoulder_elv`, `shoulder_rot`: the humerus turns R_y(elv_angle) R_x(-shoulder_elv)
@@ -66,34 +52,18 @@ def mot_table(recovery: Recovery, rate_hz: float | None = None) -> MotTable:
         )
     first, last = np.flatnonzero(answered)[[0, -1]]
     part = slice(int(first), int(last) + 1)
-    place = np.arange(len(answered))
-    bridged = {name: np.interp(place, place[answered], values[answered]) for name, values in angles.items()}
-    answered_part = answered[part]
-    near = nearest(recovery.t_s, grid)[part]
-    return MotTable(
-        grid.t_s[part],
-        grid.rate_hz,
-        {name: values[part] for name, values in bridged.items()},
-        recovery.occluded[near],
-        answered_part,
-        _notes(answered_part, len(answered) - len(answered_part), grid.rate_hz, isb_angles),
-        recovery.trusted[near] if recovery.has_verdict else None,
-    )
-
-
-def write_mot(table: MotTable, path: str | os.PathLike[str], recovery: Recovery, force: bool = False) -> None:
-    """Write joint angles as OpenSim reads them."""
-    marks = {"occluded": table.occluded, "answered": table.answered}
-    if table.trusted is not None:
-        marks["trusted"] = table.trusted
-    columns = [*table.angles, *marks]
+    place, near, t_s = np.arange(len(answered)), nearest(recovery.t_s, grid)[part], grid.t_s[part]
+    values = np.stack([np.interp(place, place[answered], of[answered])[part] for of in angles.values()], 1)
+    marks = {"occluded": recovery.occluded[near], "answered": answered[part]}
+    if recovery.has_verdict:
+        marks["trusted"] = recovery.trusted[near]
+    columns = ["time", *angles, *marks]
     side = f" {recovery.side} arm" if recovery.side else ""
-    title = " ".join(f"unocclude {recovery.method}{side} {recovery.name}".split())
     head = [
-        title,
+        " ".join(f"unocclude {recovery.method}{side} {recovery.name}".split()),
         "version=1",
-        f"nRows={len(table.t_s)}",
-        f"nColumns={len(columns) + 1}",
+        f"nRows={len(t_s)}",
+        f"nColumns={len(columns)}",
         "inDegrees=yes",
         "",
         "Angles in degrees, coordinates of MoBL-ARMS; ISB's axial rotation is shoulder_rot - elv_angle.",
@@ -102,12 +72,18 @@ def write_mot(table: MotTable, path: str | os.PathLike[str], recovery: Recovery,
         *_trust_lines(recovery),
         "",
         "endheader",
-        "\t".join(["time", *columns]),
+        "\t".join(columns),
+        "",
     ]
-    values = np.column_stack(list(table.angles.values()))
-    flags = np.column_stack(list(marks.values())).astype(int)
-    line = "%.9f" + "\t%.9f" * values.shape[1] + "\t%d" * flags.shape[1] + "\n"
-    write_rows(path, "\n".join(head) + "\n", line, [table.t_s, values, flags], force)
+    line = "%.9f" + "\t%.9f" * len(angles) + "\t%d" * len(marks) + "\n"
+    table = [t_s, values, np.stack(list(marks.values()), 1).astype(int)]
+    notes = _notes(answered[part], len(answered) - len(t_s), grid.rate_hz, isb_angles)
+    return Export(
+        len(t_s),
+        lambda path, force: write_rows(path, "\n".join(head), line, table, force),
+        grid.rate_hz,
+        notes=notes,
+    )
 
 
 def _trust_lines(recovery: Recovery) -> list[str]:
@@ -164,21 +140,11 @@ def _notes(kept: BoolArray, cut: int, rate_hz: float, isb_angles: dict[str, Floa
 BODIES = {"forearm": "radius", "upper_arm": "humerus", "hand": "hand", "trunk": "torso"}
 
 
-@dataclass(frozen=True)
-class OrientationTable:
-    """Orientations of one arm's IMUs in OpenSim's axes, a number in every cell."""
-
-    t_s: FloatArray  # (G,) s: the forearm IMU's own stamps
-    quaternion: dict[str, FloatArray]  # dict of (G, 4): qw, qx, qy, qz by column
-    rate_hz: float  # Median of the stamps
-    notes: tuple[str, ...]  # What a reader must know, one sentence each
-
-
-def orientation_table(
+def prepare_sto(
     recovery: Recovery,
     level_down: FloatArray | None = None,  # (3,)
-) -> OrientationTable:
-    """The orientations of all IMUs of a recovery."""
+) -> Export:
+    """The orientations of all IMUs of a recovery in OpenSim's axes: cells `qw,qx,qy,qz` between tabs."""
     R_O_K = Rotation.from_matrix(opensim_axes(recovery, level_down).T)
     of_camera = {"forearm": recovery.quaternion}
     of_camera |= {name: motion.quaternion for name, motion in recovery.segments.items()}
@@ -197,29 +163,31 @@ def orientation_table(
             f"{recovery.name}: OpenSense needs the orientation of every IMU, and {why}; export to csv or"
             " parquet"
         )
-    quaternion = {}
-    for name, values in of_camera.items():
-        turned = (R_O_K * Rotation.from_quat(values[rows], scalar_first=True)).as_quat(scalar_first=True)
-        quaternion[f"{BODIES[name]}_imu"] = _continuous(turned)
+    turned = {
+        name: (R_O_K * Rotation.from_quat(values[rows], scalar_first=True)).as_quat(scalar_first=True)
+        for name, values in of_camera.items()
+    }
     t_s = recovery.t_s[rows]
-    notes: tuple[str, ...] = ()
+    notes = level_note(recovery)
     if left_out := len(recovery) - len(rows):
-        notes = (f"{left_out} of {len(recovery)} samples are left out: an IMU has no orientation there.",)
+        what = f"{left_out} of {len(recovery)} samples are left out: an IMU has no orientation there."
+        notes = (what, *notes)
     if "upper_arm" not in of_camera:
         notes += (
             "one IMU on the forearm does not show OpenSense how the elbow is bent: take trc and Inverse"
             " Kinematics for the angles.",
         )
-    return OrientationTable(t_s, quaternion, median_rate_hz(t_s) if len(t_s) > 1 else 1.0, notes)
-
-
-def write_sto(table: OrientationTable, path: str | os.PathLike[str], force: bool = False) -> None:
-    """Write orientations as OpenSim 4 reads them: cells `qw,qx,qy,qz` between tabs."""
-    head = [f"DataRate={table.rate_hz:.6f}", "DataType=Quaternion", "version=3", "endheader"]
-    columns = "\t".join(["time", *table.quaternion])
-    line = "%.9f" + "\t%.9f,%.9f,%.9f,%.9f" * len(table.quaternion) + "\n"
-    text = "\n".join([*head, columns]) + "\n"
-    write_rows(path, text, line, [table.t_s, *table.quaternion.values()], force)
+    rate_hz = median_rate_hz(t_s) if len(t_s) > 1 else 1.0
+    columns = "\t".join(["time", *(f"{BODIES[name]}_imu" for name in turned)])
+    head = f"DataRate={rate_hz:.6f}\nDataType=Quaternion\nversion=3\nendheader\n{columns}\n"
+    line = "%.9f" + "\t%.9f,%.9f,%.9f,%.9f" * len(turned) + "\n"
+    table = [t_s, *map(_continuous, turned.values())]
+    return Export(
+        len(t_s),
+        lambda path, force: write_rows(path, head, line, table, force),
+        frame="opensim",
+        notes=notes,
+    )
 
 
 def _continuous(quaternion: FloatArray) -> FloatArray:

@@ -222,11 +222,9 @@ def test_mocap_goes_into_the_calibration_that_is_named(tmp_path, capsys):
 def test_the_formats_are_known_by_one_list():
     from smoother.cli import export
     from smoother.io.export import prepare as exports
-    from smoother.io.export.markers import FRAMES
 
     ours = (*FORMATS, "sto", "rrd")  # which have tests of their own, as the folder has
     assert export.FORMATS == (*exports.FORMATS, "bids") == (*ours, "bids")
-    assert export.FRAMES == FRAMES
     with pytest.raises(UnoccludeError, match="'xls' is not available"):
         exports.prepare_export(made(), "xls")
 
