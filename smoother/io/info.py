@@ -20,7 +20,7 @@ from .recording.choose import Selection
 from .recording.names import named_side, role
 from .recording.read import METADATA, open_recording
 from .recording.select import select_recordings
-from .recording.streams import RecordingFile, TopicInfo
+from .recording.streams import ArmFrames, ImuSamples, PoseSamples, RecordingFile, TopicInfo
 from .result.read import stated_estimates
 from .result.write import RESULT
 
@@ -105,7 +105,7 @@ class TopicRow:
     duration_s: float  # First to last log time
 
 
-@dataclass
+@dataclass(frozen=True)
 class RecordingInfo:
     """What `unocclude info` shows."""
 
@@ -115,17 +115,17 @@ class RecordingInfo:
     imus: list[str]  # Streams found, as sentences a line each
     skeletons: list[str]  # Streams found, as sentences a line each
     poses: list[str]  # Streams found, as sentences a line each
-    camera_frame: str | None = None  # Convention of the camera's axes, or None
+    camera_frame: str | None  # Convention of the camera's axes, or None
     # Per stream, first and last stamp (s) and how far log times lie behind stamps
-    clocks: dict[str, dict[str, float]] = field(default_factory=dict)
-    missing: dict[str, str] = field(default_factory=dict)  # By step, what is missing for it, one sentence
+    clocks: dict[str, dict[str, float]]
+    missing: dict[str, str]  # By step, what is missing for it, one sentence
     # What the file lacks and recovering does not need, with what it would be good for
-    optional: dict[str, str] = field(default_factory=dict)
-    ready: bool = False  # All arms can be recovered, and there is no sign that no answer could be trusted
-    result: bool = False  # The file contains a recovery already
-    verdicts: list[dict[str, object]] = field(default_factory=list)  # On each arm of that
-    notes: list[str] = field(default_factory=list)  # What was dropped, decided or wrong
-    arms: list[ArmInfo] = field(default_factory=list)  # The arms that would be recovered
+    optional: dict[str, str]
+    ready: bool  # All arms can be recovered, and there is no sign that no answer could be trusted
+    result: bool  # The file contains a recovery already
+    verdicts: list[dict[str, object]]  # On each arm of that
+    notes: list[str]  # What was dropped, decided or wrong
+    arms: list[ArmInfo]  # The arms that would be recovered
 
     def to_dict(self) -> dict[str, object]:
         """Plain values, fit for JSON; those of an arm are also beside them, of the first."""
@@ -151,8 +151,18 @@ def describe(
     **selection: Unpack[Selection],
 ) -> RecordingInfo:
     """Describe an MCAP file; options as in `read_recordings`."""
-    file = open_recording(path)
-    info = RecordingInfo(
+    file, missing = open_recording(path), {}
+    recordings: list[Recording] = []
+    try:
+        recordings = select_recordings(file, **selection)
+    except RecordingError as error:
+        missing["smooth"] = str(error)
+    for one in reversed(recordings):
+        missing |= _missing(one, one.arm_label if len(recordings) > 1 else "")
+    arms = [describe_arm(one) for one in recordings]
+    frame = recordings[0].camera_frame if recordings else file.camera_frame
+    notes = dict.fromkeys(note for one in recordings for note in one.notes) if recordings else file.notes
+    return RecordingInfo(
         path=str(file.path),
         size_bytes=Path(path).stat().st_size,
         topics=[
@@ -169,23 +179,20 @@ def describe(
             f"{arm.label}: {len(arm.stamp_ns)} frames, forearm tracked in {arm.tracked}" for arm in file.arms
         ],
         poses=[f"{poses.topic}: {len(poses.stamp_ns)} poses" for poses in file.poses],
-        camera_frame=None if file.camera_frame is None else str(file.camera_frame),
+        camera_frame=None if frame is None else str(frame),
         clocks=_clocks(file),
-        notes=list(file.notes),
+        missing=missing,
+        optional=_optional(file, recordings[0] if recordings else None),
+        ready=bool(arms) and all(arm.ready for arm in arms),
+        result=any(RESULT in name for name in file.metadata),
+        verdicts=[
+            {"arm": arm, "trusted": stated.trusted, "verdict": stated.verdict}
+            | {"untrusted": [plain(each) for each in stated.untrusted]}
+            for arm, stated in stated_estimates(file.metadata).items()
+        ],
+        notes=list(notes),
+        arms=arms,
     )
-    recordings: list[Recording] = []
-    try:
-        recordings = select_recordings(file, **selection)
-    except RecordingError as error:
-        info.missing["smooth"] = str(error)
-    if recordings:
-        _take(info, recordings)
-    info.optional = _optional(file, recordings[0] if recordings else None)
-    info.result = any(RESULT in name for name in file.metadata)
-    for arm, estimates in stated_estimates(file.metadata).items():
-        verdict: dict[str, object] = {"arm": arm, "trusted": estimates.trusted, "verdict": estimates.verdict}
-        info.verdicts.append(verdict | {"untrusted": [plain(each) for each in estimates.untrusted]})
-    return info
 
 
 def _rate_hz(file: RecordingFile, topic: TopicInfo) -> float | None:
@@ -196,17 +203,6 @@ def _rate_hz(file: RecordingFile, topic: TopicInfo) -> float | None:
         return rate_hz
     frames = len(np.unique(np.concatenate(stamps)))
     return rate_hz * min(frames / topic.count, 1.0)
-
-
-def _take(info: RecordingInfo, recordings: list[Recording]) -> None:
-    """The arms that would be recovered; values of one arm are those of the first."""
-    info.arms = [describe_arm(recording) for recording in recordings]
-    info.ready = all(arm.ready for arm in info.arms)
-    frame = recordings[0].camera_frame
-    info.camera_frame = None if frame is None else str(frame)
-    info.notes = list(dict.fromkeys(note for recording in recordings for note in recording.notes))
-    for recording in reversed(recordings):
-        info.missing |= _missing(recording, recording.arm_label if len(recordings) > 1 else "")
 
 
 def _missing(recording: Recording, label: str) -> dict[str, str]:
@@ -240,15 +236,11 @@ def _optional(file: RecordingFile, recording: Recording | None) -> dict[str, str
 
 
 def _clocks(file: RecordingFile) -> dict[str, dict[str, float]]:
+    streams: list[ImuSamples | ArmFrames | PoseSamples] = [*file.imus, *file.arms, *file.poses]
     clocks = {}
-    streams = [
-        *((stream.topic, stream.stamp_ns, stream.log_shift_ns) for stream in file.imus),
-        *((arm.topic, arm.stamp_ns, None) for arm in file.arms),
-        *((poses.topic, poses.stamp_ns, None) for poses in file.poses),
-    ]
-    for topic, stamp, shift in streams:
-        clock = {"first_s": float(stamp.min()) / 1e9, "last_s": float(stamp.max()) / 1e9}
-        if shift is not None:
-            clock["log_time_behind_s"] = shift / 1e9
-        clocks[topic] = clock
+    for stream in streams:
+        first, last = float(stream.stamp_ns.min()) / 1e9, float(stream.stamp_ns.max()) / 1e9
+        clocks[stream.topic] = {"first_s": first, "last_s": last}
+        if isinstance(stream, ImuSamples):
+            clocks[stream.topic]["log_time_behind_s"] = stream.log_shift_ns / 1e9
     return clocks

@@ -122,39 +122,29 @@ _SHOULDER = JOINTS.index("shoulder")
 def unswap_bodies(arms: list[ArmFrames]) -> tuple[list[ArmFrames], list[str]]:
     """Give bodies their numbers back where two of one topic exchanged them."""
     arms, notes = list(arms), []
-    bodies = sorted({(arm.topic, arm.body) for arm in arms})
-    for (topic, first), (other_topic, second) in combinations(bodies, 2):
-        if topic != other_topic:
+    bodies: dict[tuple[str, int], dict[str, int]] = {}  # by side the arm's place in the list
+    for place, arm in enumerate(arms):
+        bodies.setdefault(arm.key[:2], {})[arm.side] = place
+    for (first, own), (second, others) in combinations(sorted(bodies.items()), 2):
+        if first[0] != second[0] or own.keys() != others.keys():
             continue
-        swaps = _swaps(_of(arms, topic, first), _of(arms, topic, second))
+        swaps = _swaps([arms[k] for k in own.values()], [arms[k] for k in others.values()])
         if not len(swaps):
             continue
-        pairs = [
-            (i, k)
-            for i, one in enumerate(arms)
-            for k, other in enumerate(arms)
-            if (one.topic, one.body, other.topic, other.body) == (topic, first, topic, second)
-            and one.side == other.side
-        ]
-        stamp = arms[pairs[0][0]].stamp_ns
+        stamp = arms[next(iter(own.values()))].stamp_ns
         exchanged = np.zeros(len(stamp), bool)
         for row in swaps:
             exchanged[row:] ^= True
         taken = np.repeat(exchanged[:, None], len(JOINTS), axis=1)
-        for i, k in pairs:
-            one, other = arms[i], arms[k]
-            arms[i] = _merged(one, other, taken)
-            arms[k] = _merged(other, one, taken)
+        for i, k in ((own[side], others[side]) for side in own):
+            arms[i], arms[k] = _merged(arms[i], arms[k], taken), _merged(arms[k], arms[i], taken)
         seconds = [f"{(int(stamp[run.start]) - int(stamp[0])) / 1e9:.1f}" for run in runs(exchanged)]
         notes.append(
-            f"Bodies {first} and {second} of {topic} exchange their numbers {', '.join(seconds[:5])} s after"
-            " the first frame (each jumps to where the other was); they were exchanged back."
+            f"Bodies {first[1]} and {second[1]} of {first[0]} exchange their numbers"
+            f" {', '.join(seconds[:5])} s after the first frame (each jumps to where the other was); they"
+            " were exchanged back."
         )
     return arms, notes
-
-
-def _of(arms: list[ArmFrames], topic: str, body: int) -> list[ArmFrames]:
-    return [arm for arm in arms if (arm.topic, arm.body) == (topic, body)]
 
 
 def _place(arms: list[ArmFrames]) -> tuple[FloatArray, BoolArray]:
@@ -166,8 +156,7 @@ def _place(arms: list[ArmFrames]) -> tuple[FloatArray, BoolArray]:
 def _swaps(first: list[ArmFrames], second: list[ArmFrames]) -> IntArray:
     """Rows from which on the numbers are exchanged, or exchanged back."""
     nothing = np.empty(0, np.int64)
-    sides = {arm.side for arm in first}
-    if sides != {arm.side for arm in second} or len({len(arm.stamp_ns) for arm in (*first, *second)}) != 1:
+    if len({len(arm.stamp_ns) for arm in (*first, *second)}) != 1:
         return nothing
     a, a_there = _place(first)
     b, b_there = _place(second)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -38,22 +38,15 @@ def further_cameras(file: RecordingFile) -> dict[str, CameraStream]:
 
 def of_first_camera(file: RecordingFile, skeleton: str | None) -> tuple[RecordingFile, RecordingFile | None]:
     """A file without the skeletons of its further cameras, and one with these alone."""
-    cameras = {} if skeleton is not None else further_cameras(file)
-    if not cameras:
-        return (file if skeleton is not None else _without_doubles(file)), None
+    if skeleton is not None:
+        return file, None
+    cameras = further_cameras(file)
+    if not cameras:  # keypoints beside the skeleton that was made of them: one camera is not two
+        with_depth = [arm for arm in file.arms if arm.lens is None]
+        return (replace(file, arms=with_depth) if any(arm.tracked for arm in with_depth) else file), None
     first = replace(file, arms=[arm for arm in file.arms if arm.topic not in cameras], cameras={})
     arms = [arm for arm in file.arms if arm.topic in cameras]
     return first, replace(file, arms=arms, cameras=cameras)
-
-
-def _without_doubles(file: RecordingFile) -> RecordingFile:
-    """Without keypoints beside the skeleton that was made of them, which `--skeleton` takes: one camera is
-    not two.
-    """
-    with_depth = [arm for arm in file.arms if arm.lens is None]
-    if len(with_depth) == len(file.arms) or not any(arm.tracked for arm in with_depth):
-        return file
-    return replace(file, arms=with_depth)
 
 
 def same_arm(
@@ -71,18 +64,14 @@ def same_arm(
         if not candidates:
             notes.append(f"{camera.name} ({topic}) shows no {arm.side or 'such'} arm and was left out.")
             continue
-        found.append((camera, _by_motion(candidates, imu)))
+        best = candidates[0]
+        if len(candidates) > 1:
+            from .match import agreement  # SciPy: where it is used
+
+            best = max(candidates, key=lambda each: agreement(imu, each)[0])
+        found.append((camera, best))
         notes.append(f"{camera.name}: skeleton {found[-1][1].label} was taken as a further camera's.")
     return found, notes
-
-
-def _by_motion(candidates: Sequence[ArmFrames], imu: ImuSamples) -> ArmFrames:
-    from .match import agreement  # SciPy: where it is used
-
-    if len(candidates) == 1:
-        return candidates[0]
-    scores = [agreement(imu, each)[0] for each in candidates]
-    return candidates[int(np.argmax(scores))]
 
 
 def camera_of(
@@ -122,13 +111,14 @@ def cameras_from_plain(values: dict[str, dict[str, object]]) -> dict[str, Camera
         str(topic): CameraStream(
             str(each["name"]),
             CameraFrame(str(each["camera_frame"])) if each.get("camera_frame") else None,
-            _direction(each["gravity"]) if each.get("gravity") is not None else None,
+            direction_of(each["gravity"]) if each.get("gravity") is not None else None,
         )
         for topic, each in dict(values).items()
     }
 
 
-def _direction(value: object) -> FloatArray:
+def direction_of(value: object) -> FloatArray:
+    """Down as plain values state it; raises `ValueError` or `TypeError` where they do not."""
     gravity = np.array(value, float).reshape(3)
     direction = np.asarray(unit(gravity))
     if not (np.isfinite(gravity).all() and abs(float(np.linalg.norm(direction)) - 1) < 1e-6):

@@ -7,10 +7,10 @@ import json
 import math
 import os
 import tempfile
-from collections import Counter
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from itertools import count
 from pathlib import Path
 from typing import Unpack
 
@@ -217,15 +217,12 @@ def _trial(path: Path, line: int, row: dict[str, str]) -> Trial:
 
 def _told_apart(trials: list[Trial]) -> list[Trial]:
     """The same trials; those with one name are numbered in the order of the table."""
-    count = Counter(trial.name.casefold() for trial in trials)
-    met: Counter[str] = Counter()
-    taken = set(count)
-    named = []
-    for trial in trials:
-        key, name = trial.name.casefold(), trial.name
-        if count[key] > 1:
-            while (name := f"{trial.name}_{(met := met + Counter([key]))[key]}").casefold() in taken:
-                pass
+    names = [trial.name.casefold() for trial in trials]
+    taken, named = set(names), []
+    for trial, key in zip(trials, names, strict=True):
+        name = trial.name
+        if names.count(key) > 1:
+            name = next(new for k in count(1) if (new := f"{trial.name}_{k}").casefold() not in taken)
             taken.add(name.casefold())
-        named.append(Trial(name, trial.start_s, trial.end_s, trial.label))
+        named.append(replace(trial, name=name))
     return named

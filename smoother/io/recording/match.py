@@ -7,7 +7,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from ...array_types import FloatArray, IntArray
 from ...errors import RecordingError
 from ...matching import ImuMatch, Limb, limbs_of, match_imus
 from ...recording import ImuStream, JointTracks
@@ -27,14 +26,14 @@ _MOTION_FRAMES = 20_000
 def agreement(imu: ImuSamples, arm: ArmFrames) -> tuple[float, float, bool]:
     """How well an IMU turns as an arm in its first frames, the clocks' shift, s, and whether it is far."""
     order = np.argsort(arm.stamp_ns, kind="stable")[:_MOTION_FRAMES]
-    if not len(order):
-        return 0.0, 0.0, False
-    stamp, gyro, acc = _samples_until(imu, int(arm.stamp_ns[order].max() + 1e9 * _FAR_S))
-    stamp, first = np.unique(stamp, return_index=True)
+    last_ns = int(arm.stamp_ns[order].max(initial=0) + 1e9 * _FAR_S)
+    rows = np.flatnonzero(imu.stamp_ns <= last_ns) if len(order) else order
+    rows = rows[np.isfinite(imu.gyro[rows]).all(axis=1) & np.isfinite(imu.acc[rows]).all(axis=1)]
+    stamp, first = np.unique(imu.stamp_ns[rows], return_index=True)
     if len(stamp) < 2:
         return 0.0, 0.0, False
-    zero = int(stamp[0])
-    stream = ImuStream(imu.topic, (stamp - zero) / 1e9, acc[first], gyro[first])
+    zero, rows = int(stamp[0]), rows[first]
+    stream = ImuStream(imu.topic, (stamp - zero) / 1e9, imu.acc[rows], imu.gyro[rows])
     t_s = (arm.stamp_ns[order] - zero) / 1e9
     tracks = JointTracks(arm.topic, t_s, arm.position[order], arm.state[order])
     found = agreement_of(stream, tracks)
@@ -42,19 +41,6 @@ def agreement(imu: ImuSamples, arm: ArmFrames) -> tuple[float, float, bool]:
         return 0.0, 0.0, False
     line = chosen(found, is_unrelated=False)
     return line.explained**0.5, line.offset_s, line is not found.near
-
-
-def _samples_until(imu: ImuSamples, stamp_ns: int) -> tuple[IntArray, FloatArray, FloatArray]:
-    """Stamps, rates and accelerations of finite samples in order, up to the first after a time."""
-    stamp, gyro, acc = imu.stamp_ns, imu.gyro, imu.acc
-    if (stamp[1:] >= stamp[:-1]).all():
-        stop = int(np.searchsorted(stamp, stamp_ns, "right")) + 1
-        stamp, gyro, acc = stamp[:stop], gyro[:stop], acc[:stop]
-    else:
-        order = np.argsort(stamp, kind="stable")
-        stamp, gyro, acc = stamp[order], gyro[order], acc[order]
-    finite = np.isfinite(gyro).all(axis=1) & np.isfinite(acc).all(axis=1)
-    return stamp[finite], gyro[finite], acc[finite]
 
 
 def match_streams(
@@ -94,18 +80,12 @@ def match_streams(
     if may_be is not None:
         allowed = np.array([[may_be(i, limb) for limb in limbs] for i in range(len(streams))], bool)
     try:
-        matches = match_imus(streams, limbs, down_of(file, arms), method, reach_s, allowed)
+        matches = match_imus(
+            streams, limbs, replace(file, arms=list(arms)).level_down, method, reach_s, allowed
+        )
     except RecordingError as error:
         raise RecordingError(f"{source}: {error}.") from None
     return matches, notes + _left_open(streams, limbs, matches, reach_s)
-
-
-def down_of(file: RecordingFile, arms: Sequence[ArmFrames]) -> FloatArray | None:
-    """Rough direction of gravity in {K} as the file states it; None where it does not."""
-    if file.gravity_hint is not None:
-        return file.gravity_hint
-    frames = [file.camera_frame, *(arm.camera_frame for arm in arms)]
-    return next((frame.down for frame in frames if frame is not None), None)
 
 
 def _left_open(

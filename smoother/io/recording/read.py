@@ -17,7 +17,6 @@ import numpy as np
 from ...array_types import BoolArray, FloatArray, IntArray
 from ...calibration import ArmCalibration
 from ...errors import RecordingError
-from ...linalg import unit
 from ...measurements.remedy import Remedy
 from ...recording import JOINTS, CameraFrame, ImportNote, ImuStream, Recording
 from ...runtime.printable import printable
@@ -25,7 +24,7 @@ from ...runtime.store import by_rows, large_array
 from ..mcap.container import Container
 from ..mcap.messages import SECOND_NS, Topic, damage_note, plain_name, seconds
 from ..mcap.repair import repair_notes
-from .camera_streams import cameras_from_plain
+from .camera_streams import cameras_from_plain, direction_of
 from .choose import FileReading, Selection, choose_imu
 from .clean import clean_imu
 from .decode import Decoder, MarkerDecoder, PlainDecoder, SkeletonDecoder, decoder_of
@@ -298,10 +297,7 @@ def _take_metadata(file: RecordingFile) -> None:
         if record.get("camera_frame"):
             file.camera_frame = CameraFrame(record["camera_frame"])
         if record.get("gravity"):
-            gravity = np.array(json.loads(record["gravity"]), float).reshape(3)
-            file.gravity_hint = unit(gravity)
-            if not (np.isfinite(gravity).all() and abs(np.linalg.norm(file.gravity_hint) - 1) < 1e-6):
-                raise ValueError("gravity is not a direction")
+            file.gravity_hint = direction_of(json.loads(record["gravity"]))
         file.clocks_unrelated = record.get("clocks") == CLOCKS_UNRELATED
         if record.get("cameras"):
             file.cameras = cameras_from_plain(json.loads(record["cameras"]))
