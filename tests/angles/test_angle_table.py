@@ -25,7 +25,7 @@ from smoother.result import Estimates, Recovery
 from smoother.result.segment_motion import SegmentMotion, TrunkMotion
 from smoother.simulation import ArmSimulation, simulate_arm
 from smoother.smoothing import smooth
-from tools.accuracy.angles import Z_95, AngleErrors, angle_errors, rows, simulated
+from tools.accuracy.angles import Z_95, AngleErrors, angle_errors, simulated
 
 ALWAYS = ["elbow_flexion", "shoulder_plane", "shoulder_elevation", "shoulder_rotation", "pronation"]
 DOWN = np.array([0.05, -0.99, 0.1]) / np.linalg.norm([0.05, -0.99, 0.1])
@@ -336,12 +336,6 @@ def test_against_the_trunk_that_the_camera_sees(errors: list[AngleErrors]) -> No
     for name in ("shoulder_plane_trunk", "shoulder_elevation_trunk", "shoulder_rotation_trunk"):
         off, sigma = pooled(errors, name, hidden=False)
         assert np.mean(np.abs(off / sigma) < Z_95) > 0.85 and np.median(sigma) < 15.0
-
-
-def test_a_table_of_them(errors: list[AngleErrors]) -> None:
-    lines = list(rows("realistic", errors))
-    assert lines[0].split()[:2] == ["realistic", "elbow_flexion"] and lines[0].endswith("%")
-    assert len({line.split()[1] for line in lines}) >= 7
 
 
 R_H_I = Rotation.from_rotvec([-0.9, 0.2, 1.3]).as_matrix()

@@ -7,9 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scenes import ALONE, OVER_CONFIDENT, Scene, arm, assert_accurate, point, recovered, without_frames
-from scipy.spatial.transform import Rotation
 
-from smoother.array_types import FloatArray
 from smoother.errors import SolveError
 from smoother.evaluation.advice import advice
 from smoother.evaluation.validate import sample_errors
@@ -97,45 +95,6 @@ def test_a_pause_inside_a_gap_leaves_two_open_gaps() -> None:
     assert before.end_s < middle < after.start_s
     assert np.isfinite(scene.recovery.position).all()
     assert scene.validation.all.nees < OVER_CONFIDENT
-
-
-def test_an_arm_that_hangs_still_at_first() -> None:
-    """Five seconds at rest with the forearm vertical: the heading is free there, and comes from later."""
-    scene = recovered(arm(0, protocol="random", still_start_s=5.0))
-    assert_accurate(scene)
-    still = scene.recovery.t_s < 4.0
-    assert np.isfinite(scene.recovery.sigma_deg[still]).all()
-
-
-def heading(scene: Scene) -> tuple[FloatArray, FloatArray]:
-    """Error about the vertical and its stated standard deviation, degrees, (N,)."""
-    truth, recovery = scene.recording.truth, scene.recovery
-    found, true = (Rotation.from_quat(q, scalar_first=True) for q in (recovery.quaternion, truth.quaternion))
-    down = recovery.gravity_direction
-    variance = np.einsum("i,nij,j->n", down, recovery.pose_covariance[:, 3:, 3:], down)
-    return np.degrees((found * true.inv()).as_rotvec() @ down), np.degrees(np.sqrt(variance))
-
-
-@pytest.fixture(scope="module", params=[0, 1])
-def no_motion(request: pytest.FixtureRequest) -> Scene:
-    return recovered(arm(request.param, protocol="hang", still_all=True, duration_s=30.0))
-
-
-def test_no_motion_at_all_has_an_answer(no_motion: Scene) -> None:
-    recovery = no_motion.recovery
-    for values in (recovery.position, recovery.quaternion, recovery.sigma_m, recovery.sigma_deg):
-        assert np.isfinite(values).all()
-    error, sigma = heading(no_motion)
-    # the camera sees a forearm that is nearly vertical, so only the prior says where the IMU's face looks
-    assert sigma.min() > 4.0
-    assert np.abs(error).max() < 60.0
-    position = no_motion.validation.all.position_max_m
-    assert position < 0.03  # the IMU sits 3.5 cm off the forearm's axis
-
-
-def test_no_motion_at_all_is_known_to_be_vague(no_motion: Scene) -> None:
-    error, sigma = heading(no_motion)
-    assert np.sqrt(np.mean((error / sigma) ** 2)) < 2.5  # found about 1
 
 
 def test_small_angles_keep_their_sigma_and_large_ones_take_positions_along() -> None:
