@@ -29,9 +29,7 @@ from smoother.result import Recovery
 from smoother.rotation import Rotation
 from smoother.selfcal.mounting import sphere
 from smoother.smoothing import smooth
-from tools.reliability.cases import mirrored_in_one_plane
-from tools.reliability.judging import Trial, trial_of
-from tools.reliability.scene import draw_scene
+from tools.reliability.scenes import Trial, draw_scene, mirrored_in_one_plane
 
 #: When the wrist is hidden, s.
 GAP_S = (8.0, 10.0)
@@ -40,7 +38,7 @@ GAP_S = (8.0, 10.0)
 @pytest.fixture(scope="module")
 def in_one_plane() -> Trial:
     """An arm that the camera sees in one upright plane, and that moves freely where it does not."""
-    return trial_of(mirrored_in_one_plane(draw_scene("in one plane", 24.0, [5, 0])))
+    return mirrored_in_one_plane(draw_scene("in one plane", 24.0, [5, 0])).trial()
 
 
 def test_a_mirrored_skeleton_is_named_though_it_fits(in_one_plane: Trial) -> None:

@@ -41,8 +41,7 @@ from smoother.simulation import ArmSimulation, SimulatedArm, simulate_arm
 from smoother.smoothing import smooth
 from tools.accuracy.check import JSON, ONE_PROCESS, PRESETS, Check, datasets, option, rms
 from tools.accuracy.live import play
-from tools.reliability import judging, setup_errors
-from tools.reliability.cases import unusual_jobs, wrong_pairs
+from tools.reliability import scenes, setup_errors
 
 #: The first of a row's seeds; no other tool draws from here.
 SEED = 61_400
@@ -111,15 +110,15 @@ def judged(
         print("" if refused else f"{type(error).__name__}: {error}\n", end="", file=sys.stderr)
         return Run([], counts + Counter({"refused" if refused else "crashed": 1}))
     (t_s, values), found = scored(recovery), []
-    believed = np.interp(t_s, recovery.t_s, judging.trusted_samples(recovery).astype(float)) > 0.5
+    believed = np.interp(t_s, recovery.t_s, scenes.trusted_samples(recovery).astype(float)) > 0.5
     counts["trusted"] += recovery.estimates.trusted is True
     for rows in ((t_s > start_s) & (t_s < end_s) for start_s, end_s in gaps):
         found.append(values[rows])
         known = found[-1][np.isfinite(found[-1][:, 1])]
-        if len(known) and believed[rows].mean() > judging.TRUSTED_SHARE:
+        if len(known) and believed[rows].mean() > scenes.TRUSTED_SHARE:
             counts["gaps trusted"] += 1
             far = rms(known[:, 0]) > setup_errors.LARGEST_ERROR_M
-            counts["wrong"] += far and bool(known[:, 1].mean() / 3 > judging.SIGMAS**2)
+            counts["wrong"] += far and bool(known[:, 1].mean() / 3 > scenes.SIGMAS**2)
     return Run(found, counts)
 
 
@@ -237,10 +236,10 @@ def live(seed: int) -> list[list[Run]]:
     return found
 
 
-def second(job: Callable[[], judging.Outcome], pair: bool) -> list[list[Run]]:
+def second(job: Callable[[], scenes.Outcome], pair: bool) -> list[list[Run]]:
     """A set-up of the second simulator; an answer to a wrong pair is wrong where it is trusted."""
     end = job()
-    counts = _ended(end.sentence, end.trusted, end.trusted is True if pair else len(end.wrong_and_trusted))
+    counts = _ended(end.sentence, end.trusted, end.trusted is True if pair else end.wrong_and_trusted)
     counts |= Counter({"gaps": len(end.rated), "gaps trusted": sum(each.trusted for each in end.rated)})
     errors = [np.full((len(each.squared_sigmas), 4), np.nan) for each in end.rated if not pair]
     for each, values in zip(end.rated, errors, strict=False):
@@ -258,7 +257,7 @@ def set_up(job: setup_errors.Job) -> list[list[Run]]:
 
 
 def _ended(sentence: str, trusted: bool | None, wrong: int) -> Counter[str]:
-    crashed = sentence.startswith(("traceback", judging.TOO_SLOW))
+    crashed = sentence.startswith("traceback")
     refused = bool(sentence) and not crashed
     return Counter(recordings=1, refused=refused, crashed=crashed, trusted=trusted is True, wrong=wrong)
 
@@ -302,9 +301,9 @@ def jobs() -> Iterator[Job]:
     shown = tuple(f"live, {kind}, {where}" for kind in ("settled", "now") for where in ("visible", "gaps"))
     for seed in range(SEED, SEED + 3):
         yield shown, partial(live, seed)
-    for paired in wrong_pairs(12, np.random.default_rng(SEED)):
+    for paired in scenes.wrong_pairs(12, np.random.default_rng(SEED)):
         yield ("wrong pairs",), partial(second, paired, True)
-    for drawn in unusual_jobs(30, np.random.default_rng(SEED)):
+    for drawn in scenes.unusual_jobs(30, np.random.default_rng(SEED)):
         yield ("unusual set-ups",), partial(second, drawn, False)
     for wrong in setup_errors.draw(100, SEED):
         yield ("set-up errors",), partial(set_up, wrong)

@@ -4,15 +4,13 @@ Each case is a mistake that people make with sensors, axes, clocks, units or nam
 recording; which case, recording, preset and length is drawn from the seed. `smooth` runs on it without a word
 of warning. The table shows how far the answer is off in the gaps, what sigma it states there, or the sentence
 that it ends with, and whether the result is called trusted. `--sound` adds recordings without a mistake.
-
-Mistakes that people make with sensors, axes, clocks, units and names, put into simulated recordings.
 """
 
 from __future__ import annotations
 
 import argparse
 import textwrap
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, replace
 from typing import Any
@@ -22,7 +20,6 @@ from scipy.spatial.transform import Rotation
 
 from smoother.array_types import BoolArray, FloatArray
 from smoother.calibration import ArmCalibration
-from smoother.config import Config
 from smoother.errors import UnoccludeError
 from smoother.evaluation.validate import sample_errors
 from smoother.linalg import interpolate, unit
@@ -33,6 +30,7 @@ from smoother.simulation.camera import add_noise, film
 from smoother.simulation.inertial import ideal_imu, measure
 from smoother.simulation.motion import ArmMotion
 from smoother.smoothing import smooth
+from tools.accuracy.check import ONE_PROCESS, PRESETS, rms
 
 
 @dataclass(frozen=True)
@@ -293,8 +291,6 @@ CASES: tuple[Callable[[Setup], Setup], ...] = (
     calibration_of_another_mounting,
 )
 
-ONE_PROCESS = Config.model_validate({"windows": {"processes": 1}})
-PRESETS = ("white", "realistic", "azure")
 LENGTHS_S = (24.0, 60.0)
 #: An answer that is off by more than this in the gaps must not be called trusted, m.
 LARGEST_ERROR_M = 0.10
@@ -347,81 +343,60 @@ class Outcome:
     error_m: float = float("nan")  # Rms of the IMU's position error in the gaps, and of what is stated
     sigma_m: float = float("nan")  # Rms of the IMU's position error in the gaps, and of what is stated
     sentence: str = ""  # The error that it ended with; "" for an answer
-    trusted: bool | None = None  # The result's own verdict; None where it has none
+    trusted: bool | None = None  # The result's own verdict
     reasons: tuple[str, ...] = ()  # The verdict's reasons or cautions
-
-    @property
-    def verdict(self) -> str:
-        """In a word."""
-        if self.sentence:
-            return "refused"
-        return {True: "trusted", False: "not trusted", None: "no verdict yet"}[self.trusted]
 
     @property
     def off(self) -> bool:
         """The answer is off by more than it may be in a result that is trusted."""
         return self.error_m > LARGEST_ERROR_M
 
+    @property
+    def verdict(self) -> str:
+        """In a word."""
+        return "refused" if self.sentence else "trusted" if self.trusted else "not trusted"
 
-def run(job: Job, config: Config = ONE_PROCESS) -> Outcome:
+    @property
+    def errors(self) -> str:
+        """The error and what is stated."""
+        return f"{_cm(self.error_m)} /{_cm(self.sigma_m)}"
+
+
+def run(job: Job) -> Outcome:
     """Smooth a job's recording and judge the answer."""
     setup = job.setup()
     truth = setup.recording.truth
     assert truth is not None
     try:
-        recovery = smooth(replace(setup.recording, truth=None), setup.calibration, config)
+        recovery = smooth(replace(setup.recording, truth=None), setup.calibration, ONE_PROCESS)
     except UnoccludeError as error:
         return Outcome(sentence=str(error))
     except Exception as error:  # a mistake that ends in a traceback is what this program looks for
         return Outcome(sentence=f"traceback, {type(error).__name__}: {error}")
-    errors, occluded = sample_errors(recovery, truth), setup.occluded(recovery.t_s)
-    answered = occluded & np.isfinite(errors.distance_m)
+    errors, estimates = sample_errors(recovery, truth), recovery.estimates
+    answered = setup.occluded(recovery.t_s) & np.isfinite(errors.distance_m)
+    reasons = estimates.reasons or estimates.cautions
+    if not answered.any():
+        return Outcome(trusted=estimates.trusted, reasons=reasons)
     variance = np.trace(recovery.pose_covariance[answered, :3, :3], axis1=1, axis2=2)
-    estimates = getattr(recovery, "estimates", None)
-    trusted = getattr(estimates, "trusted", None)
-    reasons = getattr(estimates, "reasons", ()) or getattr(estimates, "cautions", ())
-    if trusted is None:
-        reasons = recovery.notes
-    return Outcome(
-        float(np.sqrt(np.mean(errors.distance_m[answered] ** 2))) if answered.any() else float("nan"),
-        float(np.sqrt(np.mean(variance))) if answered.any() else float("nan"),
-        trusted=None if trusted is None else bool(trusted),
-        reasons=tuple(reasons),
-    )
+    sigma_m = float(np.sqrt(np.mean(variance)))
+    return Outcome(rms(errors.distance_m[answered]), sigma_m, "", estimates.trusted, reasons)
 
 
-def show(job: Job, outcome: Outcome) -> None:
-    """Print a row of the table."""
-    text = outcome.sentence or "; ".join(outcome.reasons)
-    print(
-        f"{job.name:32} {job.seed:10} {job.preset:9} {job.duration_s:4.1f} s {_cm(outcome.error_m)}"
-        f" {_cm(outcome.sigma_m)}  {outcome.verdict:14} {textwrap.shorten(text, 150)}",
-        flush=True,
-    )
-
-
-def summarise(jobs: list[Job], outcomes: list[Outcome]) -> None:
-    """Print one line per case, and what is to be none."""
-    print(f"\n{'case':32} {'jobs':>4} {'refused':>7} {'trusted':>7} {'not':>4}  errors in the gaps / stated")
-    for name in dict.fromkeys(job.name for job in jobs):
-        own = [outcome for job, outcome in zip(jobs, outcomes, strict=True) if job.name == name]
-        answers = [f"{_cm(each.error_m)} /{_cm(each.sigma_m)}" for each in own if not each.sentence]
-        refused, trusted, untrusted = (
-            sum(each.verdict == verdict for each in own) for verdict in ("refused", "trusted", "not trusted")
-        )
-        print(f"{name:32} {len(own):4} {refused:7} {trusted:7} {untrusted:4}  {', '.join(answers)}")
-    wrong, good = (
-        [each for job, each in zip(jobs, outcomes, strict=True) if (job.case is sound) is is_sound]
-        for is_sound in (False, True)
-    )
-    undecided = sum(each.off and each.verdict == "no verdict yet" for each in wrong)
-    print(
-        f"\nwrong, above {100 * LARGEST_ERROR_M:.0f} cm in the gaps and trusted:"
-        f" {sum(each.off and each.trusted is True for each in wrong)} of {len(wrong)}"
-        f" (without a verdict yet: {undecided})"
-    )
-    untrusted = sum(each.trusted is False or bool(each.sentence) for each in good)
-    print(f"sound, not trusted or refused: {untrusted} of {len(good)}")
+def summary(done: list[tuple[Job, Outcome]]) -> Iterator[str]:
+    """A line per case, and what is to be none."""
+    verdicts = ("refused", "trusted", "not trusted")
+    yield f"\n{'case':32} {'jobs':>4} {'refused':>7} {'trusted':>7} {'not':>4}  errors in the gaps / stated"
+    for name in dict.fromkeys(job.name for job, _ in done):
+        own = [outcome for job, outcome in done if job.name == name]
+        refused, trusted, untrusted = (sum(each.verdict == word for each in own) for word in verdicts)
+        answers = ", ".join(each.errors for each in own if not each.sentence)
+        yield f"{name:32} {len(own):4} {refused:7} {trusted:7} {untrusted:4}  {answers}"
+    wrong = [outcome for job, outcome in done if job.case is not sound]
+    good = [outcome for job, outcome in done if job.case is sound]
+    believed = sum(each.off and each.verdict == "trusted" for each in wrong)
+    yield f"\nwrong, above {100 * LARGEST_ERROR_M:.0f} cm in the gaps and trusted: {believed} of {len(wrong)}"
+    yield f"sound, not trusted or refused: {sum(each.verdict != 'trusted' for each in good)} of {len(good)}"
 
 
 def _cm(metres: float) -> str:
@@ -445,17 +420,16 @@ def main() -> None:
     cases = tuple(case for case in CASES if options.only in case.__name__.replace("_", " "))
     if not cases:
         parser.error(f"no case is called '{options.only}'")
-    jobs = [
-        *draw(options.count, options.seed, cases, options.lengths_s),
-        *draw(options.sound, options.seed, (sound,), options.lengths_s),
-    ]
-    outcomes = []
+    jobs = draw(options.count, options.seed, cases, options.lengths_s)
+    jobs += draw(options.sound, options.seed, (sound,), options.lengths_s)
+    done = []
     with ProcessPoolExecutor(options.processes) as pool:
-        answers = pool.map(run, jobs) if options.processes > 1 else map(run, jobs)
-        for job, outcome in zip(jobs, answers, strict=True):
-            show(job, outcome)
-            outcomes.append(outcome)
-    summarise(jobs, outcomes)
+        for job, end in zip(jobs, pool.map(run, jobs), strict=True):
+            done.append((job, end))
+            text = textwrap.shorten(end.sentence or "; ".join(end.reasons), 150)
+            drawn = f"{job.name:32} {job.seed:10} {job.preset:9} {job.duration_s:4.1f} s"
+            print(f"{drawn} {end.errors}  {end.verdict:12} {text}", flush=True)
+    print(*summary(done), sep="\n")
 
 
 if __name__ == "__main__":
