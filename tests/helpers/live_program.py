@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import signal
 import sys
 
 
 def main() -> int:
+    # ignored where a shell runs the tests in the background: the child inherits that
+    signal.signal(signal.SIGINT, signal.default_int_handler)
     arguments = sys.argv[1:]
     if arguments[:1] == ["--echo"]:
         from live_engine import CameraEcho

@@ -1,9 +1,8 @@
-"""The IMU of the last moments: made anew with the samples, there and back; what is missing is uncertain."""
+"""The IMU of the last moments: there and back; what is missing is uncertain."""
 
 from __future__ import annotations
 
 import numpy as np
-import pytest
 
 from smoother.live.buffers import ImuBatch, ImuBuffer
 from smoother.live.signal import LiveSignal, displacement, increments_between, propagated
@@ -31,17 +30,6 @@ def live(imu: ImuBuffer) -> LiveSignal:
     return LiveSignal(imu, np.zeros((2, 3, 3)))
 
 
-def test_it_is_made_anew_only_with_new_samples_or_for_an_earlier_time() -> None:
-    imu = buffer()
-    signals = live(imu)
-    first = signals.since(1.5)
-    assert signals.since(1.6) is first
-    assert signals.since(0.5) is not first
-    before = signals.since(0.5)
-    imu.add(rows(np.array([2.0, 2.01])))
-    assert signals.since(0.5) is not before and signals.since(0.5).end_s > before.end_s
-
-
 def test_there_and_back_is_where_it_began() -> None:
     signal, bias = live(buffer()).since(0.5), np.zeros(6)
     later = propagated(NODE, 1.3, signal, bias, DOWN)
@@ -53,15 +41,6 @@ def test_there_and_back_is_where_it_began() -> None:
     np.testing.assert_allclose(later.p + moved, NODE.p, atol=1e-9)
 
 
-def test_a_bias_that_is_subtracted_is_gone() -> None:
-    bias = np.array([0.1, -0.2, 0.05, 0.01, 0.0, -0.02])
-    imu, batch = ImuBuffer(10.0), rows(T)
-    imu.add(ImuBatch(T, batch.acc + bias[:3], batch.gyro + bias[3:]))
-    biased = propagated(NODE, 1.4, live(imu).since(0.5), bias, DOWN)
-    clean = propagated(NODE, 1.4, live(buffer()).since(0.5), np.zeros(6), DOWN)
-    np.testing.assert_allclose(biased.p, clean.p, atol=1e-9)
-
-
 def test_missing_samples_leave_the_velocity_uncertain() -> None:
     whole = increments_between(live(buffer()).since(0.5), 1.0, 1.1, np.zeros(6))
     some = buffer(T[(T < 1.02) | (T > 1.08)])
@@ -70,10 +49,3 @@ def test_missing_samples_leave_the_velocity_uncertain() -> None:
     assert missing.velocity_error[0] > whole.velocity_error[0] + 0.1
     elsewhere = increments_between(live(some).since(0.5), 1.2, 1.3, np.zeros(6))
     assert elsewhere.velocity_error[0] < 0.1
-
-
-def test_the_longest_pause() -> None:
-    signals = live(buffer(T[(T < 1.0) | (T > 1.4)]))
-    assert signals.pause_s(0.5) == pytest.approx(0.42, abs=0.02)
-    assert signals.pause_s(1.5) == pytest.approx(0.01)
-    assert live(ImuBuffer(10.0)).pause_s(0.0) == 0.0

@@ -58,27 +58,26 @@ def echo():
     thread.join(WAIT_S)
 
 
-def test_bytes_pass_both_ways_for_who_may(echo):
+@pytest.fixture
+def connection(echo):
+    """A connection through the gate."""
     gate = OriginGate(0, echo)
-    try:
-        with socket.create_connection(("127.0.0.1", gate.port), WAIT_S) as connection:
-            request = head("Host: 127.0.0.1", "Origin: https://app.foxglove.dev") + b"\r\n\r\n"
-            connection.sendall(request)
-            got = b""
-            while len(got) < len(request) + 4:
-                got += connection.recv(4096)
-                if got == request:
-                    connection.sendall(b"more")
-            assert got == request + b"more"
-    finally:
-        gate.close()
+    with socket.create_connection(("127.0.0.1", gate.port), WAIT_S) as connection:
+        yield connection
+    gate.close()
 
 
-def test_a_foreign_page_is_refused(echo):
-    gate = OriginGate(0, echo)
-    try:
-        with socket.create_connection(("127.0.0.1", gate.port), WAIT_S) as connection:
-            connection.sendall(head("Host: 127.0.0.1", "Origin: https://evil.example") + b"\r\n\r\n")
-            assert connection.recv(4096).startswith(b"HTTP/1.1 403 Forbidden")
-    finally:
-        gate.close()
+def test_bytes_pass_both_ways_for_who_may(connection):
+    request = head("Host: 127.0.0.1", "Origin: https://app.foxglove.dev") + b"\r\n\r\n"
+    connection.sendall(request)
+    got = b""
+    while len(got) < len(request) + 4:
+        got += connection.recv(4096)
+        if got == request:
+            connection.sendall(b"more")
+    assert got == request + b"more"
+
+
+def test_a_foreign_page_is_refused(connection):
+    connection.sendall(head("Host: 127.0.0.1", "Origin: https://evil.example") + b"\r\n\r\n")
+    assert connection.recv(4096).startswith(b"HTTP/1.1 403 Forbidden")
