@@ -264,6 +264,7 @@ class Sound:
         self.events: list[tuple[float, str]] = []  # when, and what was said
         self._now = min(float(rows.arrival_s[0]) for rows in self.streams.values())
         self._go_on_with(self.streams)
+        self._next = dict.fromkeys(self.streams, 0)
         engine = LiveSmoother(
             recording.side,
             camera_frame=recording.camera_frame,

@@ -90,8 +90,8 @@ def words(figures: SessionFigures) -> list[str]:
     if math.isfinite(output.clock_offset_s):
         offset = f"clock offset {1e3 * output.clock_offset_s:+.1f}"
         rest.append(f"{offset} +- {1e3 * output.clock_sigma_s:.1f} ms")
-    if output.dropped.total:
-        rest.append(f"{output.dropped.total} dropped")
+    if dropped := sum(output.dropped.values()):
+        rest.append(f"{dropped} dropped")
     if math.isfinite(output.step_ms):
         rest.append(f"step {output.step_ms:.1f} ms")
     return [_state_words(figures, output), *streams, *rest, load]

@@ -53,23 +53,6 @@ class LiveEstimate:
 
 
 @dataclass(frozen=True)
-class Dropped:
-    """What never took part, counted since the beginning."""
-
-    late_samples: int = 0  # Older than the smoother sorts in
-    late_frames: int = 0  # Older than the smoother sorts in
-    duplicate_samples: int = 0  # A stamp that had been there before
-    duplicate_frames: int = 0  # A stamp that had been there before
-    invalid_samples: int = 0  # Not finite
-    backlog_frames: int = 0  # Skipped to catch up with the present
-
-    @property
-    def total(self) -> int:
-        """All of them."""
-        return sum(vars(self).values())
-
-
-@dataclass(frozen=True)
 class LiveOutput:
     """What is known after a step."""
 
@@ -80,10 +63,8 @@ class LiveOutput:
     clock_offset_s: float = float("nan")  # t_imu = t_camera + offset, and its standard deviation
     clock_sigma_s: float = float("nan")  # t_imu = t_camera + offset, and its standard deviation
     camera_latency_s: float = float("nan")  # From a frame's moment to its arrival, median of the last frames
-    imu_rate_hz: float = float("nan")  # Of the last seconds; nan without samples
-    frame_rate_hz: float = float("nan")  # Of the last seconds; nan without samples
-    dropped: Dropped = field(default_factory=Dropped)  # Since the beginning
-    load: float = float("nan")  # Processor time of the steps as a share of one core, over the last seconds
+    # What never took part since the beginning, by why: late, there before, not finite, skipped to catch up
+    dropped: dict[str, int] = field(default_factory=dict)
     step_ms: float = float("nan")  # Processor time of this step
     # What happened in this step and should be said, one sentence each ("the camera's clock jumped ..")
     notes: tuple[str, ...] = ()

@@ -10,7 +10,6 @@ from concurrent.futures import Future, ProcessPoolExecutor, ThreadPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from typing import TypeAlias
 
 import numpy as np
 
@@ -60,8 +59,8 @@ class CalibrationJob:
 class LiveCalibration:
     """What a self-calibration answered."""
 
-    from_s: float  # The first and the last IMU sample that it read, on the IMU's clock
-    until_s: float  # The first and the last IMU sample that it read, on the IMU's clock
+    from_s: float = math.nan  # The first and the last IMU sample that it read, on the IMU's clock
+    until_s: float = math.nan  # The first and the last IMU sample that it read, on the IMU's clock
     model: SelfCalibration | None = None  # None where the motion did not suffice
     clock: Clock | None = None  # t_imu = t_camera + offset, of the camera's own stamps; None without a model
     reason: str = ""  # Why there is no model, one sentence; "" where there is one
@@ -89,22 +88,18 @@ def _calibrated(job: CalibrationJob, before: Clock) -> LiveCalibration:
             reject_by_camera(excerpt) for excerpt in informative_excerpts(recording, Timeline.of(recording))
         ]
         if not excerpts:
-            return LiveCalibration(np.nan, np.nan, reason="the IMU and a visible forearm do not overlap yet")
+            return LiveCalibration(reason="the IMU and a visible forearm do not overlap yet")
         config = with_measured_noise(job.config, recording.imu)
         with Pool(1, 0) as here:
             further, left_out = calibrate_further_imus(recording, job.given, config, here)
             own = [without_joints_of(excerpt, further) for excerpt in excerpts]
             model = self_calibrate(own, job.given, config, here, OFFSET_SIGMA_S)
     except (UnoccludeError, ValueError, ArithmeticError) as error:
-        return LiveCalibration(np.nan, np.nan, reason=str(error))
+        return LiveCalibration(reason=str(error))
     if model.mounting_unknown:
-        return LiveCalibration(
-            np.nan, np.nan, reason="the arm has to move more: the IMU's mounting is not determined yet"
-        )
+        return LiveCalibration(reason="the arm has to move more: the IMU's mounting is not determined yet")
     if not model.joint_sigma_m.max() < LARGEST_SIGMA_M:
-        return LiveCalibration(
-            np.nan, np.nan, reason="camera and IMU do not fit each other yet: move the arm in view"
-        )
+        return LiveCalibration(reason="camera and IMU do not fit each other yet: move the arm in view")
     for imu in further:
         model = imu.joined(model)
     if model.estimate.mountings:  # those that were given of IMUs that are not there
@@ -117,8 +112,9 @@ def _calibrated(job: CalibrationJob, before: Clock) -> LiveCalibration:
         )
         for imu in further
     )
-    clock = model.clock.after(before)
-    return LiveCalibration(np.nan, np.nan, model, clock, further=places, left_out=tuple(left_out))
+    return LiveCalibration(
+        model=model, clock=model.clock.after(before), further=places, left_out=tuple(left_out)
+    )
 
 
 #: The background leaves the processor to what is live (`os.nice`).
@@ -130,41 +126,36 @@ class InlineCalibrator:
 
     def __init__(self, delay: int = 0) -> None:
         self._delay, self._asked = delay, 0
-        self._answer: LiveCalibration | None = None
-
-    @property
-    def busy(self) -> bool:
-        """It works, or its answer was not fetched yet."""
-        return self._answer is not None
-
-    def submit(self, job: CalibrationJob) -> None:
-        """Begin with a job; not while busy."""
-        with ThreadPoolExecutor(1) as aside:  # its processor time is not the live thread's
-            self._answer, self._asked = aside.submit(calibrate_excerpts, job).result(), 0
-
-    def answer(self) -> LiveCalibration | None:
-        """The answer, once; None while there is none."""
-        self._asked += 1
-        if self._answer is None or self._asked <= self._delay:
-            return None
-        answer, self._answer = self._answer, None
-        return answer
-
-    def close(self) -> None:
-        """Nothing to end."""
-
-
-class BackgroundCalibrator:
-    """Does the same in a process of its own, which ends with this one."""
-
-    def __init__(self) -> None:
-        self._executor: ProcessPoolExecutor | None = None
         self._future: Future[LiveCalibration] | None = None
 
     @property
     def busy(self) -> bool:
-        """As of `InlineCalibrator`."""
+        """It works, or its answer was not fetched yet."""
         return self._future is not None
+
+    def submit(self, job: CalibrationJob) -> None:
+        """Begin with a job; not while busy."""
+        with ThreadPoolExecutor(1) as aside:  # its processor time is not the live thread's
+            self._future, self._asked = aside.submit(calibrate_excerpts, job), 0
+
+    def answer(self) -> LiveCalibration | None:
+        """The answer, once; None while there is none."""
+        self._asked += 1
+        if self._future is None or self._asked <= self._delay or not self._future.done():
+            return None
+        future, self._future = self._future, None
+        return future.result()
+
+    def close(self) -> None:
+        """End what it works at."""
+
+
+class BackgroundCalibrator(InlineCalibrator):
+    """Does the same in a process of its own, which ends with this one."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._executor: ProcessPoolExecutor | None = None
 
     def submit(self, job: CalibrationJob) -> None:
         """As of `InlineCalibrator`."""
@@ -177,30 +168,20 @@ class BackgroundCalibrator:
 
     def answer(self) -> LiveCalibration | None:
         """As of `InlineCalibrator`; a process that was killed is started again with the next job."""
-        if self._future is None or self._executor is None:
-            return None
-        if not self._future.done():
+        if self._executor is not None and self.busy:
             end_if_one_died(self._executor)
-            return None
-        future, self._future = self._future, None
         try:
-            return future.result()
+            return super().answer()
         except BrokenProcessPool:
             self.close()
-            return LiveCalibration(
-                math.nan, math.nan, reason="the background process was ended; it is started again"
-            )
+            return LiveCalibration(reason="the background process was ended; it is started again")
 
     def close(self) -> None:
-        """End what it works at."""
-        if self._executor is None:
-            return
-        end_workers(self._executor)
-        self._executor.shutdown(wait=True, cancel_futures=True)
-        self._executor, self._future = None, None
-
-
-Calibrator: TypeAlias = InlineCalibrator | BackgroundCalibrator
+        """As of `InlineCalibrator`."""
+        if self._executor is not None:
+            end_workers(self._executor)
+            self._executor.shutdown(wait=True, cancel_futures=True)
+            self._executor, self._future = None, None
 
 
 def _prepare() -> None:
@@ -226,7 +207,7 @@ class Calibrations:
 
     def __init__(
         self,
-        calibrator: Calibrator,
+        calibrator: InlineCalibrator,
         side: str,
         given: ArmCalibration,
         config: Config,

@@ -14,7 +14,7 @@ from ..recovery.samples import widen_turns
 from ..rotation import Rotation
 from ..selfcal.self_calibration import SelfCalibration
 from ..window.shared import JOINT_ERRORS
-from ..window.solution import LagSolution, NodeState
+from ..window.solution import LagSolution
 from .answers import LiveEstimate, LiveState
 from .monitor import joint_rows
 from .prediction import Prediction, predict
@@ -22,6 +22,7 @@ from .tracker import Tracker
 
 #: A discontinuity is spread over this long, s.
 SPREAD_S = 0.2
+_ONE, _POSE = np.eye(3), np.ix_([3, 4, 5, 0, 1, 2], [3, 4, 5, 0, 1, 2])
 
 
 @dataclass(frozen=True)
@@ -32,107 +33,11 @@ class Discontinuity:
     offset: FloatArray  # (3,) m: of the position in {K}
     turn: FloatArray  # (3,) rad: of the orientation in {K}
 
-    @classmethod
-    def between(cls, shown: NodeState, known: NodeState) -> Discontinuity:
-        """From what was shown to what is known now, at the same moment."""
-        turn = Rotation.from_matrix(shown.R @ known.R.T).as_rotvec()
-        return cls(known.t, shown.p - known.p, turn)
-
-    def share(self, t_s: float) -> float:
-        """How much of it is left at a time: 1 at first, 0 after `SPREAD_S`, smooth between."""
+    def left(self, t_s: float) -> tuple[FloatArray, FloatArray]:
+        """Offset and turn that are left at a time: all at first, none after `SPREAD_S`, smooth between."""
         u = float(np.clip((t_s - self.at_s) / SPREAD_S, 0.0, 1.0))
-        return 1.0 - u * u * (3.0 - 2.0 * u)
-
-
-_ONE, _POSE = np.eye(3), np.ix_([3, 4, 5, 0, 1, 2], [3, 4, 5, 0, 1, 2])
-_NEWEST = ("turn", "position", "velocity", "bias", "gravity")
-_SETTLED = ("settled_turn", "settled_position", "settled_velocity", "bias", "gravity")
-
-
-@dataclass(frozen=True)
-class Circumstances:
-    """What an estimate needs to know besides the solution."""
-
-    kind: Literal["now", "settled"]
-    state: LiveState
-    since_s: float | None  # When the gap began
-    clock_sigma_s: float  # Of the camera's clock
-    shoulder_variance: float  # m^2: how far the shoulder may have gone since its knot
-    discontinuity: Discontinuity | None  # That is being spread
-
-
-def estimate_of(
-    prediction: Prediction, solution: LagSolution, model: SelfCalibration, about: Circumstances
-) -> LiveEstimate:
-    """The arm at a moment with its covariance."""
-    joints = list(solution.levers)
-    shoulder = ["shoulder"] if solution.shoulder is not None else []
-    start = _NEWEST if about.kind == "now" else _SETTLED
-    before = solution.block(*start, *joints, *shoulder)
-    size = 9 + 3 * (len(joints) + len(shoulder))
-    follows = np.zeros((size, len(before)))
-    follows[:9, :18] = prediction.follows
-    follows[9:, 18:] = np.eye(size - 9)
-    covariance = follows @ before @ follows.T
-    covariance[:9, :9] += prediction.noise
-    state, common = prediction.state, common_error(model)
-    # a clock that is off by a moment moves the whole path along itself
-    common = common + about.clock_sigma_s**2 * state.v[:, None] * state.v
-    R, p, offset = state.R, state.p, np.zeros(3)
-    if about.discontinuity is not None:
-        share = about.discontinuity.share(state.t)
-        offset, turn = share * about.discontinuity.offset, share * about.discontinuity.turn
-        p, R = p + offset, Rotation.from_rotvec(turn).as_matrix() @ R
-        common = common + np.outer(offset, offset)
-        covariance[:3, :3] += np.outer(turn, turn)
-    pose = covariance[_POSE]
-    pose[:3, :3] += common
-    pose = widen_turns(pose[None])[0]
-    places, spreads = {}, {}
-    for k, joint in enumerate(joints):
-        arm = R @ solution.levers[joint]
-        jacobian = np.concatenate([-skew_of(arm), _ONE, R], axis=1)
-        places[joint] = p + arm
-        spreads[joint] = jacobian @ covariance[joint_rows(k)] @ jacobian.T + common
-    if solution.shoulder is not None:
-        places["shoulder"] = solution.shoulder
-        spreads["shoulder"] = covariance[-3:, -3:] + about.shoulder_variance * np.eye(3)
-    return LiveEstimate(
-        t_s=state.t,
-        kind=about.kind,
-        state=about.state,
-        since_s=about.since_s,
-        position=p,
-        quaternion=Rotation.from_matrix(R).as_quat(scalar_first=True),
-        velocity=state.v,
-        pose_covariance=pose,
-        joints=places,
-        joint_covariance=spreads,
-        offset=offset,
-    )
-
-
-def shown_state(state: NodeState, discontinuity: Discontinuity | None) -> NodeState:
-    """The state as it is shown while a discontinuity is being spread."""
-    if discontinuity is None:
-        return state
-    share = discontinuity.share(state.t)
-    R = Rotation.from_rotvec(share * discontinuity.turn).as_matrix() @ state.R
-    return NodeState(state.t, R, state.p + share * discontinuity.offset, state.v)
-
-
-def common_error(model: SelfCalibration) -> FloatArray:
-    """Covariance (3, 3), m^2, of what the camera's errors of the forearm's joints have in common."""
-    if model.errors.considered is None:
-        return np.eye(3) * model.joint_bias.sigma_m**2
-    covariance = model.errors.considered.covariance[JOINT_ERRORS, JOINT_ERRORS]
-    used = [JOINTS.index(joint) for joint in FOREARM_JOINTS if joint in model.joint_bias.joints]
-    if not used:
-        return np.eye(3) * model.joint_bias.sigma_m**2
-    mean = np.zeros((3, covariance.shape[0]))
-    for column in used:
-        mean[:, 3 * column : 3 * column + 3] = np.eye(3) / len(used)
-    return np.asarray(mean @ covariance @ mean.T)
+        share = 1.0 - u * u * (3.0 - 2.0 * u)
+        return share * self.offset, share * self.turn
 
 
 class Display:
@@ -148,11 +53,12 @@ class Display:
 
     def spread(self, before: Prediction, tracker: Tracker, now_s: float) -> None:
         """Spread the change from what was shown to what a tracker knows now."""
-        if tracker.solution is not None:
-            after = predicted(tracker, tracker.solution, now_s)
-            self._discontinuity = Discontinuity.between(
-                shown_state(before.state, self._discontinuity), after.state
-            )
+        if tracker.solution is None:
+            return
+        shown, known = before.state, predicted(tracker, tracker.solution, now_s).state
+        offset, turn = self._left(shown.t)
+        turned = Rotation.from_matrix(Rotation.from_rotvec(turn).as_matrix() @ shown.R @ known.R.T)
+        self._discontinuity = Discontinuity(known.t, shown.p + offset - known.p, turned.as_rotvec())
 
     def now(
         self, tracker: Tracker, solution: LagSolution, now_s: float, clock_sigma_s: float, delay_s: float
@@ -161,26 +67,96 @@ class Display:
         if self._discontinuity is not None and now_s - self._discontinuity.at_s > SPREAD_S:
             self._discontinuity = None
         prediction = predicted(tracker, solution, now_s)
-        state, since_s = tracker.history.state_now(now_s, delay_s)
         beyond_s = max(prediction.state.t - solution.newest.t, 0.0)
+        # how far the shoulder may have gone since its knot
         shoulder = tracker.noise.shoulder_walk**2 * beyond_s
-        about = Circumstances("now", state, since_s, clock_sigma_s, shoulder, self._discontinuity)
-        return estimate_of(prediction, solution, tracker.model, about)
+        seen = tracker.history.state_now(now_s, delay_s)
+        return self._estimate("now", prediction, solution, tracker.model, clock_sigma_s, shoulder, *seen)
 
     def settled(
         self, tracker: Tracker, solution: LagSolution, now_s: float, clock_sigma_s: float
     ) -> LiveEstimate | None:
         """The arm a lag ago; None where the window does not reach so far back. Parameters as of `now`."""
-        settled_s = now_s - self._lag_s
+        settled_s, start = now_s - self._lag_s, solution.settled
         if settled_s < float(tracker.window.t[0]):
             return None
-        start = solution.settled
-        prediction = predict(
-            start, solution, tracker.signal.since(start.t), max(settled_s, start.t), tracker.noise
+        signal = tracker.signal.since(start.t)
+        prediction = predict(start, solution, signal, max(settled_s, start.t), tracker.noise)
+        seen = tracker.history.state_at(settled_s)
+        return self._estimate("settled", prediction, solution, tracker.model, clock_sigma_s, 0.0, *seen)
+
+    def _left(self, t_s: float) -> tuple[FloatArray, FloatArray]:
+        """What of a discontinuity is left at a time."""
+        return (np.zeros(3), np.zeros(3)) if self._discontinuity is None else self._discontinuity.left(t_s)
+
+    def _estimate(
+        self,
+        kind: Literal["now", "settled"],
+        prediction: Prediction,
+        solution: LagSolution,
+        model: SelfCalibration,
+        clock_sigma_s: float,  # of the camera's clock
+        shoulder_variance: float,  # m^2
+        live_state: LiveState,
+        since_s: float | None,
+    ) -> LiveEstimate:
+        """The arm at a moment with its covariance."""
+        joints = list(solution.levers)
+        shoulder = ["shoulder"] if solution.shoulder is not None else []
+        prefix = "" if kind == "now" else "settled_"
+        start = [prefix + name for name in ("turn", "position", "velocity")]
+        before = solution.block(*start, "bias", "gravity", *joints, *shoulder)
+        size = 9 + 3 * (len(joints) + len(shoulder))
+        follows = np.zeros((size, len(before)))
+        follows[:9, :18] = prediction.follows
+        follows[9:, 18:] = np.eye(size - 9)
+        covariance = follows @ before @ follows.T
+        covariance[:9, :9] += prediction.noise
+        state = prediction.state
+        # a clock that is off by a moment moves the whole path along itself
+        common = common_error(model) + clock_sigma_s**2 * state.v[:, None] * state.v
+        R, p, offset = state.R, state.p, np.zeros(3)
+        if kind == "now" and self._discontinuity is not None:
+            offset, turn = self._left(state.t)
+            p, R = p + offset, Rotation.from_rotvec(turn).as_matrix() @ R
+            common = common + np.outer(offset, offset)
+            covariance[:3, :3] += np.outer(turn, turn)
+        pose = covariance[_POSE]
+        pose[:3, :3] += common
+        places, spreads = {}, {}
+        for k, joint in enumerate(joints):
+            arm = R @ solution.levers[joint]
+            jacobian = np.concatenate([-skew_of(arm), _ONE, R], axis=1)
+            places[joint] = p + arm
+            spreads[joint] = jacobian @ covariance[joint_rows(k)] @ jacobian.T + common
+        if solution.shoulder is not None:
+            places["shoulder"] = solution.shoulder
+            spreads["shoulder"] = covariance[-3:, -3:] + shoulder_variance * np.eye(3)
+        return LiveEstimate(
+            t_s=state.t,
+            kind=kind,
+            state=live_state,
+            since_s=since_s,
+            position=p,
+            quaternion=Rotation.from_matrix(R).as_quat(scalar_first=True),
+            velocity=state.v,
+            pose_covariance=widen_turns(pose[None])[0],
+            joints=places,
+            joint_covariance=spreads,
+            offset=offset,
         )
-        state, since_s = tracker.history.state_at(settled_s)
-        about = Circumstances("settled", state, since_s, clock_sigma_s, 0.0, None)
-        return estimate_of(prediction, solution, tracker.model, about)
+
+
+def common_error(model: SelfCalibration) -> FloatArray:
+    """Covariance (3, 3), m^2, of what the camera's errors of the forearm's joints have in common."""
+    used = [JOINTS.index(joint) for joint in FOREARM_JOINTS if joint in model.joint_bias.joints]
+    if model.errors.considered is None or not used:
+        return np.eye(3) * model.joint_bias.sigma_m**2
+    covariance = model.errors.considered.covariance[JOINT_ERRORS, JOINT_ERRORS]
+    mean = np.zeros((3, covariance.shape[0]))
+    for column in used:
+        mean[:, 3 * column : 3 * column + 3] = np.eye(3) / len(used)
+    return np.asarray(mean @ covariance @ mean.T)
 
 
 def predicted(tracker: Tracker, solution: LagSolution, now_s: float) -> Prediction:

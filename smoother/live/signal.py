@@ -116,26 +116,14 @@ def increments_between(
 def propagated(
     node: NodeState, t_s: float, signal: InertialSignal, bias: FloatArray, gravity: FloatArray
 ) -> NodeState:
-    """Where the IMU leads from a node to a time after it."""
-    delta_R, delta_v, delta_p = integrate_one(signal, node.t, t_s, bias)
-    dt = t_s - node.t
-    p = node.p + node.v * dt + 0.5 * gravity * dt**2 + node.R @ delta_p
-    v = node.v + gravity * dt + node.R @ delta_v
-    return NodeState(t_s, node.R @ delta_R, p, v)
-
-
-def displacement(
-    node: NodeState, t_s: float, signal: InertialSignal, bias: FloatArray, gravity: FloatArray
-) -> tuple[FloatArray, FloatArray]:
-    """Orientation (3, 3) at a time near a node, also before it, and how far the IMU moves until then, (3,)
-    m.
-    """
+    """Where the IMU leads from a node to a time after it, or led from a time before it."""
     first_s, last_s = min(node.t, t_s), max(node.t, t_s)
     delta_R, delta_v, delta_p = integrate_one(signal, first_s, last_s, bias)
     dt = last_s - first_s
-    if t_s > node.t:
-        moved = node.v * dt + 0.5 * gravity * dt**2 + node.R @ delta_p
-        return node.R @ delta_R, moved
-    R = node.R @ delta_R.T
-    v = node.v - gravity * dt - R @ delta_v
-    return R, -(v * dt + 0.5 * gravity * dt**2 + R @ delta_p)
+    if t_s < node.t:
+        R = node.R @ delta_R.T
+        v = node.v - gravity * dt - R @ delta_v
+        return NodeState(t_s, R, node.p - (v * dt + 0.5 * gravity * dt**2 + R @ delta_p), v)
+    p = node.p + node.v * dt + 0.5 * gravity * dt**2 + node.R @ delta_p
+    v = node.v + gravity * dt + node.R @ delta_v
+    return NodeState(t_s, node.R @ delta_R, p, v)

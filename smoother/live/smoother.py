@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from collections import deque
 from collections.abc import Sequence
 from dataclasses import replace
 from types import TracebackType
@@ -16,9 +15,9 @@ from ..calibration import ArmCalibration
 from ..config import Config
 from ..errors import UnoccludeError
 from ..recording import CameraFrame
-from .answers import Dropped, LiveEstimate, LiveOutput, LiveState
+from .answers import LiveEstimate, LiveOutput, LiveState
 from .buffers import FrameBuffer, ImuBatch, ImuBuffer, SkeletonFrame
-from .calibrations import JUMP_SIGMA_S, BackgroundCalibrator, Calibrations, Calibrator, LiveCalibration
+from .calibrations import JUMP_SIGMA_S, BackgroundCalibrator, Calibrations, InlineCalibrator, LiveCalibration
 from .camera_clock import USUAL_LATENCY_S, CameraClock, Shift, ShiftCause
 from .display import Display, predicted
 from .further_imus import LiveFurtherImu
@@ -34,8 +33,6 @@ MOST_FRAMES = 12
 EMPTY_S = 0.1
 #: No sample of the IMU for this long: it is lost, s.
 LOST_S = 0.5
-#: Rates and load are of the last this many seconds.
-RATE_S = 2.0
 
 
 class LiveSmoother:
@@ -49,7 +46,7 @@ class LiveSmoother:
         lag_s: float = 0.2,
         gravity_hint: FloatArray | None = None,
         camera_frame: CameraFrame | None = None,
-        calibrator: Calibrator | None = None,
+        calibrator: InlineCalibrator | None = None,
         further: Sequence[str] = (),
     ) -> None:
         if not 0.0 <= lag_s <= 2.0:
@@ -71,7 +68,6 @@ class LiveSmoother:
         self._because: tuple[str, ...] = ()
         self._state = LiveState.CALIBRATING
         self._notes: list[str] = []
-        self._work: deque[tuple[float, float]] = deque()
 
     def __enter__(self) -> LiveSmoother:
         return self
@@ -147,10 +143,6 @@ class LiveSmoother:
         # 3. The answers.
         now, settled = self._answers(now_s)
         self._notes, notes = [], [*notes, *self._notes]
-        step_s = time.thread_time() - began
-        self._work.append((now_s, step_s))
-        while self._work[0][0] < now_s - RATE_S:
-            self._work.popleft()
         return LiveOutput(
             now_s=now_s,
             state=self._state,
@@ -159,13 +151,15 @@ class LiveSmoother:
             clock_offset_s=self._calibrations.offset_s + self._camera.correction_s,
             clock_sigma_s=self._calibrations.clock_sigma_s,
             camera_latency_s=self._latency_s,
-            imu_rate_hz=float(np.sum(self._imu.t > self._imu.end_s - RATE_S) / RATE_S)
-            if len(self._imu)
-            else 0.0,
-            frame_rate_hz=len(self._frames.since(self._frames.end_s - RATE_S)) / RATE_S,
-            dropped=self._dropped,
-            load=sum(s for _, s in self._work) / max(now_s - self._work[0][0], 1e-3),
-            step_ms=1e3 * step_s,
+            dropped={
+                "late_samples": self._imu.late,
+                "late_frames": self._frames.late,
+                "duplicate_samples": self._imu.duplicate,
+                "duplicate_frames": self._frames.duplicate,
+                "invalid_samples": self._imu.invalid,
+                "backlog_frames": self._backlog,
+            },
+            step_ms=1e3 * (time.thread_time() - began),
             notes=tuple(notes),
             calibration=self._reason,
             doubt=self._doubt,
@@ -340,14 +334,3 @@ class LiveSmoother:
         if factor != 1.0:
             return now.widened(factor), None if settled is None else settled.widened(factor)
         return now, settled
-
-    @property
-    def _dropped(self) -> Dropped:
-        return Dropped(
-            late_samples=self._imu.late,
-            late_frames=self._frames.late,
-            duplicate_samples=self._imu.duplicate,
-            duplicate_frames=self._frames.duplicate,
-            invalid_samples=self._imu.invalid,
-            backlog_frames=self._backlog,
-        )

@@ -27,7 +27,7 @@ from .buffers import ImuBuffer, SkeletonFrame
 from .frame_history import FrameHistory
 from .further_imus import SegmentFollower
 from .monitor import CameraMonitor, Culprit, Finding, residuals_of
-from .signal import BEFORE_S, DoubtfulSignal, LiveSignal, displacement, increments_between, propagated
+from .signal import BEFORE_S, DoubtfulSignal, LiveSignal, increments_between, propagated
 
 #: A first state is read from this much around it, s.
 AROUND_S = 3.0
@@ -264,11 +264,11 @@ class Tracker:
     def _shift(self, node: NodeState, t_s: float) -> FloatArray:
         """How far each joint moves from a node to a time near it, (5, 3) m."""
         signal = self.signal.since(min(node.t, t_s))
-        R, moved = displacement(node, t_s, signal, self.window.bias, self.window.gravity)
+        there = propagated(node, t_s, signal, self.window.bias, self.window.gravity)
         shift = np.zeros((len(JOINTS), 3))
         for column, joint in enumerate(JOINTS):
             if joint != "shoulder":
-                shift[column] = moved + (R - node.R) @ self.window.lever(joint)
+                shift[column] = there.p - node.p + (there.R - node.R) @ self.window.lever(joint)
         return shift
 
 

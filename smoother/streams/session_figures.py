@@ -190,7 +190,7 @@ class SessionFigures:
             "clock_offset_s": None if output is None else output.clock_offset_s,
             "clock_sigma_s": None if output is None else output.clock_sigma_s,
             "camera_latency_s": None if output is None else output.camera_latency_s,
-            "dropped": None if output is None else vars(output.dropped),
+            "dropped": None if output is None else output.dropped,
             "calibration": None if output is None else output.calibration,
             "frame_done": delay_figures(self.frame_delays_s),
             "load": self.load,

@@ -23,7 +23,7 @@ from smoother.cli import live as command
 from smoother.cli.live_lines import Lines, words
 from smoother.cli.run import run
 from smoother.io import read_recording, write_recording
-from smoother.live.answers import Dropped, LiveOutput, LiveState
+from smoother.live.answers import LiveOutput, LiveState
 from smoother.streams.lsl import lsl_module
 from smoother.streams.session_figures import SessionFigures
 
@@ -146,7 +146,7 @@ def answered(state: LiveState, since_s: float | None = None, **changes) -> LiveO
 
 
 def test_a_line_says_what_matters():
-    gap = watched(answered(LiveState.GAP, 4.2, dropped=Dropped(backlog_frames=2), step_ms=7.0))
+    gap = watched(answered(LiveState.GAP, 4.2, dropped={"backlog_frames": 2}, step_ms=7.0))
     assert words(gap)[0] == "gap since 0.8 s"
     rest = "; ".join(words(gap))
     assert re.search(r"IMU 9\d\.\d /s, delay 4 ms, 3 missing; camera (29|30)\.\d /s, delay 100 ms;", rest)
