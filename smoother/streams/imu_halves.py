@@ -2,71 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
-from numpy.typing import NDArray
 
-from ..array_types import FloatArray
-from ..errors import RecordingError
-from ..io.tables.imu import find_sensors, kind_of, stem_of
-from ..io.tables.joints import words_of
-from ..io.tables.units import ACCELERATION, ANGULAR_VELOCITY
-from ..runtime.printable import printable
 from .arrivals import STEP_OF_IMU_S, ImuRows, StampSteps
-from .channels import Axes, StreamLabels, check_one_of_each, unit_factor
 
-#: Words, units and examples of either half.
-_WORDS = {
-    "acc": ("accelerometer", ACCELERATION, "m/s^2 or g"),
-    "gyro": ("gyroscope", ANGULAR_VELOCITY, "rad/s or deg/s"),
-}
 #: Between samples of the accelerometer farther apart than this nothing is interpolated, s.
 MOST_APART_S = 0.2
 #: A sample waits for the other half no longer than this, s.
 LONGEST_WAIT_S = 2.0
-
-
-def half_of(stream: StreamLabels) -> str:
-    """Which half of an IMU a stream is, `acc` or `gyro`; "" where it is both or neither."""
-    if stream.is_text:
-        return ""
-    sensors = find_sensors(stream.labels, stream.types, f"{stream.name} {stream.kind}")
-    kinds = {kind for sensor in sensors for kind in sensor.axes} & _WORDS.keys()
-    return kinds.pop() if len(kinds) == 1 else ""
-
-
-def belongs(name: str, kind: str, to_name: str) -> bool:
-    """Whether a stream, by its name and type, may be the gyroscope of an accelerometer's stream."""
-    return kind_of(words_of(f"{name} {kind}")) == "gyro" and stem_of(name) == stem_of(to_name)
-
-
-@dataclass(frozen=True)
-class HalfChannels:
-    """Channels of an accelerometer or a gyroscope."""
-
-    axes: Axes  # Columns of x, y, z
-    unit: float  # m/s^2 or rad/s in one of theirs
-
-    @classmethod
-    def of(cls, stream: StreamLabels, kind: str) -> HalfChannels:
-        """What a stream contains of a kind, `acc` or `gyro`."""
-        stream.check_numbers()
-        what, units, such_as = _WORDS[kind]
-        sensors = find_sensors(stream.labels, stream.types, f"{stream.name} {stream.kind}")
-        check_one_of_each(stream, sensors)
-        found = [sensor.axes[kind] for sensor in sensors if kind in sensor.axes]
-        if len(found) != 1:
-            problem = "is missing" if not found else "is there several times"
-            raise RecordingError(
-                f"The stream {printable(stream.name)} cannot be used as {what}: {stream.shown}; {kind}_x,"
-                f" {kind}_y, {kind}_z {problem}."
-            )
-        return cls(found[0], unit_factor(stream, found[0], units, what, such_as))
-
-    def values(self, samples: NDArray) -> FloatArray:
-        """In SI units (n, 3), of samples (n, channels)."""
-        return np.asarray(samples.astype(float)[:, self.axes] * self.unit)
 
 
 class ImuHalves:

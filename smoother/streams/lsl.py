@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from functools import cache
 from pathlib import Path
@@ -227,7 +227,6 @@ def _emptied(queue: SimpleQueue[Item]) -> list[Item]:
 
 #: What the channel `state` says.
 STATES = {LiveState.CALIBRATING: 0, LiveState.VISIBLE: 1, LiveState.GAP: 2, LiveState.LOST: 3}
-_AXES = "XYZ"
 
 
 class LslOutlet:
@@ -249,7 +248,7 @@ class LslOutlet:
             start_s = lsl_module().local_clock() - output.now_s
         for kind, estimate in (("now", output.now), ("settled", output.settled)):
             t_s = output.now_s if estimate is None else estimate.t_s
-            values = self._values(estimate, output)
+            values = [float(value) for *_, value in self._columns(output, estimate)]
             self._outlets[kind].push_sample(values, start_s + t_s)
 
     def close(self) -> None:
@@ -258,15 +257,14 @@ class LslOutlet:
 
     def _outlet(self, name: str, info: SourceInfo):  # type: ignore[no-untyped-def]
         lsl = lsl_module()
-        channels = self._channels()
+        columns = list(self._columns(LiveOutput(0.0, LiveState.CALIBRATING), None))
         stream = lsl.StreamInfo(
-            name, "MoCap", len(channels), lsl.IRREGULAR_RATE, lsl.cf_double64, f"unocclude-{name}"
+            name, "MoCap", len(columns), lsl.IRREGULAR_RATE, lsl.cf_double64, f"unocclude-{name}"
         )
         described = stream.desc().append_child("channels")
-        for label, marker, kind, unit in channels:
+        for *texts, _ in columns:
             channel = described.append_child("channel")
-            texts = (("label", label), ("marker", marker), ("type", kind), ("unit", unit))
-            for key, text in texts:
+            for key, text in zip(("label", "marker", "type", "unit"), texts, strict=True):
                 if text:
                     channel.append_child_value(key, text)
         acquisition = stream.desc().append_child("acquisition")
@@ -274,52 +272,37 @@ class LslOutlet:
             acquisition.append_child_value(key, text)
         return lsl.StreamOutlet(stream)
 
-    def _channels(self) -> list[tuple[str, str, str, str]]:
-        """Label, marker, type and unit of every channel."""
-        channels = []
-        for joint in ("imu", *JOINTS):
-            marker = joint + self._side
-            channels += [(f"{marker}_{axis.lower()}", marker, f"Position{axis}", "meters") for axis in _AXES]
-            channels.append((f"{marker}_sigma", "", "Sigma", "meters"))
-        marker = "imu" + self._side
-        turns = zip("wxyz", "ABCD", strict=True)
-        channels += [
-            (f"{marker}_q{axis}", marker, f"Orientation{letter}", "quaternion") for axis, letter in turns
-        ]
-        channels.append((f"{marker}_sigma_deg", "", "Sigma", "degrees"))
-        return [
-            *channels,
-            ("state", "", "State", "0 calibrating, 1 visible, 2 gap, 3 lost"),
-            ("gap", "", "Time", "seconds"),
-            ("lag", "", "Time", "seconds"),
-            *(
-                (f"{name}{self._side}{suffix}", "", kind, "degrees")
-                for name in TITLES
-                for suffix, kind in (("", "Angle"), ("_sigma", "Sigma"))
-            ),
-            ("trusted", "", "State", "1 trusted, 0 with care or no answer"),
-        ]
-
-    def _values(self, estimate: LiveEstimate | None, output: LiveOutput) -> list[float]:
-        nothing = [np.nan] * 4
-        if estimate is None:
-            values = [*nothing * (1 + len(JOINTS)), *nothing, np.nan]
-            return [*values, float(STATES[output.state]), 0.0, 0.0, *[np.nan] * (2 * len(TITLES)), 0.0]
-        values = [*estimate.position.tolist(), _largest_sigma(estimate.pose_covariance[:3, :3])]
-        for joint in JOINTS:
-            if joint in estimate.joints:
-                covariance = estimate.joint_covariance[joint]
-                values += [*estimate.joints[joint].tolist(), _largest_sigma(covariance)]
-            else:
-                values += nothing
-        values += [*estimate.quaternion.tolist(), estimate.sigma_deg]
-        since = 0.0 if estimate.since_s is None else estimate.t_s - estimate.since_s
-        angles = live_angles(estimate, self._down)
-        degrees = [value for name in TITLES for value in angles.get(name, (np.nan, np.nan))]
-        lag_s = output.now_s - estimate.t_s
-        return [*values, float(STATES[estimate.state]), since, lag_s, *degrees, float(output.trusted)]
-
-
-def _largest_sigma(covariance: FloatArray) -> float:
-    """Standard deviation (m) on the worst axis of a covariance (3, 3)."""
-    return float(np.sqrt(np.diag(covariance).max()))
+    def _columns(
+        self, output: LiveOutput, estimate: LiveEstimate | None
+    ) -> Iterator[tuple[str, str, str, str, float]]:
+        """Label, marker, type, unit and value of every channel; nan without an estimate."""
+        side, nothing = self._side, np.full(4, np.nan)
+        places: dict[str, tuple[FloatArray, FloatArray]] = {}
+        turn, sigma_deg, since_s, lag_s = nothing, np.nan, 0.0, 0.0
+        angles: dict[str, tuple[float, float]] = {}
+        if estimate is not None:
+            places = {joint: (at, estimate.joint_covariance[joint]) for joint, at in estimate.joints.items()}
+            places["imu"] = estimate.position, estimate.pose_covariance[:3, :3]
+            turn, sigma_deg, lag_s = estimate.quaternion, estimate.sigma_deg, output.now_s - estimate.t_s
+            since_s = 0.0 if estimate.since_s is None else estimate.t_s - estimate.since_s
+            angles = live_angles(estimate, self._down)
+        for marker in ("imu", *JOINTS):
+            place, covariance = places.get(marker, (nothing, np.full((3, 3), np.nan)))
+            for axis, value in zip("XYZ", place, strict=False):
+                yield f"{marker}{side}_{axis.lower()}", marker + side, f"Position{axis}", "meters", value
+            # on the worst axis
+            yield f"{marker}{side}_sigma", "", "Sigma", "meters", float(np.sqrt(np.diag(covariance).max()))
+        for axis, letter, value in zip("wxyz", "ABCD", turn, strict=True):
+            yield f"imu{side}_q{axis}", "imu" + side, f"Orientation{letter}", "quaternion", value
+        yield f"imu{side}_sigma_deg", "", "Sigma", "degrees", sigma_deg
+        state = STATES[output.state if estimate is None else estimate.state]
+        yield "state", "", "State", "0 calibrating, 1 visible, 2 gap, 3 lost", float(state)
+        yield "gap", "", "Time", "seconds", since_s
+        yield "lag", "", "Time", "seconds", lag_s
+        for name in TITLES:
+            for suffix, kind, value in zip(
+                ("", "_sigma"), ("Angle", "Sigma"), angles.get(name, nothing[:2]), strict=True
+            ):
+                yield f"{name}{side}{suffix}", "", kind, "degrees", value
+        is_trusted = estimate is not None and output.trusted
+        yield "trusted", "", "State", "1 trusted, 0 with care or no answer", float(is_trusted)

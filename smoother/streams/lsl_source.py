@@ -5,7 +5,7 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable, Mapping
-from typing import Any, TypeAlias
+from typing import Any
 
 import numpy as np
 
@@ -14,17 +14,13 @@ from ..errors import UnoccludeError
 from ..io.recording.names import named_side
 from ..runtime.printable import printable
 from .arrivals import Arrivals, FrameRows, ImuRows, SourceInfo
-from .channels import ImuChannels, SkeletonChannels, StreamLabels
-from .imu_halves import HalfChannels, ImuHalves, belongs, half_of
+from .channels import ImuChannels, SkeletonChannels, StreamLabels, belongs, half_of
+from .imu_halves import ImuHalves
 from .lsl import LslInlet, LslSamples, listed, lsl_module
 
 #: Content types by which streams are found that were not named.
 _IMU_TYPES, _SKELETON_TYPES = ("imu", "accelerometer", "acc"), ("mocap", "skeleton")
 _GYRO_TYPES = ("gyroscope", "gyro", "gyr")
-
-
-#: An IMU of one stream, or an accelerometer, a gyroscope and what joins them.
-_Imu: TypeAlias = ImuChannels | tuple[HalfChannels, HalfChannels, ImuHalves]
 
 
 class LslSource:
@@ -44,25 +40,26 @@ class LslSource:
         beside: LslSource | None = None,
     ):
         lsl = lsl_module()
-        self._something = threading.Event()
-        self._inlets: list[LslInlet] = [
-            LslInlet(imu, _IMU_TYPES, self._something.set),
-            LslInlet(skeleton, _SKELETON_TYPES, self._something.set) if beside is None else beside._inlets[1],
-        ]
-        self._beside, self._frame_batches = beside, list[LslSamples]()
-        self._further = {
-            segment: LslInlet(name, _IMU_TYPES, self._something.set)
-            for segment, name in (further or {}).items()
-        }
-        self._further_channels: dict[str, ImuChannels] = {}
+        self._something, self._beside = threading.Event(), beside
+        self._skeleton = self._inlet(skeleton, _SKELETON_TYPES) if beside is None else beside._skeleton
+        self._imus = [self._inlet(imu, _IMU_TYPES)]  # the forearm's, and its gyroscope where that is apart
         if gyro is not None:
-            self._inlets.append(LslInlet(gyro, _GYRO_TYPES, self._something.set))
+            self._imus.append(self._inlet(gyro, _GYRO_TYPES))
+        self._further = {name: self._inlet(stream, _IMU_TYPES) for name, stream in (further or {}).items()}
+        self._imu_channels: list[ImuChannels] = []
+        self._further_channels: dict[str, ImuChannels] = {}
+        self._skeleton_channels: SkeletonChannels | None = None
+        self._halves: ImuHalves | None = None
+        self._frame_batches: list[LslSamples] = []
         self._side, self._prefer_side, self._body = side, prefer_side, body
         self._start_s = float(np.floor(lsl.local_clock()))
         self._origin_ns = time.time_ns() - int((lsl.local_clock() - self._start_s) * 1e9)
         if beside is not None:
             self._start_s, self._origin_ns = beside._start_s, beside._origin_ns
-        self._opened: tuple[_Imu, SkeletonChannels, SourceInfo] | None = None
+        self._info: SourceInfo | None = None
+
+    def _inlet(self, wanted: str | None, types: tuple[str, ...]) -> LslInlet:
+        return LslInlet(wanted, types, self._something.set)
 
     def open(
         self,
@@ -71,78 +68,78 @@ class LslSource:
         say: Callable[[str], None] = lambda _: None,
     ) -> bool:
         """Wait until both streams are there; what the first one sends meanwhile is not lost."""
-        imu_inlet, skeleton_inlet = self._inlets[:2]
         for inlet in self._own_inlets:
             inlet.start()
         until = time.monotonic() + seconds
-        imu = skeleton = None
-        while imu is None or skeleton is None or len(self._further_channels) < len(self._further):
-            for inlet in self._all_inlets:
-                inlet.check()
-            self._look_for_further(say)
-            if imu is None and imu_inlet.stream is not None:
-                imu = self._imu_there(say)
-            if skeleton is None and skeleton_inlet.stream is not None:
-                side = self._side or named_side("" if imu_inlet.stream is None else imu_inlet.stream.name())
-                labels = StreamLabels.of(skeleton_inlet.stream)
-                skeleton = SkeletonChannels.of(labels, side or None, self._prefer_side, self._body)
-                if self._beside is None:
-                    say(f"skeleton stream {skeleton_inlet.stream.name()} is there")
+        while not self._all_there(say):
             if stopped():
                 return False
             if time.monotonic() > until:
                 raise UnoccludeError(self._missing(seconds))
             self._something.wait(0.1)
             self._something.clear()
-        self._opened = imu, skeleton, self._described(skeleton)
+        assert self._skeleton_channels is not None
+        self._info = self._described(self._skeleton_channels)
         return True
 
-    def _imu_there(self, say: Callable[[str], None]) -> _Imu | None:
-        """What the IMU is made of; None while its second stream is not there."""
-        stream = self._inlets[0].stream
-        labels = StreamLabels.of(stream)
-        if len(self._inlets) == 2 and half_of(labels) == "acc":
-            self._look_for_gyro(stream)
-        if len(self._inlets) == 2:
-            say(f"IMU stream {stream.name()} is there")
-            return ImuChannels.of(labels)
-        gyro = self._inlets[2].stream
-        if gyro is None:
-            return None
-        halves = HalfChannels.of(labels, "acc"), HalfChannels.of(StreamLabels.of(gyro), "gyro")
-        say(f"accelerometer stream {stream.name()} and gyroscope stream {gyro.name()} are there")
-        return (*halves, ImuHalves(stream.name(), gyro.name()))
-
-    def _look_for_further(self, say: Callable[[str], None]) -> None:
-        """Take down the IMUs beyond the forearm that are there."""
+    def _all_there(self, say: Callable[[str], None]) -> bool:
+        """Take down the streams that have come; whether none is missing."""
+        for inlet in self._all_inlets:
+            inlet.check()
         for segment, inlet in self._further.items():
             if segment not in self._further_channels and inlet.stream is not None:
                 self._further_channels[segment] = ImuChannels.of(StreamLabels.of(inlet.stream))
                 say(f"IMU stream {inlet.stream.name()} of the {SEGMENTS[segment].label} is there")
+        imu, skeleton = self._imus[0].stream, self._skeleton.stream
+        if not self._imu_channels and imu is not None:
+            self._imu_channels = self._imu_there(imu, say)
+        if self._skeleton_channels is None and skeleton is not None:
+            side = self._side or named_side("" if imu is None else imu.name())
+            labels = StreamLabels.of(skeleton)
+            self._skeleton_channels = SkeletonChannels.of(labels, side or None, self._prefer_side, self._body)
+            if self._beside is None:
+                say(f"skeleton stream {skeleton.name()} is there")
+        is_there = bool(self._imu_channels) and self._skeleton_channels is not None
+        return is_there and len(self._further_channels) == len(self._further)
+
+    def _imu_there(self, stream: Any, say: Callable[[str], None]) -> list[ImuChannels]:
+        """What the forearm's IMU is made of; nothing while its second stream is not there."""
+        labels = StreamLabels.of(stream)
+        if len(self._imus) == 1 and half_of(labels) == "acc":
+            self._look_for_gyro(stream)
+        if len(self._imus) == 1:
+            say(f"IMU stream {stream.name()} is there")
+            return [ImuChannels.of(labels)]
+        gyro = self._imus[1].stream
+        if gyro is None:
+            return []
+        channels = [ImuChannels.of(labels, "acc"), ImuChannels.of(StreamLabels.of(gyro), "gyro")]
+        say(f"accelerometer stream {stream.name()} and gyroscope stream {gyro.name()} are there")
+        self._halves = ImuHalves(stream.name(), gyro.name())
+        return channels
+
+    def _look_for_gyro(self, stream: Any) -> None:
+        """Receive the one stream that is the gyroscope beside an accelerometer's, by name and type."""
+        beside = [each for each in self._imus[0].others if each.uid() != stream.uid()]
+        found = [each for each in beside if belongs(each.name(), each.type(), stream.name())]
+        if len(found) == 1:
+            self._imus.append(self._inlet(found[0].name(), (found[0].type().lower(),)))
+            self._imus[1].start()
 
     @property
     def _all_inlets(self) -> list[LslInlet]:
-        return [*self._inlets, *self._further.values()]
+        return [self._imus[0], self._skeleton, *self._imus[1:], *self._further.values()]
 
     @property
     def _own_inlets(self) -> list[LslInlet]:
         """Without the skeleton's, where that is the other arm's as well."""
-        shared = [] if self._beside is None else [self._inlets[1]]
-        return [inlet for inlet in self._all_inlets if inlet not in shared]
-
-    def _look_for_gyro(self, stream: Any) -> None:
-        """Receive the one stream that is the gyroscope beside an accelerometer's, by name and type."""
-        beside = [each for each in self._inlets[0].others if each.uid() != stream.uid()]
-        found = [each for each in beside if belongs(each.name(), each.type(), stream.name())]
-        if len(found) == 1:
-            inlet = LslInlet(found[0].name(), (found[0].type().lower(),), self._something.set)
-            self._inlets.append(inlet)
-            inlet.start()
+        return [each for each in self._all_inlets if self._beside is None or each is not self._skeleton]
 
     @property
     def info(self) -> SourceInfo:
         """What the session is made of."""
-        return self._open[2]
+        assert self._info is not None
+        return self._info
 
     @property
     def ended(self) -> bool:
@@ -160,67 +157,55 @@ class LslSource:
 
     def arrivals(self) -> Arrivals:
         """What came since the last call."""
-        imu_channels, skeleton_channels, _ = self._open
-        imu_batches, *gyro_batches = [inlet.samples() for inlet in (self._inlets[0], *self._inlets[2:])]
+        assert self._skeleton_channels is not None
+        halves = zip(self._imu_channels, self._imus, strict=True)
+        rows = [self._imu_rows(channels, inlet) for channels, inlet in halves]
         if self._beside is None:
-            self._frame_batches = self._inlets[1].samples()
-        frame_batches = (self._beside or self)._frame_batches
-        events = tuple(text for inlet in self._own_inlets for text in inlet.events())
+            self._frame_batches = self._skeleton.samples()
+        frames = []
+        for batch in (self._beside or self)._frame_batches:
+            position, state = self._skeleton_channels.values(batch.values)
+            arrival_s = batch.arrival_s - self._start_s
+            frames.append(FrameRows(batch.t_s - self._start_s, position, state, arrival_s))
         further = {
-            segment: ImuRows.joined(
-                [self._imu(self._further_channels[segment], batch) for batch in inlet.samples()]
-            )
+            segment: self._imu_rows(self._further_channels[segment], inlet)
             for segment, inlet in self._further.items()
         }
-        frames = [self._frames(skeleton_channels, batch) for batch in frame_batches]
-        if isinstance(imu_channels, ImuChannels):
-            imu = ImuRows.joined([self._imu(imu_channels, batch) for batch in imu_batches])
-        else:
-            acc_channels, gyro_channels, halves = imu_channels
-            acc = ImuRows.joined([self._half(acc_channels, batch) for batch in imu_batches])
-            gyro = ImuRows.joined([self._half(gyro_channels, batch) for batch in gyro_batches[0]])
-            imu, said = halves.joined(acc, gyro)
-            events += said
-        return Arrivals(imu, FrameRows.joined(frames), events, further)
+        events = tuple(text for inlet in self._own_inlets for text in inlet.events())
+        imu, said = (rows[0], ()) if self._halves is None else self._halves.joined(*rows)
+        return Arrivals(imu, FrameRows.joined(frames), (*events, *said), further)
+
+    def _imu_rows(self, channels: ImuChannels, inlet: LslInlet) -> ImuRows:
+        """Samples of an IMU; those of a half stand in both places: the joiner takes what counts."""
+        rows = []
+        for batch in inlet.samples():
+            values = channels.values(batch.values)
+            half = next(iter(values.values()))
+            acc, gyro = values.get("acc", half), values.get("gyro", half)
+            t_s, arrival_s = batch.t_s - self._start_s, batch.arrival_s - self._start_s
+            rows.append(ImuRows(t_s, acc, gyro, arrival_s, values.get("mag")))
+        return ImuRows.joined(rows)
 
     def close(self) -> None:
         """Let the streams go."""
         for inlet in self._own_inlets:
             inlet.close()
 
-    @property
-    def _open(self) -> tuple[_Imu, SkeletonChannels, SourceInfo]:
-        assert self._opened is not None
-        return self._opened
-
-    def _imu(self, channels: ImuChannels, batch: LslSamples) -> ImuRows:
-        acc, gyro, mag = channels.values(batch.values)
-        return ImuRows(batch.t_s - self._start_s, acc, gyro, batch.arrival_s - self._start_s, mag)
-
-    def _half(self, channels: HalfChannels, batch: LslSamples) -> ImuRows:
-        """Samples of either half, as both: the joiner takes what counts."""
-        values = channels.values(batch.values)
-        return ImuRows(batch.t_s - self._start_s, values, values, batch.arrival_s - self._start_s)
-
-    def _frames(self, channels: SkeletonChannels, batch: LslSamples) -> FrameRows:
-        position, state = channels.values(batch.values)
-        return FrameRows(batch.t_s - self._start_s, position, state, batch.arrival_s - self._start_s)
-
     def _described(self, skeleton: SkeletonChannels) -> SourceInfo:
-        imu_name, skeleton_name, *gyro_names = [printable(inlet.stream.name()) for inlet in self._inlets]
+        names = [printable(inlet.stream.name()) for inlet in self._all_inlets]
         corrections = [
-            f"{printable(inlet.stream.name())} {1e3 * inlet.correction_s:+.1f} ms"
-            for inlet in self._all_inlets
+            f"{name} {1e3 * inlet.correction_s:+.1f} ms"
+            for name, inlet in zip(names, self._all_inlets, strict=True)
         ]
         notes = [f"LSL's time correction: {', '.join(corrections)}."]
-        if gyro_names:
+        if self._halves is not None:
             notes.append(
-                f"Accelerometer {imu_name} and gyroscope {gyro_names[0]} are two streams: the accelerometer"
+                f"Accelerometer {names[0]} and gyroscope {names[2]} are two streams: the accelerometer"
                 " is interpolated to the gyroscope's stamps."
             )
         return SourceInfo(
-            imu_name,
-            skeleton_name,
+            names[0],
+            names[1],
             skeleton.side,
             skeleton.joints,
             self._origin_ns,
@@ -231,17 +216,17 @@ class LslSource:
         )
 
     def _missing(self, seconds: float) -> str:
-        types = ("imu", _IMU_TYPES), ("skeleton", _SKELETON_TYPES), ("gyro", _GYRO_TYPES)
-        names = [
-            f"--{option} {inlet.wanted}" if inlet.wanted is not None else f"{option} of type {known[0]}"
-            for inlet, (option, known) in zip(self._inlets, types, strict=False)
-            if inlet.stream is None
+        options = ("--imu", "imu", _IMU_TYPES), ("--skeleton", "skeleton", _SKELETON_TYPES)
+        options += (("--gyro", "gyro", _GYRO_TYPES),)
+        wanted = [
+            (f"{option} {inlet.wanted}" if inlet.wanted is not None else f"{what} of type {known[0]}", inlet)
+            for inlet, (option, what, known) in zip(self._all_inlets, options, strict=False)
         ]
-        names += [
-            f"{segment.replace('_', '-')}={inlet.wanted}"
-            for segment, inlet in self._further.items()
-            if inlet.stream is None
+        wanted = wanted[: 1 + len(self._imus)]
+        wanted += [
+            (f"{segment.replace('_', '-')}={inlet.wanted}", inlet) for segment, inlet in self._further.items()
         ]
+        names = [name for name, inlet in wanted if inlet.stream is None]
         there = listed([stream for inlet in self._all_inlets for stream in inlet.others])
         return (
             f"no stream for {' and '.join(names)} arrived within {seconds:g} s; streams on the network:"

@@ -7,8 +7,8 @@ import pytest
 
 from smoother.errors import RecordingError
 from smoother.streams.arrivals import ImuRows
-from smoother.streams.channels import StreamLabels
-from smoother.streams.imu_halves import HalfChannels, ImuHalves, belongs, half_of
+from smoother.streams.channels import ImuChannels, StreamLabels, belongs, half_of
+from smoother.streams.imu_halves import ImuHalves
 
 
 def rows(t_s: np.ndarray, late_s: float = 0.004) -> ImuRows:
@@ -78,9 +78,9 @@ def test_what_a_stream_is_shows_in_its_name_and_type():
     assert belongs("Muse", "GYRO", "Muse")
     assert belongs("phone_gyroscope", "", "phone_accelerometer")
     assert not belongs("watch_gyroscope", "", "phone_accelerometer")
-    acc = HalfChannels.of(stream("ACC"), "acc")
-    np.testing.assert_allclose(acc.values(np.array([[0.0, 0.0, 1.0]])), [[0.0, 0.0, 9.80665]])
+    acc = ImuChannels.of(stream("ACC"), "acc")
+    np.testing.assert_allclose(acc.values(np.array([[0.0, 0.0, 1.0]]))["acc"], [[0.0, 0.0, 9.80665]])
     with pytest.raises(RecordingError, match="cannot be used as gyroscope: its channels are X, Y, Z; gyro_x"):
-        HalfChannels.of(stream("ACC"), "gyro")
+        ImuChannels.of(stream("ACC"), "gyro")
     with pytest.raises(RecordingError, match="unit of its accelerometer is missing"):
-        HalfChannels.of(stream("ACC", unit=""), "acc")
+        ImuChannels.of(stream("ACC", unit=""), "acc")

@@ -29,20 +29,20 @@ def arm_labels(*sides, joints=("shoulder", "elbow", "wrist")):
 
 def test_units_become_si():
     channels = ImuChannels.of(stream(imu_labels(), ["g"] * 3 + ["deg/s"] * 3))
-    acc, gyro, mag = channels.values(np.array([[0, 0, 1, 180, 0, 0]], np.float32))
-    np.testing.assert_allclose(acc, [[0, 0, 9.80665]])
-    np.testing.assert_allclose(gyro, [[np.pi, 0, 0]], rtol=1e-6)
-    assert mag is None
+    values = channels.values(np.array([[0, 0, 1, 180, 0, 0]], np.float32))
+    np.testing.assert_allclose(values["acc"], [[0, 0, 9.80665]])
+    np.testing.assert_allclose(values["gyro"], [[np.pi, 0, 0]], rtol=1e-6)
+    assert "mag" not in values
 
 
 def test_labels_of_devices():
     labels = ["timestamp", "AccX", "AccY", "AccZ", "GyrX", "GyrY", "GyrZ", "MagX", "MagY", "MagZ"]
     units = ["s", *["m/s²"] * 3, *["°/s"] * 3, *["uT"] * 3]
     channels = ImuChannels.of(stream(labels, units))
-    assert (channels.acc, channels.gyro, channels.mag) == ((1, 2, 3), (4, 5, 6), (7, 8, 9))
+    assert channels.axes == {"acc": (1, 2, 3), "gyro": (4, 5, 6), "mag": (7, 8, 9)}
     channels = ImuChannels.of(stream([""] * 6, ["m/s^2"] * 3 + ["rad/s"] * 3, [f"Acc{a}" for a in "XYZ"] + [
         f"Gyro{a}" for a in "XYZ"]))  # fmt: skip
-    assert channels.acc == (0, 1, 2)
+    assert channels.axes["acc"] == (0, 1, 2)
 
 
 @pytest.mark.parametrize(
