@@ -8,7 +8,7 @@ import pytest
 from smoother.errors import RecordingError
 from smoother.streams.arrivals import ImuRows
 from smoother.streams.channels import ImuChannels, StreamLabels, belongs, half_of
-from smoother.streams.imu_halves import ImuHalves
+from smoother.streams.lsl_source import ImuHalves
 
 
 def rows(t_s: np.ndarray, late_s: float = 0.004) -> ImuRows:

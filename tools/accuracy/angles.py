@@ -17,7 +17,7 @@ from smoother.linalg import interpolate
 from smoother.rotation import Rotation
 from smoother.simulation import ArmSimulation, SimulatedArm, simulate_arm
 from smoother.smoothing import smooth
-from tools.accuracy.check import CHANGES, PRESETS, Check, changes, option, rms, seeds_option
+from tools.accuracy.check import CHANGES, PRESETS, changes, check, option, rms, seeds_option
 
 #: Of a normal number 95 of 100 lie within this many standard deviations.
 Z_95 = 1.96
@@ -84,6 +84,12 @@ def _job(seed: int, preset: str, settings: dict[str, object], imus: int) -> list
     return angle_errors(simulated(seed, preset, settings), imus)
 
 
+@check(
+    option("--presets", nargs="+", default=list(PRESETS), choices=PRESETS, help="cameras"),
+    option("--imus", type=int, choices=(1, 2), default=1, help="worn on the arm [1]"),
+    CHANGES,
+    seeds_option("6"),
+)
 def angles(options: argparse.Namespace) -> Iterator[str]:
     """Errors of joint angles in gaps and in view, and how many lie inside their 95 % intervals."""
     yield f"seeds {options.seeds.start} to {options.seeds.stop - 1}, IMUs: {options.imus}"
@@ -118,17 +124,3 @@ def rows(preset: str, errors: list[AngleErrors]) -> Iterator[str]:
                 f"{preset:10} {name:26} {where:7} {len(mine):4} {rms(off):10.2f} {np.median(sigma):11.2f}"
                 f" {np.mean(ratio**2):24.2f} {100 * np.mean(np.abs(ratio) < Z_95):10.1f} %"
             )
-
-
-CHECKS = (
-    Check(
-        "angles",
-        angles,
-        (
-            option("--presets", nargs="+", default=list(PRESETS), choices=PRESETS, help="cameras"),
-            option("--imus", type=int, choices=(1, 2), default=1, help="worn on the arm [1]"),
-            CHANGES,
-            seeds_option("6"),
-        ),
-    ),
-)

@@ -16,8 +16,10 @@ from __future__ import annotations
 
 import argparse
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
+from functools import partial
+from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -34,82 +36,76 @@ from smoother.linalg import sphere
 from smoother.simulation import ArmSimulation, simulate_arm
 from smoother.simulation.rig import SensorModel, beep, broadcast, magnetometer_turns, rest_poses
 from smoother.simulation.strap import Arm, StrapImageNoise, render
-from tools.accuracy.check import ONE_PROCESS, Check, parts_option, rms, seeds_option
+from tools.accuracy.check import ONE_PROCESS, check, parts_option, rms, seeds_option
 
 SKEW = 390e-6
 
 
-def show(name: str, errors_ms: list[float], sigmas_ms: list[float], more: str = "") -> Iterator[str]:
-    """Print one line of figures."""
-    error, sigma = np.array(errors_ms), np.array(sigmas_ms)
-    yield (
+#: What is stated of an offset, s: how far off it is and its sigma; of a clock that runs fast, ppm off.
+Stated = Iterator[tuple[float, float, float]]
+
+
+def row(name: str, found: Stated, of_skew: str = "") -> str:
+    """A line of figures."""
+    error, sigma, skew = np.array(list(found)).T * [[1e3], [1e3], [1.0]]
+    skews = {"rms": f"skew rms {rms(skew):.2f} ppm", "max": f"skew max {np.abs(skew).max():.1f} ppm off"}
+    return (
         f"{name:34} rms {rms(error):7.3f} ms  max {np.abs(error).max():7.3f} ms  stated"
-        f" {np.median(sigma):6.3f} ms  squared error / sigma^2 {np.mean((error / sigma) ** 2):5.2f}  {more}"
+        f" {np.median(sigma):6.3f} ms  squared error / sigma^2 {np.mean((error / sigma) ** 2):5.2f} "
+        f" {skews.get(of_skew, '')}"
     )
 
 
-def sound(seeds: range) -> Iterator[str]:
-    """The end of a beep."""
-    for rate_hz, quiet_db in ((16000, 25.0), (44100, 25.0), (16000, 10.0)):
-        errors, sigmas = [], []
-        for seed in seeds:
-            samples, end, _ = beep(seed, rate_hz, quiet_db)
-            nearest = min(find_beeps(samples, rate_hz), key=lambda each: abs(each.end_s - end))
-            errors.append(1e3 * (nearest.end_s - end))
-            sigmas.append(1e3 * nearest.sigma_s)
-        yield from show(f"sound, {rate_hz} Hz, noise -{quiet_db:.0f} dB", errors, sigmas)
-
-
-def broadcasts(seeds: range) -> Iterator[str]:
-    """Offsets from receptions."""
-    for nodes, rounds, span_s in ((2, 20, 900.0), (5, 20, 900.0), (3, 20, 5.0), (3, 8, 60.0)):
-        errors, sigmas, skews = [], [], []
-        for seed in seeds:
-            clocks, heard = broadcast(seed, nodes=nodes, rounds=rounds, span_s=span_s)
-            for link in solve_clocks([heard]).links():
-                errors.append(1e3 * clocks.error_s(link))
-                sigmas.append(1e3 * link.sigma_s)
-                skews.append(clocks.skew_error_ppm(link))
-        name = f"broadcast, {nodes} nodes, {rounds} in {span_s:.0f} s"
-        yield from show(name, errors, sigmas, f"skew rms {rms(skews):.2f} ppm")
-
-
-def motion(seeds: range) -> Iterator[str]:
-    """Offset of the realistic arm (30-40 s) from motion."""
-    errors, sigmas = [], []
+def beeps(seeds: range, rate_hz: int, quiet_db: float) -> Stated:
     for seed in seeds:
-        simulated = simulate_arm(ArmSimulation.preset("realistic"), seed)
-        link = clock_from_motion(simulated.recording, None, ONE_PROCESS).link
-        errors.append(1e3 * (link.offset_s - simulated.parameters["clock_offset_s"]))
-        sigmas.append(1e3 * link.sigma_s)
-    yield from show("motion, realistic arm", errors, sigmas)
+        samples, end, _ = beep(seed, rate_hz, quiet_db)
+        nearest = min(find_beeps(samples, rate_hz), key=lambda each: abs(each.end_s - end))
+        yield nearest.end_s - end, nearest.sigma_s, np.nan
 
 
-def skew(seeds: range) -> Iterator[str]:
-    """15 minutes of the realistic arm with an IMU whose clock runs 390 ppm fast."""
-    errors, sigmas, skews = [], [], []
-    for seed in seeds[: max(len(seeds) // 8, 2)]:
-        config = ArmSimulation.preset("realistic", protocol="random", duration_s=900.0)
-        simulated = simulate_arm(config, seed)
-        imu = simulated.recording.imu
-        fast = replace(simulated.recording, imu=replace(imu, t_s=imu.t_s * (1 + SKEW)))
-        link = clock_from_motion(fast, None, ONE_PROCESS).link
-        true = (link.at_s + simulated.parameters["clock_offset_s"]) * (1 + SKEW) - link.at_s
-        errors.append(1e3 * (link.offset_s - true))
-        sigmas.append(1e3 * link.sigma_s)
-        skews.append(link.skew_ppm - 1e6 * SKEW)
-    yield from show(
-        "motion, 15 minutes, 390 ppm", errors, sigmas, f"skew max {np.abs(skews).max():.1f} ppm off"
-    )
+def receptions(seeds: range, nodes: int, rounds: int, span_s: float) -> Stated:
+    for seed in seeds:
+        clocks, heard = broadcast(seed, nodes=nodes, rounds=rounds, span_s=span_s)
+        for link in solve_clocks([heard]).links():
+            yield clocks.error_s(link), link.sigma_s, clocks.skew_error_ppm(link)
 
 
-PARTS = {"sound": sound, "broadcast": broadcasts, "motion": motion, "skew": skew}
+def moved(seeds: range, fast: float, **settings: Any) -> Stated:
+    """By the motion of the realistic arm; the IMU's clock runs fast."""
+    for seed in seeds:
+        made = simulate_arm(ArmSimulation.preset("realistic", **settings), seed)
+        imu = made.recording.imu
+        recording = replace(made.recording, imu=replace(imu, t_s=imu.t_s * (1 + fast)))
+        link = clock_from_motion(recording, None, ONE_PROCESS).link
+        at_s = link.at_s if fast else 0.0
+        true = (at_s + made.parameters["clock_offset_s"]) * (1 + fast) - at_s
+        yield link.offset_s - true, link.sigma_s, link.skew_ppm - 1e6 * fast
 
 
+CLOCKS = ("sound", "broadcast", "motion", "skew")
+
+
+@check(
+    parts_option(*CLOCKS),
+    seeds_option("16"),
+)
 def clock(options: argparse.Namespace) -> Iterator[str]:
     """Clock offsets by a beep, by broadcasts and by motion, against the simulated ones."""
-    for part in options.parts or PARTS:
-        yield from PARTS[part](options.seeds)
+    parts, seeds = options.parts or CLOCKS, options.seeds
+    if "sound" in parts:
+        for rate_hz, quiet_db in ((16000, 25.0), (44100, 25.0), (16000, 10.0)):
+            name = f"sound, {rate_hz} Hz, noise -{quiet_db:.0f} dB"
+            yield row(name, beeps(seeds, rate_hz, quiet_db))
+    if "broadcast" in parts:
+        for nodes, rounds, span_s in ((2, 20, 900.0), (5, 20, 900.0), (3, 20, 5.0), (3, 8, 60.0)):
+            name = f"broadcast, {nodes} nodes, {rounds} in {span_s:.0f} s"
+            yield row(name, receptions(seeds, nodes, rounds, span_s), "rms")
+    if "motion" in parts:
+        yield row("motion, realistic arm", moved(seeds, 0.0))
+    if "skew" in parts:
+        few = seeds[: max(len(seeds) // 8, 2)]
+        found = moved(few, SKEW, protocol="random", duration_s=900.0)
+        yield row("motion, 15 minutes, 390 ppm", found, "max")
 
 
 def accelerometer(seeds: range, poses: int, noise: float) -> Iterator[str]:
@@ -122,9 +118,7 @@ def accelerometer(seeds: range, poses: int, noise: float) -> Iterator[str]:
         found.append(find_rests(stream).poses)
         got = calibrate_imu(stream)
         assert got.accelerometer is not None
-        errors.append(
-            np.sqrt(np.mean(np.sum((got.accelerometer.apply(model.distort(up)) - up) ** 2, axis=1)))
-        )
+        errors.append(rms(np.linalg.norm(got.accelerometer.apply(model.distort(up)) - up, axis=1)))
         biases.append(np.abs(got.gyroscope.offset - bias).max())
     yield (
         f"  {poses} poses, noise {noise:g} m/s^2: rms error {np.mean(errors):.4f}, worst of"
@@ -133,41 +127,40 @@ def accelerometer(seeds: range, poses: int, noise: float) -> Iterator[str]:
     )
 
 
+def refusal(calibrate: Callable[[], object]) -> str:
+    """The sentence with which a calibration refuses; it must not take what it is given."""
+    try:
+        calibrate()
+    except CalibrationError as error:
+        return str(error)
+    raise SystemExit("what does not suffice was taken")
+
+
 def refused(seeds: range) -> Iterator[str]:
     """Eight poses."""
     for seed in seeds:
         model = SensorModel.draw(np.random.default_rng(seed), offset=0.5, scale=0.03, cross=0.01)
-        try:
-            calibrate_imu(rest_poses(model, 8, seed=seed)[0])
-        except CalibrationError as error:
-            text = str(error)
-        else:
-            raise SystemExit(f"eight poses were taken (seed {seed})")
-    yield (f"  8 poses: refused for all seeds: {text}")
+        poses, _ = rest_poses(model, 8, seed=seed)
+        text = refusal(partial(calibrate_imu, poses))
+    yield f"  8 poses: refused for all seeds: {text}"
 
 
 def magnetometer(seeds: range) -> Iterator[str]:
     """Length of the corrected true field, over the sphere."""
-    worst, rms = [], []
+    off = []
     for seed in seeds:
         model = SensorModel.draw(np.random.default_rng(seed), offset=0.5, scale=0.2, cross=0.2)
         got = calibrate_magnetometer(magnetometer_turns(model, 3000, noise=0.01, seed=seed))
-        length = np.linalg.norm(got.apply(model.distort(sphere(500))), axis=1)
-        worst.append(np.abs(length - 1.0).max())
-        rms.append(np.sqrt(np.mean((length - 1.0) ** 2)))
+        off.append(np.linalg.norm(got.apply(model.distort(sphere(500))), axis=1) - 1.0)
     yield (
-        f"  3000 samples: radius error rms {100 * np.mean(rms):.3f} %,"
-        f" worst direction {100 * max(worst):.3f} %"
+        f"  3000 samples: radius error rms {100 * np.mean([rms(each) for each in off]):.3f} %,"
+        f" worst direction {100 * np.abs(off).max():.3f} %"
     )
     rng = np.random.default_rng(0)
     angle = rng.uniform(0.0, 2.0 * np.pi, 3000)
     plane = Rotation.from_rotvec(angle[:, None] * [0.0, 0.0, 1.0]).apply([0.5, 0.0, -0.86])
-    try:
-        calibrate_magnetometer(plane + rng.normal(0.0, 0.01, plane.shape))
-    except CalibrationError as error:
-        yield (f"  planar rotation: refused: {error}")
-    else:
-        raise SystemExit("a planar rotation was taken")
+    flat = plane + rng.normal(0.0, 0.01, plane.shape)
+    yield f"  planar rotation: refused: {refusal(partial(calibrate_magnetometer, flat))}"
 
 
 def noise(seeds: range) -> Iterator[str]:
@@ -190,6 +183,9 @@ def noise(seeds: range) -> Iterator[str]:
     )
 
 
+@check(
+    seeds_option("20"),
+)
 def imu(options: argparse.Namespace) -> Iterator[str]:
     """Errors of corrected accelerometers, gyroscopes and magnetometers, and of noise figures."""
     yield "accelerometer"
@@ -275,18 +271,11 @@ def strap(seeds: range) -> Iterator[str]:
 FOREARM_PARTS = {"pose": pose, "strap": strap}
 
 
+@check(
+    parts_option(*FOREARM_PARTS),
+    seeds_option("20:32", "`strap`: five for each"),
+)
 def forearm(options: argparse.Namespace) -> Iterator[str]:
     """The forearm by its held pose and by the strap in images, against the simulated one."""
     for part in options.parts or FOREARM_PARTS:
         yield from FOREARM_PARTS[part](options.seeds)
-
-
-CHECKS = (
-    Check("clock", clock, (parts_option(*PARTS), seeds_option("16"))),
-    Check("imu", imu, (seeds_option("20"),)),
-    Check(
-        "forearm",
-        forearm,
-        (parts_option(*FOREARM_PARTS), seeds_option("20:32", "`strap`: five for each")),
-    ),
-)

@@ -15,7 +15,7 @@ from smoother.errors import UnoccludeError
 from smoother.result import CameraEstimate, Recovery
 from smoother.simulation import ArmSimulation, SimulatedArm, simulate_arm
 from smoother.smoothing import smooth
-from tools.accuracy.check import CHANGES, Check, changes, option, preset_option, rms, seeds_option
+from tools.accuracy.check import CHANGES, PRESET, changes, check, option, rms, seeds_option
 
 
 @dataclass(frozen=True)
@@ -51,7 +51,13 @@ def placing_error(found: CameraEstimate, simulated: SimulatedArm) -> tuple[float
     return float(np.degrees(turned)), 100 * float(np.linalg.norm(there - arm)), 1000 * late
 
 
-def compare_cameras(options: argparse.Namespace) -> Iterator[str]:
+@check(
+    PRESET,
+    option("--angles", type=float, nargs="+", default=[75.0], help="of the further cameras, degrees"),
+    seeds_option("5000:5008"),
+    CHANGES,
+)
+def cameras(options: argparse.Namespace) -> Iterator[str]:
     """The wrist's error in the first camera's gaps, with it alone and with further ones; nothing
     calibrated.
     """
@@ -106,7 +112,14 @@ def compare_cameras(options: argparse.Namespace) -> Iterator[str]:
     yield f"  time {spent[1] / spent[0]:.2f} of one camera's"
 
 
-def lone_rgb(options: argparse.Namespace) -> Iterator[str]:
+@check(
+    PRESET,
+    option("--speeds", type=float, nargs="+", default=[1.0, 0.5, 0.25], help="of the arm"),
+    option("--height-m", type=float, default=None, help="of the person, where it is stated"),
+    seeds_option("5200:5208"),
+    CHANGES,
+)
+def rgb(options: argparse.Namespace) -> Iterator[str]:
     """One camera without depth and a wrist IMU: the wrist's error in gaps by how fast the arm moves."""
     settings: dict[str, object] = {
         "protocol": "random",
@@ -149,28 +162,3 @@ def lone_rgb(options: argparse.Namespace) -> Iterator[str]:
             f" {rms(depth[:, 1]):11.2f} {nees.mean():6.2f} {100 * np.mean(nees < 7.815 / 3):13.1f}"
             f" {far:5} {refused:9}"
         )
-
-
-CHECKS = (
-    Check(
-        "rgb",
-        lone_rgb,
-        (
-            preset_option("realistic"),
-            option("--speeds", type=float, nargs="+", default=[1.0, 0.5, 0.25], help="of the arm"),
-            option("--height-m", type=float, default=None, help="of the person, where it is stated"),
-            seeds_option("5200:5208"),
-            CHANGES,
-        ),
-    ),
-    Check(
-        "cameras",
-        compare_cameras,
-        (
-            preset_option("realistic"),
-            option("--angles", type=float, nargs="+", default=[75.0], help="of the further cameras, degrees"),
-            seeds_option("5000:5008"),
-            CHANGES,
-        ),
-    ),
-)

@@ -1,4 +1,4 @@
-"""What a check of accuracy is, and what checks share: options, data sets of others, root mean squares."""
+"""What checks of accuracy share: how they are named, options, data sets of others, root mean squares."""
 
 from __future__ import annotations
 
@@ -6,8 +6,7 @@ import argparse
 import os
 import sys
 from ast import literal_eval
-from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -20,37 +19,32 @@ from smoother.config import Config
 PRESETS = ("white", "realistic", "azure")
 ONE_PROCESS = Config.model_validate({"windows": {"processes": 1}})
 
+#: From the options to the lines that are printed.
+Rows = Callable[[argparse.Namespace], Iterator[str]]
+#: An option as `ArgumentParser.add_argument` takes it.
+Option = tuple[tuple[str, ...], dict[str, Any]]
+#: Every check by name: `python -m tools.accuracy NAME`.
+CHECKS: dict[str, tuple[Rows, tuple[Option, ...]]] = {}
 
-@dataclass(frozen=True)
-class Option:
-    """An option of a check, as `ArgumentParser.add_argument` takes it."""
 
-    names: tuple[str, ...]
-    settings: Mapping[str, Any]
+def check(*options: Option) -> Callable[[Rows], Rows]:
+    """A figure that can be repeated, by the function's name."""
+
+    def named(rows: Rows) -> Rows:
+        CHECKS[rows.__name__] = rows, options
+        return rows
+
+    return named
 
 
 def option(*names: str, **settings: Any) -> Option:
     """An option by its names."""
-    return Option(names, settings)
+    return names, settings
 
 
-@dataclass(frozen=True)
-class Check:
-    """A figure that can be repeated."""
-
-    name: str  # `python -m tools.accuracy NAME`
-    rows: Callable[[argparse.Namespace], Iterator[str]]  # From the options to the lines that are printed
-    options: tuple[Option, ...] = ()
-
-    @property
-    def about(self) -> str:
-        """What it measures."""
-        return (self.rows.__doc__ or "").strip()
-
-
-def seeds_option(default: str, about: str = "") -> Option:
+def seeds_option(default: str, about: str = "seeds") -> Option:
     """The seeds of a check: `A:B` from A up to B - 1, or `N` from 0 up to N - 1."""
-    words = f"{about or 'seeds'}: A up to B - 1, or 0 up to N - 1 [{default}]"
+    words = f"{about}: A up to B - 1, or 0 up to N - 1 [{default}]"
     return option("--seeds", type=seed_range, default=seed_range(default), metavar="A:B", help=words)
 
 
@@ -60,17 +54,10 @@ def seed_range(text: str) -> range:
     return range(int(first), int(last)) if last else range(int(first))
 
 
-def preset_option(default: str) -> Option:
-    """Which simulated camera."""
-    return option("--preset", default=default, help=f"of `unocclude simulate arm` [{default}]")
-
-
-CHANGES = option(
-    "--set", nargs="*", default=[], metavar="NAME=VALUE", help="change a setting of the simulation"
-)
+PRESET = option("--preset", default="realistic", help="of `unocclude simulate arm` [realistic]")
+CHANGES = option("--set", nargs="*", default=[], metavar="NAME=VALUE", help="change the simulation")
 ONLY = option("--only", default="", help="trials whose name contains this")
 DRAWS = option("--draws", type=int, default=64, help="motions drawn of each recording [64]")
-JSON = option("--json", type=Path, help="the figures in a file")
 
 
 def parts_option(*names: str) -> Option:
@@ -80,14 +67,13 @@ def parts_option(*names: str) -> Option:
 
 def changes(options: argparse.Namespace) -> dict[str, Any]:
     """What `--set` changes: numbers and tuples as such, anything else as text."""
-    return {name: _value(text) for name, text in (pair.split("=", 1) for pair in options.set)}
-
-
-def _value(text: str) -> Any:
-    try:
-        return literal_eval(text)
-    except (ValueError, SyntaxError):
-        return text
+    found: dict[str, Any] = dict(pair.split("=", 1) for pair in options.set)
+    for name, text in found.items():
+        try:
+            found[name] = literal_eval(text)
+        except (ValueError, SyntaxError):
+            continue
+    return found
 
 
 def datasets(name: str) -> Path:

@@ -23,7 +23,7 @@ from smoother.live.buffers import ImuBatch
 from smoother.live.calibrations import InlineCalibrator
 from smoother.live.smoother import LiveSmoother
 from smoother.simulation import ArmSimulation, SimulatedArm, simulate_arm
-from tools.accuracy.check import Check, option, rms, seeds_option
+from tools.accuracy.check import check, option, rms, seeds_option
 
 LATENCY_S, OFFSET_S = 0.1, -0.02
 #: Borders of the time since the last frame, s.
@@ -138,6 +138,13 @@ def memory(simulation: SimulatedArm, hours: float) -> Iterator[str]:
             yield (f"{at_s / 60:.0f} min: {used:.1f} MB")
 
 
+@check(
+    seeds_option("1:11"),
+    option("--gap-s", type=float, nargs="+", default=[1.0]),
+    option("--duration-s", type=float, default=60.0),
+    option("--imus", default="wrist", help="where IMUs are worn, as `simulate arm --imus`"),
+    option("--hours", type=float, default=0.0, help="play the arm over and over and print the memory"),
+)
 def live(options: argparse.Namespace) -> Iterator[str]:
     """Errors of what is shown now and a lag ago, by the time since the last frame; lag and processor time."""
     config = ArmSimulation.preset(
@@ -157,20 +164,3 @@ def live(options: argparse.Namespace) -> Iterator[str]:
         errors.add(simulation, play(simulation))
         yield f"seed {seed} done"
     yield from errors.show()
-
-
-CHECKS = (
-    Check(
-        "live",
-        live,
-        (
-            seeds_option("1:11"),
-            option("--gap-s", type=float, nargs="+", default=[1.0]),
-            option("--duration-s", type=float, default=60.0),
-            option("--imus", default="wrist", help="where IMUs are worn, as `simulate arm --imus`"),
-            option(
-                "--hours", type=float, default=0.0, help="play the arm over and over and print the memory"
-            ),
-        ),
-    ),
-)

@@ -18,7 +18,7 @@ from smoother.result import Recovery
 from smoother.smoothing import smooth
 from tools.accuracy.check import (
     ONLY,
-    Check,
+    check,
     datasets,
     option,
     rms,
@@ -75,6 +75,12 @@ def trial(path: Path, found: MagnetometerCalibration, options: argparse.Namespac
         )
 
 
+@check(
+    ONLY,
+    option("--calibrated-on", default="05_", help="trial whose name starts so"),
+    option("--lengths", type=float, nargs="*", default=[1.0, 3.0], help="gaps to hide, s"),
+    seeds_option("2"),
+)
 def magnetometer(options: argparse.Namespace) -> Iterator[str]:
     """Orientation, heading and gaps on BROAD, with a calibrated magnetometer and without."""
     trials = sorted(datasets("broad").glob("*.mat"))
@@ -86,17 +92,3 @@ def magnetometer(options: argparse.Namespace) -> Iterator[str]:
     for path in trials:
         if options.only in path.stem:
             yield from trial(path, found, options)
-
-
-CHECKS = (
-    Check(
-        "magnetometer",
-        magnetometer,
-        (
-            ONLY,
-            option("--calibrated-on", default="05_", help="trial whose name starts so"),
-            option("--lengths", type=float, nargs="*", default=[1.0, 3.0], help="gaps to hide, s"),
-            seeds_option("2"),
-        ),
-    ),
-)

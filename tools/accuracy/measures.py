@@ -25,12 +25,12 @@ from __future__ import annotations
 import argparse
 import math
 import sys
-from collections import defaultdict
+from collections import Counter, defaultdict
 from collections.abc import Collection, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import combinations
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -59,17 +59,16 @@ from smoother.simulation.body import FLEXION, draw_measures
 from smoother.simulation.motion import draw_stage
 from smoother.simulation.protocol import perform
 from smoother.smoothing import smooth
-from tools.accuracy.check import DRAWS, Check, option, preset_option, seeds_option
+from tools.accuracy.check import DRAWS, PRESET, check, option, rms, seeds_option
 
 MEASURED = ("realistic", "azure")
-#: Ends the name of a preset whose arm moves about with a straight elbow, and how far that bends, rad.
-STRAIGHT, STRAIGHT_RAD = "-straight", (0.01, 0.11)
+#: How far a straight elbow bends, rad.
+STRAIGHT_RAD = (0.01, 0.11)
 #: Of a joint's extreme this part is hidden, in the time that the angle is within 20 degrees of it.
 HIDDEN_PART, NEAR_DEG = 2.0 / 3.0, 20.0
 
 
-@dataclass(frozen=True)
-class Sample:
+class Sample(NamedTuple):
     """One measure of one recording: answer, truth, interval."""
 
     key: str
@@ -79,6 +78,11 @@ class Sample:
     share: float
     low: float
     high: float
+
+    @property
+    def off(self) -> float:
+        """Answer less truth."""
+        return self.value - self.truth
 
 
 def true_recovery(recovery: Recovery, truth: Truth) -> Recovery:
@@ -120,62 +124,47 @@ def samples_of(simulated: SimulatedArm, recovery: Recovery, settings: MeasureSet
             yield Sample(key, place[0], value, truth, share, low, high)
 
 
-def simulation_of(name: str) -> ArmSimulation:
-    """What to simulate, by a preset's name: "azure", or "azure-straight" for the stiff elbow."""
-    preset = name.removesuffix(STRAIGHT)
-    if preset == name:
-        return ArmSimulation.preset(preset)
-    return ArmSimulation.preset(preset, protocol="random", flexion_rad=STRAIGHT_RAD)
-
-
-def accuracy(name: str, seeds: range, draws: int) -> list[Sample]:
+def accuracy(config: ArmSimulation, seeds: range, draws: int) -> list[Sample]:
     """The samples of some seeds."""
     samples: list[Sample] = []
     for seed in seeds:
-        simulated = simulate_arm(simulation_of(name), seed)
+        simulated = simulate_arm(config, seed)
         samples += samples_of(simulated, recovered(simulated, draws, seed), MeasureSettings())
-        print(f"{name} seed {seed}: done", file=sys.stderr, flush=True)
+        print(f"seed {seed}: done", file=sys.stderr, flush=True)
     return samples
 
 
-def coverage_table(samples: list[Sample]) -> list[dict[str, object]]:
-    """By scope and key: coverage, rms error, bias; zones of an angle together."""
+#: Of a measure in a scope: cases, share inside the interval, rms error, bias, width of the interval, truth.
+Coverage = dict[tuple[str, str], tuple[int, float, float, float, float, float]]
+
+
+def coverage_of(samples: list[Sample]) -> Coverage:
+    """By scope and key; zones of an angle together."""
     groups: dict[tuple[str, str], list[Sample]] = defaultdict(list)
     for sample in samples:
         key = f"{sample.key.partition('_zone_')[0]}_zones_percent" if "_zone_" in sample.key else sample.key
-        if np.isfinite(sample.value) and np.isfinite(sample.truth):
+        if np.isfinite(sample.off):
             groups[sample.scope, key].append(sample)
-    rows: list[dict[str, object]] = []
-    for (scope, key), group in groups.items():
-        held, widths = [], []
-        for sample in group:
-            if np.isfinite(sample.low):
-                held.append(sample.low - 1e-9 <= sample.truth <= sample.high + 1e-9)
-                widths.append(sample.high - sample.low)
-        off = np.array([sample.value - sample.truth for sample in group])
-        rows.append(
-            {
-                "scope": scope,
-                "key": key,
-                "cases": len(group),
-                "coverage": float(np.mean(held)) if held else float("nan"),
-                "rms": float(np.sqrt(np.mean(off**2))),
-                "bias": float(off.mean()),
-                "width": float(np.mean(widths)) if widths else float("nan"),
-                "truth": float(np.mean([sample.truth for sample in group])),
-            }
-        )
-    return rows
+    found: Coverage = {}
+    for place, group in groups.items():
+        stated = [each for each in group if np.isfinite(each.low)]
+        held = [each.low - 1e-9 <= each.truth <= each.high + 1e-9 for each in stated]
+        off, widths = np.array([each.off for each in group]), [each.high - each.low for each in stated]
+        coverage, width = (float(np.mean(each)) if each else math.nan for each in (held, widths))
+        truth = float(np.mean([each.truth for each in group]))
+        found[place] = len(group), coverage, rms(off), float(off.mean()), width, truth
+    return found
 
 
-def print_rows(title: str, rows: list[dict[str, object]]) -> Iterator[str]:
-    """As a table."""
-    yield (f"\n{title}\n{'measure':44} cases  covered   rms error      bias  interval's width    mean")
-    for row in rows:
-        yield (
-            f"{row['key']:44} {row['cases']:5} {100 * row['coverage']:6.0f} % {row['rms']:11.4g}"
-            f" {row['bias']:+9.3g} {row['width']:14.4g} {row['truth']:11.4g}"
-        )
+def coverage_rows(title: str, found: Coverage, keys: str = "") -> Iterator[str]:
+    """A table for sessions and one for movements, of the measures whose name begins so."""
+    for scope in ("session", "movement"):
+        yield f"\n{title}, {scope}"
+        yield f"{'measure':44} cases  covered   rms error      bias  interval's width    mean"
+        for (of, key), (cases, coverage, off, bias, width, truth) in found.items():
+            if of == scope and key.startswith(keys):
+                figures = f"{cases:5} {100 * coverage:6.0f} % {off:11.4g} {bias:+9.3g}"
+                yield f"{key:44} {figures} {width:14.4g} {truth:11.4g}"
 
 
 def hidden_extremes(simulated: SimulatedArm) -> SimulatedArm:
@@ -216,9 +205,9 @@ def hidden_range(preset: str, seeds: range) -> Iterator[str]:
             recovery = recovered(simulated, 0, seed, calibration)
             for sample in samples_of(simulated, recovery, MeasureSettings()):
                 if sample.scope == "session":
-                    errors[sample.key].append(sample.value - sample.truth)
+                    errors[sample.key].append(sample.off)
         figures = "  ".join(
-            f"{what} {np.sqrt(np.mean(np.square(off))):.2f} ({np.mean(off):+.2f})"
+            f"{what} {rms(off):.2f} ({np.mean(off):+.2f})"
             for what in ("range", "max", "min")
             for off in [errors[f"elbow_flexion_{what}_deg"]]
         )
@@ -227,62 +216,58 @@ def hidden_range(preset: str, seeds: range) -> Iterator[str]:
 
 def sparc_bias(preset: str, samples: list[Sample]) -> Iterator[str]:
     """SPARC of movements that are recovered by half or more, and of those that the camera saw."""
-    rows = [
-        s for s in samples if s.scope == "movement" and s.key == "sparc" and np.isfinite(s.value - s.truth)
-    ]
-    for words, some in (
-        ("recovered by half or more", [s for s in rows if s.share >= 0.5]),
-        ("with recovered samples", [s for s in rows if s.share > 0.0]),
-        ("seen", [s for s in rows if s.share == 0.0]),
+    rows = [s for s in samples if s.scope == "movement" and s.key == "sparc" and np.isfinite(s.off)]
+    for words, low, high in (
+        ("recovered by half or more", 0.5, 1.0),
+        ("with recovered samples", 1e-9, 1.0),
+        ("seen", 0.0, 0.0),
     ):
-        off = np.array([s.value - s.truth for s in some])
+        off = np.array([s.off for s in rows if low <= s.share <= high])
         if len(off):
-            yield (
-                f"{preset}: SPARC, movements {words}: bias {off.mean():+.4f}, rms {off.std():.4f}, {len(off)}"
-            )
+            figures = f"bias {off.mean():+.4f}, rms {off.std():.4f}, {len(off)}"
+            yield f"{preset}: SPARC, movements {words}: {figures}"
 
 
-def accuracy_csv(tables: dict[str, list[dict[str, object]]]) -> str:
+def accuracy_csv(tables: dict[str, Coverage]) -> str:
     """docs/tables/measures_accuracy.csv: by measure how often its interval holds, and its rms error."""
-    by_key = {(preset, row["scope"], row["key"]): row for preset, rows in tables.items() for row in rows}
     columns = ("sessions_inside_percent", "sessions", "movements_inside_percent", "movements", "sessions_rms")
     lines = [["measure", *(f"{preset}_{column}" for preset in tables for column in columns)]]
-    for key in dict.fromkeys(row["key"] for rows in tables.values() for row in rows):
-        cells = [str(key)]
-        for preset in tables:
-            session, movement = (by_key.get((preset, scope, key)) for scope in ("session", "movement"))
-            for row in (session, movement):
-                cells += [f"{100 * row['coverage']:.0f}", f"{row['cases']}"] if row else ["", ""]
-            cells.append(f"{session['rms']:.2g}" if session else "")
+    for key in dict.fromkeys(key for found in tables.values() for _, key in found):
+        cells = [key]
+        for found in tables.values():
+            both = [found.get((scope, key)) for scope in ("session", "movement")]
+            for row in both:
+                cells += [f"{100 * row[1]:.0f}", f"{row[0]}"] if row else ["", ""]
+            cells.append(f"{both[0][2]:.2g}" if both[0] else "")
         lines.append(cells)
     return "\n".join(map(",".join, lines))
 
 
+@check(
+    option("--presets", nargs="+", default=list(MEASURED), choices=MEASURED),
+    seeds_option("20"),
+    DRAWS,
+    option("--csv", type=Path, help="write docs/tables/measures_accuracy.csv"),
+)
 def measures(options: argparse.Namespace) -> Iterator[str]:
     """How often the 95 % interval of a measure contains the truth's, its rms error and its bias."""
-    seeds = options.seeds
     tables = {}
     for preset in options.presets:
-        samples = accuracy(preset, seeds, options.draws)
-        rows = coverage_table(samples)
-        tables[preset] = rows
-        for scope in ("session", "movement"):
-            yield from print_rows(f"{preset}, {scope}", [row for row in rows if row["scope"] == scope])
+        samples = accuracy(ArmSimulation.preset(preset), options.seeds, options.draws)
+        tables[preset] = coverage_of(samples)
+        yield from coverage_rows(preset, tables[preset])
         yield from sparc_bias(preset, samples)
-        straight = coverage_table(accuracy(preset + STRAIGHT, seeds, options.draws))
-        straight = [row for row in straight if str(row["key"]).startswith("elbow_flexion")]
-        for scope in ("session", "movement"):
-            rows_of = [row for row in straight if row["scope"] == scope]
-            yield from print_rows(f"{preset}, a straight and stiff elbow, {scope}", rows_of)
-        yield from hidden_range(preset, seeds)
+        # an arm that moves about with a straight elbow
+        straight = ArmSimulation.preset(preset, protocol="random", flexion_rad=STRAIGHT_RAD)
+        found = coverage_of(accuracy(straight, options.seeds, options.draws))
+        yield from coverage_rows(f"{preset}, a straight and stiff elbow", found, "elbow_flexion")
+        yield from hidden_range(preset, options.seeds)
     if options.csv is not None:
         options.csv.write_text(accuracy_csv(tables) + "\n", encoding="utf-8")
 
 
 #: Of the elbow's bending that is left in the third session.
 BENDING = 0.75
-#: Sensor errors of each session; the second is the same motion.
-SESSIONS = 3
 
 
 def sessions_of(config: ArmSimulation, seed: int) -> list[SimulatedArm]:
@@ -315,73 +300,62 @@ def measured(simulated: SimulatedArm, draws: int) -> tuple[dict[str, Measure], d
 
 def value(row: Measure) -> SessionValue:
     """A measure as a session's value."""
-    return SessionValue(
-        "s", math.nan, row.value, row.low, row.high, row.sigma, row.recovered_share, row.n_draws
-    )
+    interval = (row.low, row.high, row.sigma)
+    return SessionValue("s", math.nan, row.value, *interval, row.recovered_share, row.n_draws)
+
+
+Measured = tuple[dict[str, Measure], dict[str, Measure]]
+#: By measure: pairs, those whose interval holds the true difference, that are called a change, wrongly so, ..
+Counts = dict[str, Counter[str]]
 
 
 def count_pair(
-    counts: dict[str, dict[str, int]],
-    first: tuple[dict[str, Measure], dict[str, Measure]],
-    last: tuple[dict[str, Measure], dict[str, Measure]],
-    same: bool,
-    keys: Collection[str] | None = None,
-) -> Iterator[str]:
-    """Count what is said of two sessions, of all measures or of some."""
-    for key in first[0].keys() & last[0].keys() if keys is None else keys:
+    counts: Counts, first: Measured, last: Measured, what: str, keys: Collection[str] = ()
+) -> None:
+    """Count what is said of two sessions with the `same` motion or an `other`, of all measures or of some."""
+    for key in keys or first[0].keys() & last[0].keys():
         if not is_main(key) or not (first[1][key].is_known and last[1][key].is_known):
             continue
         change = change_between(value(first[0][key]), value(last[0][key]))
         if not math.isfinite(change.p):
             continue
-        found = [value(each[0]["movement_count"]) for each in (first, last)]
         if key in BY_MOVEMENT:
+            found = [value(each[0]["movement_count"]) for each in (first, last)]
             change = without_like_movements(change, *found)
         if change.word == UNKNOWN:
             counts[key]["unknown"] += 1
             continue
-        true = last[1][key].value - first[1][key].value
-        what = "same" if same else "other"
+        true, called = last[1][key].value - first[1][key].value, change.word in (MORE, LESS)
+        counts[key] += Counter({"pairs": 1, what: 1, f"{what}_called": called})
         counts[key]["held"] += change.low <= true <= change.high
-        counts[key]["pairs"] += 1
-        counts[key][what] += 1
-        counts[key][f"{what}_called"] += change.word in (MORE, LESS)
-        counts[key]["wrong"] += change.word in (MORE, LESS) and change.difference * true <= 0
-        if not change.low <= true <= change.high:
-            half = 0.5 * (change.high - change.low)
-            counted = [each.value for each in found]
-            numbers = f"{change.difference:.3g} (true {true:.3g}, half {half:.3g}, movements {counted})"
-            yield (f"  {what}: {key} {numbers}")
+        counts[key]["wrong"] += called and change.difference * true <= 0
 
 
-def summary(counts: dict[str, dict[str, int]]) -> str:
-    """Of all measures so far, in a line."""
-    total: dict[str, int] = defaultdict(int)
-    for each in counts.values():
-        for name, number in each.items():
-            total[name] += number
-    flexion = counts["elbow_flexion_range_deg"]
-    return (
-        f"false alarms {total['same_called']} of {total['same']}; held {total['held']} of {total['pairs']};"
-        f" elbow range found {flexion['other_called']} of {flexion['other']}"
-    )
-
-
+@check(
+    seeds_option("6", "a person each"),
+    PRESET,
+    option("--duration-s", type=float, default=20.0),
+    DRAWS,
+)
 def progress(options: argparse.Namespace) -> Iterator[str]:
     """False alarms, detected changes and coverage of intervals, between simulated persons' sessions."""
     config = ArmSimulation.preset(options.preset, protocol="random", duration_s=options.duration_s)
-    counts: dict[str, dict[str, int]] = defaultdict(lambda: defaultdict(int))
+    counts: Counts = defaultdict(Counter)
     for seed in options.seeds:
-        rows = [measured(simulated, options.draws) for simulated in sessions_of(config, seed)]
-        for number in (1, 2):
-            first, last = rows[0], rows[number]
+        first, again, less = [measured(each, options.draws) for each in sessions_of(config, seed)]
+        for last, what in ((again, "same"), (less, "other")):
             if first is not None and last is not None:
-                yield from count_pair(counts, first, last, same=number == 1)
-        yield f"person {seed}: {summary(counts)}"
+                count_pair(counts, first, last, what)
+        total, flexion = sum(counts.values(), Counter[str]()), counts["elbow_flexion_range_deg"]
+        yield (
+            f"person {seed}: false alarms {total['same_called']} of {total['same']}; held {total['held']} of"
+            f" {total['pairs']}; elbow range found {flexion['other_called']} of {flexion['other']}"
+        )
     for key, each in sorted(counts.items()):
         yield f"{key:40s} {dict(each)}"
 
 
+LONG_GAPS = {"occlusion_lengths_s": (3.0, 6.0), "occlusion_every_s": 10.0}
 #: Kinds of sessions for means over movements: the preset, and what is changed of it. In `random` motion the
 #: hand rarely rests, so that one movement more or less changes a mean most.
 KINDS: dict[str, tuple[str, dict[str, Any]]] = {
@@ -390,18 +364,15 @@ KINDS: dict[str, tuple[str, dict[str, Any]]] = {
     "slow": ("realistic", {"protocol": "random", "speed": 0.5}),
     "random": ("realistic", {"protocol": "random"}),
     "azure": ("azure", {"protocol": "random"}),
-    "long gaps": (
-        "realistic",
-        {
-            "protocol": "random",
-            "duration_s": 40.0,
-            "occlusion_lengths_s": (3.0, 6.0),
-            "occlusion_every_s": 10.0,
-        },
-    ),
+    "long gaps": ("realistic", {"protocol": "random", "duration_s": 40.0} | LONG_GAPS),
 }
 
 
+@check(
+    option("--kinds", nargs="+", default=list(KINDS), choices=list(KINDS)),
+    seeds_option("20"),
+    DRAWS,
+)
 def movements(options: argparse.Namespace) -> Iterator[str]:
     """Means over movements against those over the truth's own, and the changes called between sessions."""
     settings = MeasureSettings(reach=Reach(voxel_m=0.2))  # its volume takes the time and is not needed
@@ -419,48 +390,12 @@ def movements(options: argparse.Namespace) -> Iterator[str]:
             both = [(answer[key], truth[key].value) for answer, truth in sessions]
             held = [row.low <= true <= row.high for row, true in both if row.has_interval and true == true]
             yield f"{kind:10} {key:26} inside {sum(held):3} of {len(held)}"
-        counts: dict[str, dict[str, int]] = defaultdict(lambda: defaultdict(int))
+        counts: Counts = defaultdict(Counter)
         for first, last in combinations(sessions, 2):
-            yield from count_pair(counts, first, last, same=False, keys=BY_MOVEMENT)
-        total = {
-            name: sum(each[name] for each in counts.values())
-            for name in ("unknown", "pairs", "other_called", "wrong")
-        }
+            count_pair(counts, first, last, "other", BY_MOVEMENT)
+        total = sum(counts.values(), Counter[str]())
         yield (
             f"{kind}: {len(sessions)} sessions, {math.comb(len(sessions), 2)} pairs; changes of"
             f" {len(BY_MOVEMENT)} measures: cannot be assessed {total['unknown']}, compared {total['pairs']},"
             f" clear {total['other_called']}, in the wrong direction {total['wrong']}"
         )
-
-
-CHECKS = (
-    Check(
-        "measures",
-        measures,
-        (
-            option("--presets", nargs="+", default=list(MEASURED), choices=MEASURED),
-            seeds_option("20"),
-            DRAWS,
-            option("--csv", type=Path, help="write docs/tables/measures_accuracy.csv"),
-        ),
-    ),
-    Check(
-        "movements",
-        movements,
-        (
-            option("--kinds", nargs="+", default=list(KINDS), choices=list(KINDS)),
-            seeds_option("20"),
-            DRAWS,
-        ),
-    ),
-    Check(
-        "progress",
-        progress,
-        (
-            seeds_option("6", "a person each"),
-            preset_option("realistic"),
-            option("--duration-s", type=float, default=20.0),
-            DRAWS,
-        ),
-    ),
-)

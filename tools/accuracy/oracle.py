@@ -39,7 +39,7 @@ from smoother.recording import Recording
 from smoother.result import Recovery
 from smoother.simulation import ArmSimulation, SimulatedArm, simulate_arm
 from smoother.smoothing import smooth
-from tools.accuracy.check import JSON, ONE_PROCESS, PRESETS, Check, datasets, option, rms
+from tools.accuracy.check import ONE_PROCESS, PRESETS, check, datasets, option, rms
 from tools.accuracy.live import play
 from tools.reliability import scenes, setup_errors
 
@@ -354,6 +354,13 @@ def table(only: str, processes: int) -> Iterator[tuple[str, dict[str, Any]]]:
                 yield row, row_of(runs_, sum(spent))
 
 
+@check(
+    option("--json", type=Path, help="the figures in a file"),
+    option("--against", type=Path, metavar="FILE", help="a stored table; 1 is returned if it differs"),
+    option("--tolerance", type=float, default=0.0, metavar="PART", help="what may differ, as 0.02 [nothing]"),
+    option("--only", default="", metavar="PATTERN", help="rows so called; --json keeps the others"),
+    option("--processes", type=int, default=2, help="recordings at a time [2]"),
+)
 def oracle(options: argparse.Namespace) -> Iterator[str]:
     """One table of errors, coverage, verdicts and processor time; with --against the rows that differ."""
     if options.against and not options.against.is_file():
@@ -379,14 +386,3 @@ def oracle(options: argparse.Namespace) -> Iterator[str]:
         yield from ("", *(f"{name}: {', '.join(each)}" for name, each in told.items() if each))
         yield f"{sum(map(bool, told.values()))} of {len(both)} rows differ from {options.against}"
         sys.exit(int(any(told.values())))
-
-
-_AGAINST = option("--against", type=Path, metavar="FILE", help="a stored table; 1 is returned if it differs")
-_TOLERANCE = option(
-    "--tolerance", type=float, default=0.0, metavar="PART", help="what may differ, as 0.02 [nothing]"
-)
-_ONLY = option(
-    "--only", default="", metavar="PATTERN", help="rows whose name contains this; --json keeps the others"
-)
-_PROCESSES = option("--processes", type=int, default=2, help="recordings at a time [2]")
-CHECKS = (Check("oracle", oracle, (JSON, _AGAINST, _TOLERANCE, _ONLY, _PROCESSES)),)

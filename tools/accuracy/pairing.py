@@ -43,7 +43,7 @@ from smoother.recording import CameraFrame, Recording
 from smoother.selfcal.agreement import agreement
 from smoother.selfcal.pairing import decided
 from smoother.simulation import ArmSimulation, PeopleSimulation, simulate_arm, simulate_people
-from tools.accuracy.check import PRESETS, Check, datasets, option, parts_option, seeds_option
+from tools.accuracy.check import PRESETS, check, datasets, option, parts_option, seeds_option
 from tools.reliability.setup_errors import Setup, joints_of_the_other_arm, mirrored_skeleton
 
 #: A clock is treated as found where it is this near, s.
@@ -241,6 +241,10 @@ def _on(grid: FloatArray, t: FloatArray, values: FloatArray) -> FloatArray:
 PARTS = {"simulated": simulated, "exercise": exercise, "setups": setups, "utd": utd, "azure": azure}
 
 
+@check(
+    parts_option(*PARTS),
+    seeds_option("12"),
+)
 def pairing(options: argparse.Namespace) -> Iterator[str]:
     """How many right and wrong pairs of camera and IMU are proved, accepted, and given the right clock."""
     for part in options.parts or PARTS:
@@ -358,6 +362,11 @@ def answer_rows(title: str, answers: dict[str, list[Answer]]) -> Iterator[str]:
         yield (f"{method:22}{'; '.join(reliability)}")
 
 
+@check(
+    parts_option("match_utd", "scenes"),
+    option("--methods", default=",".join(METHODS), help="names, with commas"),
+    seeds_option("200", "scenes"),
+)
 def match(options: argparse.Namespace) -> Iterator[str]:
     """How often IMUs are found on the right limb of the right person, and how often surely."""
     methods = options.methods.split(",")
@@ -370,17 +379,3 @@ def match(options: argparse.Namespace) -> Iterator[str]:
     if "scenes" in wanted:
         seeds = options.seeds
         yield from answer_rows(f"Scenes, seeds {seeds[0]} to {seeds[-1]}", scenes(methods, seeds))
-
-
-CHECKS = (
-    Check("pairing", pairing, (parts_option(*PARTS), seeds_option("12"))),
-    Check(
-        "match",
-        match,
-        (
-            parts_option("match_utd", "scenes"),
-            option("--methods", default=",".join(METHODS), help="names, with commas"),
-            seeds_option("200", "scenes"),
-        ),
-    ),
-)

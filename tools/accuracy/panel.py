@@ -26,7 +26,7 @@ from calib.plane import Frame, Panel, Plane, fit_plane
 from calib.world import WorldCalibration, calibrate_world, view_panel, world_poses
 from smoother.errors import UnoccludeError
 from smoother.simulation.panel import PanelSimulation, SimulatedPanel, simulate_panel
-from tools.accuracy.check import CHANGES, Check, changes, datasets, option, parts_option, seeds_option
+from tools.accuracy.check import CHANGES, changes, check, datasets, option, parts_option, seeds_option
 
 #: Pixels left out along the real panel's outline.
 RIM_PX = 3
@@ -202,6 +202,12 @@ def _depth(path: Path, published: Any, corrected: bool) -> np.ndarray:
 PARTS = {"rendered": show_rendered, "real": real}
 
 
+@check(
+    parts_option(*PARTS),
+    seeds_option("1000:1100", "of one pose; a fifth of them also of eight"),
+    option("--processes", type=int, default=1),
+    CHANGES,
+)
 def panel(options: argparse.Namespace) -> Iterator[str]:
     """`calibrate panel` on rendered panels, or on a real panel in real Kinect depth."""
     for part in options.parts or PARTS:
@@ -250,6 +256,10 @@ def world_errors(panel: SimulatedPanel, found: WorldCalibration) -> dict[str, fl
     }
 
 
+@check(
+    seeds_option("100:120"),
+    option("--poses", type=int, default=6),
+)
 def world(options: argparse.Namespace) -> Iterator[str]:
     """Camera from base IMU, its tilt and the mounting on rendered sessions; ends with 1 above the limit."""
     yield (
@@ -280,18 +290,3 @@ def world(options: argparse.Namespace) -> Iterator[str]:
             missed |= bool(columns["rotation"].max() > LIMIT_DEG)
     if missed:
         raise SystemExit(1)
-
-
-CHECKS = (
-    Check(
-        "panel",
-        panel,
-        (
-            parts_option(*PARTS),
-            seeds_option("1000:1100", "of one pose; a fifth of them also of eight"),
-            option("--processes", type=int, default=1),
-            CHANGES,
-        ),
-    ),
-    Check("world", world, (seeds_option("100:120"), option("--poses", type=int, default=6))),
-)

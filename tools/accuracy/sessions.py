@@ -21,7 +21,7 @@ from smoother.selfcal.pairing import decided
 from smoother.selfcal.session import find_straps
 from smoother.simulation import ArmSimulation, SimulatedArm, simulate_arm
 from smoother.smoothing import smooth
-from tools.accuracy.check import ONE_PROCESS, Check, option, rms, seeds_option
+from tools.accuracy.check import ONE_PROCESS, check, option, rms, seeds_option
 
 LENGTH_S, APART_S, MOST_OFF_S, RIGHT_S = 8.0, 12.0, 10.0, 0.15
 #: The seed of the session that is foreign to another one's.
@@ -58,6 +58,11 @@ def trials_of(made: SimulatedArm, count: int, seed: int) -> list[tuple[Recording
     return trials
 
 
+@check(
+    seeds_option("0:20"),
+    option("--count", type=int, default=20, help="trials of a session [20]"),
+    option("--smooth", action="store_true", help="recover them, too"),
+)
 def sessions(options: argparse.Namespace) -> Iterator[str]:
     """How many trials of a session are proved, rightly; foreign trials, and two straps in one session."""
     total = np.zeros(7)
@@ -100,16 +105,3 @@ def sessions(options: argparse.Namespace) -> Iterator[str]:
         yield f"| {seed} | {' | '.join(f'{count:.3g}' for count in counts)} |"
     counted = " | ".join(f"{count:.4g}" for count in total[:6])
     yield f"| all | {counted} | {total[6] / len(options.seeds):.2f} |"
-
-
-CHECKS = (
-    Check(
-        "sessions",
-        sessions,
-        (
-            seeds_option("0:20"),
-            option("--count", type=int, default=20, help="trials of a session [20]"),
-            option("--smooth", action="store_true", help="recover them, too"),
-        ),
-    ),
-)
