@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import Enum
 from statistics import median
 
@@ -125,7 +125,4 @@ class CameraClock:
         return self._corrected([*waited, frame])
 
     def _corrected(self, frames: list[SkeletonFrame]) -> list[SkeletonFrame]:
-        return [
-            SkeletonFrame(each.t_s + self.correction_s, each.arrival_s, each.position, each.state)
-            for each in frames
-        ]
+        return [replace(each, t_s=each.t_s + self.correction_s) for each in frames]

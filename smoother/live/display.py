@@ -8,7 +8,6 @@ from typing import Literal
 import numpy as np
 
 from ..array_types import FloatArray
-from ..linalg import skew_of
 from ..recording import FOREARM_JOINTS, JOINTS
 from ..recovery.samples import widen_turns
 from ..rotation import Rotation
@@ -16,13 +15,12 @@ from ..selfcal.self_calibration import SelfCalibration
 from ..window.shared import JOINT_ERRORS
 from ..window.solution import LagSolution
 from .answers import LiveEstimate, LiveState
-from .monitor import joint_rows
-from .prediction import Prediction, predict
+from .prediction import Prediction, joint_jacobian, joint_rows, predict
 from .tracker import Tracker
 
 #: A discontinuity is spread over this long, s.
 SPREAD_S = 0.2
-_ONE, _POSE = np.eye(3), np.ix_([3, 4, 5, 0, 1, 2], [3, 4, 5, 0, 1, 2])
+_POSE = np.ix_([3, 4, 5, 0, 1, 2], [3, 4, 5, 0, 1, 2])
 
 
 @dataclass(frozen=True)
@@ -103,15 +101,8 @@ class Display:
         """The arm at a moment with its covariance."""
         joints = list(solution.levers)
         shoulder = ["shoulder"] if solution.shoulder is not None else []
-        prefix = "" if kind == "now" else "settled_"
-        start = [prefix + name for name in ("turn", "position", "velocity")]
-        before = solution.block(*start, "bias", "gravity", *joints, *shoulder)
-        size = 9 + 3 * (len(joints) + len(shoulder))
-        follows = np.zeros((size, len(before)))
-        follows[:9, :18] = prediction.follows
-        follows[9:, 18:] = np.eye(size - 9)
-        covariance = follows @ before @ follows.T
-        covariance[:9, :9] += prediction.noise
+        of = "" if kind == "now" else "settled_"
+        covariance = prediction.covariance(solution, [*joints, *shoulder], of)
         state = prediction.state
         # a clock that is off by a moment moves the whole path along itself
         common = common_error(model) + clock_sigma_s**2 * state.v[:, None] * state.v
@@ -126,7 +117,7 @@ class Display:
         places, spreads = {}, {}
         for k, joint in enumerate(joints):
             arm = R @ solution.levers[joint]
-            jacobian = np.concatenate([-skew_of(arm), _ONE, R], axis=1)
+            jacobian = joint_jacobian(R, arm)
             places[joint] = p + arm
             spreads[joint] = jacobian @ covariance[joint_rows(k)] @ jacobian.T + common
         if solution.shoulder is not None:

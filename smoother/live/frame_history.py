@@ -31,7 +31,8 @@ class FrameHistory:
         """Whether the forearm was visible all the time that nodes at these times (n,) cover."""
         if len(t) <= 5:
             return False
-        return all(is_visible for _, is_visible in self._frames[self._from(float(t[0])) :])
+        first = bisect_left(self._frames, (float(t[0]), False))
+        return all(is_visible for _, is_visible in self._frames[first:])
 
     def state_now(self, now_s: float, usual_delay_s: float) -> tuple[LiveState, float | None]:
         """Visible or gap at the present, as far as the frames that have arrived say."""
@@ -51,7 +52,3 @@ class FrameHistory:
         if last - first > MISSING_S and t_s - first > 1e-6:
             return LiveState.GAP, first
         return LiveState.VISIBLE, None
-
-    def _from(self, t_s: float) -> int:
-        """The first frame that is no earlier than a time."""
-        return bisect_left(self._frames, (t_s, False))

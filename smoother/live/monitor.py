@@ -13,17 +13,16 @@ from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
 from enum import Enum
-from functools import lru_cache
 
 import numpy as np
 
-from ..array_types import BoolArray, FloatArray, IntArray
+from ..array_types import BoolArray, FloatArray
 from ..linalg import length, skew_of
 from ..recording import FOREARM_JOINTS, JOINTS
 from ..selfcal.self_calibration import SelfCalibration
 from ..window.problem import NoiseModel
 from ..window.solution import LagSolution
-from .prediction import predict
+from .prediction import joint_jacobian, joint_rows, predict
 from .signal import DoubtfulSignal
 
 #: A joint contradicts where its squared error in sigmas is above this (three axes), and farther off, m.
@@ -120,12 +119,7 @@ def residuals_of(
         return None
     prediction = predict(solution.newest, solution, signal, t_s, noise)
     state, names = prediction.state, list(solution.levers)
-    before = solution.block("turn", "position", "velocity", "bias", "gravity", *names)
-    follows = np.zeros((9 + 3 * len(names), len(before)))
-    follows[:9, :18] = prediction.follows
-    follows[9:, 18:] = np.eye(3 * len(names))
-    whole = follows @ before @ follows.T
-    whole[:9, :9] += prediction.noise
+    whole = prediction.covariance(solution, names)
     start_s = min(max(t_s - 0.02, signal.start_s), signal.end_s - 0.01)
     rate = signal.mean(np.array([start_s]), np.array([start_s + 0.02]))[0, 3:] - solution.bias[3:]
     turning = skew_of(rate)
@@ -133,30 +127,18 @@ def residuals_of(
     for joint in joints:
         k, lever = JOINTS.index(joint), solution.levers[joint]
         arm = state.R @ lever
-        jacobian = _NO_JOINT.copy()
-        jacobian[:, :3] = -skew_of(arm)
-        jacobian = np.concatenate([jacobian, state.R], axis=1)
+        jacobian = joint_jacobian(state.R, arm)
         column.append(k)
         place.append(state.p + arm)
         residual.append(position[k] - place[-1])
         own = model.joint_sigma_m[k] ** 2 + SLOW_M**2
         rows = joint_rows(names.index(joint))
-        covariance.append(jacobian @ whole[rows] @ jacobian.T + own * _ONE)
+        covariance.append(jacobian @ whole[rows] @ jacobian.T + own * np.eye(3))
         velocity.append(state.v + state.R @ (turning @ lever))
     spread = float(np.sqrt(np.linalg.eigvalsh(whole[3:6, 3:6])[-1]))
     return JointResiduals(
         column, np.array(residual), np.array(covariance), np.array(velocity), np.array(place), spread
     )
-
-
-_ONE, _NO_JOINT = np.eye(3), np.eye(3, 6, 3)
-
-
-@lru_cache(maxsize=16)
-def joint_rows(number: int) -> tuple[IntArray, IntArray]:
-    """Where turn, position and a lever arm are in a covariance of (turn, position, velocity, levers)."""
-    rows = np.array([*range(6), *range(9 + 3 * number, 12 + 3 * number)])
-    return np.ix_(rows, rows)  # type: ignore[return-value]
 
 
 @dataclass(frozen=True)

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
-from ..array_types import FloatArray
+from ..array_types import FloatArray, IntArray
 from ..linalg import length, skew_of
 from ..measurements.inertial import integrate_one
 from ..rotation import matrix_of, rotvec_of
@@ -25,6 +27,29 @@ class Prediction:
     state: NodeState
     follows: FloatArray  # (9, 18)
     noise: FloatArray  # (9, 9): what the IMU's white noise adds to the covariance
+
+    def covariance(self, solution: LagSolution, names: Sequence[str], of: str = "") -> FloatArray:
+        """Of (turn, position, velocity) and of what is named, 3 each; `of` the newest or the settled node."""
+        start = [of + name for name in ("turn", "position", "velocity")]
+        before = solution.block(*start, "bias", "gravity", *names)
+        follows = np.zeros((9 + 3 * len(names), len(before)))
+        follows[:9, :18] = self.follows
+        follows[9:, 18:] = np.eye(3 * len(names))
+        covariance = follows @ before @ follows.T
+        covariance[:9, :9] += self.noise
+        return np.asarray(covariance)
+
+
+def joint_jacobian(R: FloatArray, arm: FloatArray) -> FloatArray:
+    """A joint's place (3, 9) by turn, position and lever arm; `arm` is the turned lever arm."""
+    return np.concatenate([-skew_of(arm), _ONE, R], axis=1)
+
+
+@lru_cache(maxsize=16)
+def joint_rows(number: int) -> tuple[IntArray, IntArray]:
+    """Where turn, position and a lever arm are in a covariance of (turn, position, velocity, levers)."""
+    rows = np.array([*range(6), *range(9 + 3 * number, 12 + 3 * number)])
+    return np.ix_(rows, rows)  # type: ignore[return-value]
 
 
 def predict(

@@ -17,7 +17,7 @@ from ..errors import UnoccludeError
 from ..recording import CameraFrame
 from .answers import LiveEstimate, LiveOutput, LiveState
 from .buffers import FrameBuffer, ImuBatch, ImuBuffer, SkeletonFrame
-from .calibrations import JUMP_SIGMA_S, BackgroundCalibrator, Calibrations, InlineCalibrator, LiveCalibration
+from .calibrations import JUMP_SIGMA_S, BackgroundCalibrator, Calibrations, InlineCalibrator
 from .camera_clock import USUAL_LATENCY_S, CameraClock, Shift, ShiftCause
 from .display import Display, predicted
 from .further_imus import LiveFurtherImu
@@ -102,31 +102,24 @@ class LiveSmoother:
 
     def _jumped(self, frames: list[SkeletonFrame], jump: Shift) -> list[SkeletonFrame]:
         """Frames that come at other times after their stamps: was the clock set, or is the camera later?"""
-        tracker, jump_s = self._handover.tracker, jump.seconds
-        if jump.cause is ShiftCause.LATENCY:
+        tracker, jump_s, sigma_s = self._handover.tracker, jump.seconds, JUMP_SIGMA_S
+        is_late = jump.cause is ShiftCause.LATENCY
+        if jump.cause is ShiftCause.OPEN:
+            sigma_s, clock, latency = abs(jump_s), np.nan, np.nan
+            if tracker is not None:
+                clock, latency = tracker.misfit(frames, 0.0), tracker.misfit(frames, -jump_s)
+            if max(clock, latency) > 2.0 * min(clock, latency) + 1.0:
+                sigma_s = JUMP_SIGMA_S  # else a still arm looks the same at both times
+            is_late = latency < clock
+            if is_late:
+                self._camera.later(jump_s)
+                frames = [replace(each, t_s=each.t_s - jump_s) for each in frames]
+        if jump.cause is not ShiftCause.LATENCY:
+            self._calibrations.clock_jumped(sigma_s)
+        if is_late:
             self._notes.append(f"the camera's frames come {jump_s:+.3f} s later than before")
-            return frames
-        if jump.cause is ShiftCause.CLOCK:
-            self._calibrations.clock_jumped(JUMP_SIGMA_S)
-            self._notes.append(f"the camera's clock jumped by {-jump_s:.3f} s; the answer follows it")
-            return frames
-        clock, latency = np.nan, np.nan
-        if tracker is not None:
-            clock, latency = tracker.misfit(frames, 0.0), tracker.misfit(frames, -jump_s)
-        if (
-            np.isfinite(clock)
-            and np.isfinite(latency)
-            and max(clock, latency) > 2.0 * min(clock, latency) + 1.0
-        ):
-            sigma_s = JUMP_SIGMA_S
         else:
-            sigma_s = abs(jump_s)  # a still arm looks the same at both times
-        self._calibrations.clock_jumped(sigma_s)
-        if latency < clock:
-            self._notes.append(f"the camera's frames come {jump_s:+.3f} s later than before")
-            self._camera.later(jump_s)
-            return [replace(each, t_s=each.t_s - jump_s) for each in frames]
-        self._notes.append(f"the camera's clock jumped by {-jump_s:.3f} s; the answer follows it")
+            self._notes.append(f"the camera's clock jumped by {-jump_s:.3f} s; the answer follows it")
         return frames
 
     def step(self, now_s: float) -> LiveOutput:
@@ -164,16 +157,6 @@ class LiveSmoother:
             calibration=self._reason,
             doubt=self._doubt,
         )
-
-    @property
-    def state(self) -> LiveState:
-        """As of the last step."""
-        return self._state
-
-    @property
-    def calibration(self) -> LiveCalibration | None:
-        """The one at work; None before the first."""
-        return self._calibrations.last
 
     def finish(self) -> None:
         """End the background's work."""
