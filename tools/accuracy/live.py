@@ -11,13 +11,13 @@ from __future__ import annotations
 import argparse
 import resource
 from collections.abc import Iterator
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
 
 from smoother.evaluation.compare import arrivals
-from smoother.evaluation.metrics import lag_s
+from smoother.evaluation.metrics import lag_s, squared_sigmas
 from smoother.live.answers import LiveOutput, LiveState
 from smoother.live.buffers import ImuBatch
 from smoother.live.calibrations import InlineCalibrator
@@ -32,67 +32,38 @@ BORDERS_S = (0.0, 0.25, 0.5, 1.0, 1.5, 2.2)
 FIRST_S = 7.0
 
 
-@dataclass
-class Errors:
-    """Errors of all answers."""
+def scored(simulation: SimulatedArm, outputs: list[LiveOutput], kind: str) -> tuple[np.ndarray, float | None]:
+    """Of each answer (n, 4): time since the last frame, s (0 where visible), error, m, squared error over
+    variance / 3, time since the first answer, s; and the lag left where the arm was visible, s.
+    """
+    estimates = [each for each in (getattr(output, kind) for output in outputs) if each is not None]
+    t_s = np.array([each.t_s for each in estimates])
+    true = simulation.motion.imu_pose(t_s)[1]
+    shown = np.array([each.position for each in estimates])
+    covariance = np.array([each.pose_covariance[:3, :3] for each in estimates])
+    since = [0.0 if each.since_s is None else each.t_s - each.since_s for each in estimates]
+    nees = squared_sigmas(shown - true, covariance) / 3.0
+    rows = np.column_stack([since, np.linalg.norm(shown - true, axis=1), nees, t_s - t_s[0]])
+    shown[[each.state is not LiveState.VISIBLE for each in estimates]] = np.nan
+    return rows, lag_s(t_s, shown, true)
 
-    # Time since the last frame (s, 0 where visible), error (m), squared error over variance / 3, time since
-    # the first answer (s)
-    now: list[tuple[float, float, float, float]] = field(default_factory=list)
-    # Time since the last frame (s, 0 where visible), error (m), squared error over variance / 3, time since
-    # the first answer (s)
-    settled: list[tuple[float, float, float, float]] = field(default_factory=list)
-    step_ms: list[float] = field(default_factory=list)
-    lags_s: list[float] = field(default_factory=list)
 
-    def add(self, simulation: SimulatedArm, outputs: list[LiveOutput]) -> None:
-        """Score one recording's answers."""
-        for rows, kind in ((self.now, "now"), (self.settled, "settled")):
-            estimates = [e for e in (getattr(output, kind) for output in outputs) if e is not None]
-            true = simulation.motion.imu_pose(np.array([e.t_s for e in estimates]))[1]
-            for estimate, place in zip(estimates, true, strict=True):
-                off = estimate.position - place
-                nees = float(off @ np.linalg.solve(estimate.pose_covariance[:3, :3], off)) / 3.0
-                since = 0.0 if estimate.since_s is None else estimate.t_s - estimate.since_s
-                rows.append((since, float(np.linalg.norm(off)), nees, estimate.t_s - estimates[0].t_s))
-            if kind == "now":
-                t = np.array([e.t_s for e in estimates])
-                shown = np.array([e.position for e in estimates])
-                shown[[e.state is not LiveState.VISIBLE for e in estimates]] = np.nan
-                lag = lag_s(t, shown, true)
-                if lag is not None:
-                    self.lags_s.append(lag)
-        self.step_ms += [output.step_ms for output in outputs if output.now is not None]
+def table(kind: str, rows: np.ndarray) -> Iterator[str]:
+    """Errors by the time since the last frame."""
 
-    def show(self) -> Iterator[str]:
-        """Print the table."""
-        for kind, rows in (("now", np.array(self.now)), ("settled", np.array(self.settled))):
-            visible = rows[:, 0] == 0.0
-            yield (
-                f"{kind}, visible: {100 * rms(rows[visible, 1]):.2f} cm, NEES {rows[visible, 2].mean():.2f}"
-            )
-            for least, most in pairwise(BORDERS_S):
-                part = ~visible & (rows[:, 0] >= least) & (rows[:, 0] < most)
-                if part.any():
-                    yield (
-                        f"  gap since {least:g} to {most:g} s: {100 * rms(rows[part, 1]):.2f} cm,"
-                        f" NEES {rows[part, 2].mean():.2f}, {part.sum()} answers"
-                    )
-            first = visible & (rows[:, 3] < FIRST_S)
-            if first.any():
-                yield (
-                    f"  visible, first {FIRST_S:g} s: {100 * rms(rows[first, 1]):.2f} cm,"
-                    f" NEES {rows[first, 2].mean():.2f}"
-                )
-            hidden = ~visible
-            if hidden.any():
-                yield (f"  all gaps: {100 * rms(rows[hidden, 1]):.2f} cm, NEES {rows[hidden, 2].mean():.2f}")
-        ms = np.array(self.step_ms)
-        yield (f"lag left while visible, by arm: {np.round(1e3 * np.array(self.lags_s), 1)} ms")
-        yield (
-            f"processor time a step: mean {ms.mean():.1f}, 99 % {np.percentile(ms, 99):.1f}, longest"
-            f" {ms.max():.1f} ms; load {3 * ms.mean():.0f} % of a core at 30 Hz"
-        )
+    def figures(title: str, part: np.ndarray) -> str:
+        return f"{title}: {100 * rms(rows[part, 1]):.2f} cm, NEES {rows[part, 2].mean():.2f}"
+
+    visible = rows[:, 0] == 0.0
+    yield figures(f"{kind}, visible", visible)
+    for least, most in pairwise(BORDERS_S):
+        part = ~visible & (rows[:, 0] >= least) & (rows[:, 0] < most)
+        if part.any():
+            yield figures(f"  gap since {least:g} to {most:g} s", part) + f", {part.sum()} answers"
+    first = visible & (rows[:, 3] < FIRST_S)
+    for title, part in ((f"  visible, first {FIRST_S:g} s", first), ("  all gaps", ~visible)):
+        if part.any():
+            yield figures(title, part)
 
 
 def play(simulation: SimulatedArm) -> list[LiveOutput]:
@@ -158,9 +129,22 @@ def live(options: argparse.Namespace) -> Iterator[str]:
     if options.hours:
         yield from memory(simulate_arm(config, options.seeds.start), options.hours)
         return
-    errors = Errors()
+    found: dict[str, list[np.ndarray]] = {"now": [], "settled": []}
+    step_ms, lags_s = list[float](), list[float]()
     for seed in options.seeds:
         simulation = simulate_arm(config, seed)
-        errors.add(simulation, play(simulation))
+        outputs = play(simulation)
+        for kind, rows in found.items():
+            own, lag = scored(simulation, outputs, kind)
+            rows.append(own)
+            lags_s += [lag] if kind == "now" and lag is not None else []
+        step_ms += [output.step_ms for output in outputs if output.now is not None]
         yield f"seed {seed} done"
-    yield from errors.show()
+    for kind, rows in found.items():
+        yield from table(kind, np.concatenate(rows))
+    ms = np.array(step_ms)
+    yield f"lag left while visible, by arm: {np.round(1e3 * np.array(lags_s), 1)} ms"
+    yield (
+        f"processor time a step: mean {ms.mean():.1f}, 99 % {np.percentile(ms, 99):.1f}, longest"
+        f" {ms.max():.1f} ms; load {3 * ms.mean():.0f} % of a core at 30 Hz"
+    )

@@ -22,19 +22,19 @@ and seeds from 1000 on; measured are trials 3 and 4 and seeds from 0 on.
 from __future__ import annotations
 
 import argparse
+from collections import defaultdict
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from contextlib import suppress
+from dataclasses import replace
 from itertools import pairwise
-from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
 from smoother.array_types import FloatArray
 from smoother.errors import RecordingError
+from smoother.evaluation.datasets import open_smartfallmm, open_utd, smartfallmm_trials, utd_files
 from smoother.filters import gaussian_smoothed
-from smoother.io import import_utd_mhad
-from smoother.io.files import ImuFiles, import_files
-from smoother.io.recording.select import select_recording
 from smoother.linalg import unit
 from smoother.matching import METHODS, SURE_FROM, ImuMatch, decide, limbs_of, pair_evidence
 from smoother.matching.match import assign
@@ -52,8 +52,7 @@ FOUND_S = 0.2
 GRID_HZ, KNOWN_S = 25.0, 0.1
 
 
-@dataclass(frozen=True)
-class PairTrial:
+class PairTrial(NamedTuple):
     """A pair of streams, and what came of it."""
 
     is_right: bool
@@ -157,19 +156,14 @@ def setups(seeds: int) -> Iterator[str]:
 
 def utd(seeds: int) -> Iterator[str]:
     """Trials of UTD-MHAD, this many subjects; the wrong IMU is of another trial of the same activity."""
-    root = datasets("utd_mhad")
-    names = [path.name.removesuffix("_inertial.mat") for path in sorted((root / "Inertial").glob("*.mat"))]
-    recordings = {
-        name: import_utd_mhad(
-            root / "Inertial" / f"{name}_inertial.mat", root / "Skeleton" / f"{name}_skeleton.mat"
-        )
-        for name in names
-    }
+    files = utd_files(datasets("utd_mhad"))
+    recordings = {key: open_utd(files[key]) for key in sorted(files, key=lambda key: files[key].name)}
     rng, trials = np.random.default_rng(0), []
-    for name in [each for each in names if int(each.split("_")[1][1:]) <= seeds]:
-        recording = recordings[name]
+    for (subject, action, trial), recording in recordings.items():
+        if subject > seeds:
+            continue
         trials.append(tried(recording, True, -0.04))  # both streams cover the same interval
-        others = [each for each in names if each != name and each.split("_")[0] == name.split("_")[0]]
+        others = [key for key in recordings if key[1] == action and key != (subject, action, trial)]
         other = recordings[others[rng.integers(len(others))]]
         trials.append(tried(replace(recording, imu=other.imu), False, None))
     yield from rows_of("UTD-MHAD", trials)
@@ -177,30 +171,17 @@ def utd(seeds: int) -> Iterator[str]:
 
 def azure(seeds: int) -> Iterator[str]:
     """Trials of SmartFallMM; the wrong IMU of this many other trials, those of the same activity first."""
-    root, recordings = datasets("smartfallmm"), {}
-    for path in sorted((root / "skeleton").glob("*.csv")):
-        files = tuple(root / sensor / "meta_wrist" / path.name for sensor in ("accelerometer", "gyroscope"))
-        recording = _imported(path, files)
-        if recording is not None:
-            recordings[path.stem] = recording
+    recordings = {}
+    for trial in smartfallmm_trials(datasets("smartfallmm")):
+        with suppress(RecordingError):  # a file of it cannot be used
+            recordings[trial.name] = open_smartfallmm(trial)
     trials = []
     for name, recording in recordings.items():
         trials.append(tried(recording, True, known_clock_s(recording)))
-        others = sorted(
-            (each for each in recordings if each != name), key=lambda each: each[3:6] != name[3:6]
-        )
-        for other in others[:seeds]:
+        others = [each for each in recordings if each != name]
+        for other in sorted(others, key=lambda each: each[3:6] != name[3:6])[:seeds]:
             trials.append(tried(replace(recording, imu=recordings[other].imu), False, None))
     yield from rows_of("SmartFallMM, Azure Kinect", trials)
-
-
-def _imported(skeleton: Path, imu: tuple[Path, ...]) -> Recording | None:
-    """A trial; None where a file of it cannot be used."""
-    try:
-        file, _ = import_files([skeleton], [ImuFiles(imu, "forearm_right")])
-    except RecordingError:
-        return None
-    return select_recording(file, side="right")
 
 
 def known_clock_s(recording: Recording) -> float | None:
@@ -253,12 +234,10 @@ def pairing(options: argparse.Namespace) -> Iterator[str]:
 
 #: Weight of `none` where every IMU is on somebody.
 NEVER = -1e5
-ACTIONS, SUBJECTS = range(1, 22), range(1, 5)
 PROBABILITIES = (0.6, 0.8, 0.95, 0.99, 1.0 + 1e-9)
 
 
-@dataclass(frozen=True)
-class Answer:
+class Answer(NamedTuple):
     """One IMU: what was said, whether it is so, and what an assignment without `none` would have said."""
 
     match: ImuMatch
@@ -271,28 +250,15 @@ class Answer:
         return self.match.limb is not None
 
 
-def utd_groups(trials: tuple[int, ...], first_s: float | None) -> Iterator[list[Recording]]:
-    """Trials of one action and number, one per subject."""
-    folder = datasets("utd_mhad")
-    for action in ACTIONS:
-        for trial in trials:
-            group = []
-            for subject in SUBJECTS:
-                name = f"a{action}_s{subject}_t{trial}"
-                inertial = folder / "Inertial" / f"{name}_inertial.mat"
-                if inertial.exists():
-                    made = import_utd_mhad(inertial, folder / "Skeleton" / f"{name}_skeleton.mat")
-                    if first_s is not None:
-                        imu = made.imu.select(made.imu.t_s <= first_s)
-                        made = replace(made, imu=imu, arm=made.arm.select(made.arm.t_s <= first_s))
-                    group.append(made)
-            yield group
-
-
-def match_utd(method: str, trials: tuple[int, ...], first_s: float | None) -> list[Answer]:
-    """Every IMU of all groups."""
-    answers = []
-    for group in utd_groups(trials, first_s):
+def match_utd(method: str, first_s: float) -> list[Answer]:
+    """Every IMU of all groups: trials of one action and number, one per subject, until a time."""
+    answers, groups = [], defaultdict(list)
+    for (_, action, trial), files in utd_files(datasets("utd_mhad")).items():
+        if trial in (3, 4):  # constants were set on the others
+            made = open_utd(files)
+            imu, arm = made.imu.select(made.imu.t_s <= first_s), made.arm.select(made.arm.t_s <= first_s)
+            groups[action, trial].append(replace(made, imu=imu, arm=arm))
+    for _, group in sorted(groups.items()):
         limbs = [limb for body, one in enumerate(group) for limb in limbs_of(one.arm, body, one.side)]
         imus = [one.imu for one in group]
         pairs = pair_evidence(imus, limbs, CameraFrame.KINECT.down, method)
@@ -371,11 +337,10 @@ def match(options: argparse.Namespace) -> Iterator[str]:
     """How often IMUs are found on the right limb of the right person, and how often surely."""
     methods = options.methods.split(",")
     wanted = options.parts or ["match_utd", "scenes"]
-    trials = (3, 4)  # constants were set on the others
     if "match_utd" in wanted:
-        for first_s, about in ((None, "whole"), (2.0, "first 2 s")):
-            title = f"UTD-MHAD, trials {', '.join(map(str, trials))}, {about}"
-            yield from answer_rows(title, {method: match_utd(method, trials, first_s) for method in methods})
+        for first_s, about in ((np.inf, "whole"), (2.0, "first 2 s")):
+            found = {method: match_utd(method, first_s) for method in methods}
+            yield from answer_rows(f"UTD-MHAD, trials 3, 4, {about}", found)
     if "scenes" in wanted:
         seeds = options.seeds
         yield from answer_rows(f"Scenes, seeds {seeds[0]} to {seeds[-1]}", scenes(methods, seeds))
