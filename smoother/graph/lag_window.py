@@ -5,8 +5,6 @@ Nodes inside may still be changed: a late frame or IMU sample costs no more than
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import gtsam
 import numpy as np
 from gtsam import Pose3, Rot3
@@ -16,7 +14,6 @@ from ..array_types import FloatArray
 from ..body import FOREARM, SEGMENTS
 from ..recording import JOINTS
 from ..window.problem import ImuIncrements, NoiseModel, Priors
-from ..window.shared import SharedLayout
 from ..window.solution import LagSolution, NodeState
 from .build import TISSUE_S
 from .lag_elimination import LagIteration, in_order, iterate, marginalise, split
@@ -30,105 +27,6 @@ from .shared_prior import (
     turned_with_axes,
 )
 from .variables import keys_of
-
-
-@dataclass(frozen=True)
-class LagReading:
-    """Which variables a solution is about."""
-
-    newest: LagNode  # The newest node, and the one a lag ago
-    settled: LagNode  # The newest node, and the one a lag ago
-    epoch: int  # Of the newest bias
-    knot: int | None  # The newest shoulder knot; None before the camera saw one
-    layout: SharedLayout  # Which lever arms there are
-    gravity_magnitude: float  # m/s^2
-
-    @property
-    def keys(self) -> list[int]:
-        """Keys of the variables, no key twice."""
-        nodes = [key for node in (self.newest, self.settled) for key in (X(node.number), V(node.number))]
-        knot = [] if self.knot is None else [S(self.knot)]
-        return list(dict.fromkeys([*nodes, B(self.epoch), *constant_keys(self.layout), *knot]))
-
-    def read(self, iteration: LagIteration, iterations: int) -> LagSolution:
-        """The solution with its covariance in physical coordinates."""
-        values = iteration.values
-        newest, settled = state_of(values, self.newest), state_of(values, self.settled)
-        physical, rows = self._physical(iteration, newest.R, settled.R)
-        return LagSolution(
-            newest=newest,
-            settled=settled,
-            bias=bias_of(values, self.epoch),
-            gravity=gravity_of(values, self.gravity_magnitude),
-            levers={joint: lever_of(values, joint) for joint in self.layout.joints},
-            shoulder=None if self.knot is None else np.asarray(values.atPoint3(S(self.knot))),
-            covariance=physical @ iteration.covariance @ physical.T,
-            rows=rows,
-            change_m=iteration.moved_m(X(self.newest.number)),
-            iterations=iterations,
-        )
-
-    def _physical(
-        self, iteration: LagIteration, R_newest: FloatArray, R_settled: FloatArray
-    ) -> tuple[FloatArray, dict[str, slice]]:
-        """The physical quantities' change for a change of GTSAM's coordinates, and the rows of each."""
-        blocks = [
-            *_state_blocks("", self.newest.number, R_newest),
-            *_state_blocks("settled_", self.settled.number, R_settled),
-            ("bias", B(self.epoch), np.eye(6)),
-            ("gravity", G(0), self.gravity_magnitude * gravity_axes(iteration.before)),
-            *((joint, L(JOINTS.index(joint)), np.eye(3)) for joint in self.layout.joints),
-        ]
-        if self.knot is not None:
-            blocks.append(("shoulder", S(self.knot), np.eye(3)))
-        height, rows, start = sum(len(block) for *_, block in blocks), {}, 0
-        physical = np.zeros((height, len(iteration.covariance)))
-        for name, key, block in blocks:
-            rows[name] = slice(start, start + len(block))
-            physical[rows[name], iteration.columns[key]] = block
-            start += len(block)
-        return physical, rows
-
-
-def constant_keys(layout: SharedLayout) -> list[int]:
-    """Keys of what is one variable a window: gravity, the upper arm's length, the forearm's lever arms."""
-    levers = [L(JOINTS.index(joint)) for joint in layout.joints]
-    return [G(0), *([U(0)] if layout.has_upper_arm else []), *levers]
-
-
-def state_of(values: gtsam.Values, node: LagNode, segment: str = FOREARM.name) -> NodeState:
-    """A segment's pose and velocity at a node."""
-    keys = keys_of(segment)
-    pose = values.atPose3(keys.pose + node.number)
-    velocity = values.atVector(keys.velocity + node.number)
-    return NodeState(node.t, pose.rotation().matrix(), pose.translation(), velocity)
-
-
-def bias_of(values: gtsam.Values, epoch: int, segment: str = FOREARM.name) -> FloatArray:
-    """A bias (6,), m/s^2 and rad/s."""
-    return np.asarray(values.atConstantBias(keys_of(segment).bias + epoch).vector())
-
-
-def gravity_of(values: gtsam.Values, magnitude: float) -> FloatArray:
-    """Gravity (3,) in {K}, m/s^2."""
-    return np.asarray(magnitude * values.atUnit3(G(0)).point3())
-
-
-def lever_of(values: gtsam.Values, joint: str) -> FloatArray:
-    """A joint's lever arm (3,) in {A}, m."""
-    return np.asarray(values.atPoint3(L(JOINTS.index(joint))))
-
-
-def _state_blocks(prefix: str, number: int, R: FloatArray) -> list[tuple[str, int, FloatArray]]:
-    """Turn, position and velocity of a node by its variables; a pose's own change is in the axes {A}."""
-    turn, position = np.zeros((3, 6)), np.zeros((3, 6))
-    turn[:, :3], position[:, 3:] = R, R
-    return [
-        (prefix + "turn", X(number), turn),
-        (prefix + "position", X(number), position),
-        (prefix + "velocity", V(number), np.eye(3)),
-    ]
-
 
 #: Shoulder knots keep this far apart, s.
 KNOT_S = 0.09
@@ -184,20 +82,28 @@ class LagWindow:
 
     def bias_of(self, segment: str) -> FloatArray:
         """The newest bias (6,) of the IMU on a segment, m/s^2 and rad/s."""
-        return bias_of(self._values, self._epoch, segment)
+        return np.asarray(self._values.atConstantBias(keys_of(segment).bias + self._epoch).vector())
 
     @property
     def gravity(self) -> FloatArray:
         """Gravity (3,) in {K}, m/s^2."""
-        return gravity_of(self._values, self._g)
+        return np.asarray(self._g * self._values.atUnit3(G(0)).point3())
 
     def lever(self, joint: str) -> FloatArray:
         """A joint's lever arm (3,) in {A}, m; zero for the IMU itself."""
-        return lever_of(self._values, joint) if joint in self._layout.joints else np.zeros(3)
+        if joint not in self._layout.joints:
+            return np.zeros(3)
+        return np.asarray(self._values.atPoint3(L(JOINTS.index(joint))))
 
     def state(self, index: int, segment: str = FOREARM.name) -> NodeState:
         """A segment's pose and velocity at a node where it has variables; -1 is the newest node."""
-        return state_of(self._values, self._nodes[index], segment)
+        return self._state(self._nodes[index], segment)
+
+    def _state(self, node: LagNode, segment: str = FOREARM.name) -> NodeState:
+        keys = keys_of(segment)
+        pose = self._values.atPose3(keys.pose + node.number)
+        velocity = self._values.atVector(keys.velocity + node.number)
+        return NodeState(node.t, pose.rotation().matrix(), pose.translation(), velocity)
 
     def is_due(self, index: int, segment: str, since_s: float) -> bool:
         """Whether a further segment whose last node is at a time is to have variables at a node."""
@@ -318,30 +224,65 @@ class LagWindow:
 
     def solve(self, settled_s: float) -> LagSolution:
         """Optimise (Gauss-Newton), read the newest node and one a lag ago, let old nodes leave."""
-        graph, reading = self._graph(), self._reading(settled_s)
-        query_keys = reading.keys
+        graph, newest = self._graph(), self._nodes[-1]
+        settled = self._nodes[max(int(np.searchsorted(self.t, settled_s, side="right")) - 1, 0)]
+        states = [key for node in (newest, settled) for key in (X(node.number), V(node.number))]
+        levers = [L(JOINTS.index(joint)) for joint in self._layout.joints]
+        constants = [B(self._epoch), G(0), *([U(0)] if self._layout.has_upper_arm else []), *levers]
+        knot = [] if self._knot is None else [S(self._knot)]
+        query_keys = list(dict.fromkeys([*states, *constants, *knot]))
         change_m, iterations = np.inf, 0
         while change_m > SETTLED_M and iterations < ITERATIONS:
             iteration = iterate(graph, self._values, query_keys)
             self._values = iteration.values
             graph = self._graph() if self._follow_gravity() else graph
-            change_m, iterations = iteration.moved_m(X(reading.newest.number)), iterations + 1
-        solution = reading.read(iteration, iterations)
-        self._leave(reading.newest.t - self._length_s)
+            change_m, iterations = iteration.moved_m(X(newest.number)), iterations + 1
+        solution = self._solution(newest, settled, iteration, iterations)
+        self._leave(newest.t - self._length_s)
         return solution
+
+    def _solution(
+        self, newest: LagNode, settled: LagNode, iteration: LagIteration, iterations: int
+    ) -> LagSolution:
+        """The solution with its covariance in physical coordinates, which follow GTSAM's own."""
+        now, before = self._state(newest), self._state(settled)
+        blocks: list[tuple[str, int, FloatArray]] = []
+        for prefix, node, state in (("", newest, now), ("settled_", settled, before)):
+            # a pose's own change is in the axes {A}
+            turn, position = np.zeros((3, 6)), np.zeros((3, 6))
+            turn[:, :3], position[:, 3:] = state.R, state.R
+            blocks.append((prefix + "turn", X(node.number), turn))
+            blocks.append((prefix + "position", X(node.number), position))
+            blocks.append((prefix + "velocity", V(node.number), np.eye(3)))
+        blocks.append(("bias", B(self._epoch), np.eye(6)))
+        blocks.append(("gravity", G(0), self._g * gravity_axes(iteration.before)))
+        blocks += [(joint, L(JOINTS.index(joint)), np.eye(3)) for joint in self._layout.joints]
+        if self._knot is not None:
+            blocks.append(("shoulder", S(self._knot), np.eye(3)))
+        height, rows, start = sum(len(block) for *_, block in blocks), {}, 0
+        physical = np.zeros((height, len(iteration.covariance)))
+        for name, key, block in blocks:
+            rows[name] = slice(start, start + len(block))
+            physical[rows[name], iteration.columns[key]] = block
+            start += len(block)
+        return LagSolution(
+            newest=now,
+            settled=before,
+            bias=self.bias,
+            gravity=self.gravity,
+            levers={joint: self.lever(joint) for joint in self._layout.joints},
+            shoulder=None if self._knot is None else np.asarray(self._values.atPoint3(S(self._knot))),
+            covariance=physical @ iteration.covariance @ physical.T,
+            rows=rows,
+            change_m=iteration.moved_m(X(newest.number)),
+            iterations=iterations,
+        )
 
     def _graph(self) -> gtsam.NonlinearFactorGraph:
         graph = gtsam.NonlinearFactorGraph()
         for factor in [*self._lasting, *(factor for node in self._nodes for factor in node.factors)]:
             graph.add(factor)
         return graph
-
-    def _reading(self, settled_s: float) -> LagReading:
-        """What a solution is about: the newest node, and the last one that is no later than a time."""
-        settled = max(int(np.searchsorted(self.t, settled_s, side="right")) - 1, 0)
-        return LagReading(
-            self._nodes[-1], self._nodes[settled], self._epoch, self._knot, self._layout, self._g
-        )
 
     def _follow_gravity(self) -> bool:
         """Turn the Gaussians with the axes across gravity, where these have turned."""

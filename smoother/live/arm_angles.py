@@ -9,60 +9,46 @@ import numpy as np
 from ..array_types import FloatArray
 from .answers import LiveEstimate
 
-#: Their names, as `angles.definitions` has them where it does, with their joints and titles.
-TITLES = {
-    "elbow_flexion": "Elbow flexion",
-    "shoulder_elevation": "Shoulder elevation",
-    "forearm_elevation": "Forearm above level",
+#: Joints by name, and down, to degrees.
+_Angle = Callable[[dict[str, FloatArray], FloatArray], float]
+#: By name, as `angles.definitions` has them where it does: joints, whether down is needed, the angle.
+ANGLES: dict[str, tuple[tuple[str, ...], bool, _Angle]] = {
+    "elbow_flexion": (
+        ("shoulder", "elbow", "wrist"),
+        False,
+        lambda at, down: _between(at["elbow"] - at["shoulder"], at["wrist"] - at["elbow"]),
+    ),
+    "shoulder_elevation": (
+        ("shoulder", "elbow"),
+        True,
+        lambda at, down: _between(at["elbow"] - at["shoulder"], down),
+    ),
+    "forearm_elevation": (  # above level
+        ("elbow", "wrist"),
+        True,
+        lambda at, down: _between(at["wrist"] - at["elbow"], down) - 90.0,
+    ),
 }
 #: A step for slopes, m.
 _STEP_M = 1e-4
 
 
-def live_angles(
-    estimate: LiveEstimate,
-    down: FloatArray | None,  # (3,)
-) -> dict[str, tuple[float, float]]:
-    """Angles and their standard deviations, degrees, by name."""
-
-    def flexion(at: dict[str, FloatArray]) -> float:
-        return _between(at["elbow"] - at["shoulder"], at["wrist"] - at["elbow"])
-
-    found: dict[str, tuple[tuple[str, ...], Callable[[dict[str, FloatArray]], float]]] = {
-        "elbow_flexion": (("shoulder", "elbow", "wrist"), flexion)
-    }
-    if down is not None:
-        found["shoulder_elevation"] = (
-            ("shoulder", "elbow"),
-            lambda at: _between(at["elbow"] - at["shoulder"], down),
-        )
-        found["forearm_elevation"] = (
-            ("elbow", "wrist"),
-            lambda at: _between(at["wrist"] - at["elbow"], down) - 90.0,
-        )
-    return {
-        name: _with_sigma(estimate, joints, angle)
-        for name, (joints, angle) in found.items()
-        if all(joint in estimate.joints for joint in joints)
-    }
+def live_angles(estimate: LiveEstimate, down: FloatArray | None) -> dict[str, tuple[float, float]]:
+    """Angles and their sigmas, degrees, by name; errors of joints count as independent: the safe side."""
+    found, known = {}, np.zeros(3) if down is None else down
+    for name, (joints, needs_down, angle) in ANGLES.items():
+        if not set(joints) <= estimate.joints.keys() or (needs_down and down is None):
+            continue
+        at = {joint: estimate.joints[joint] for joint in joints}
+        value, variance = angle(at, known), 0.0
+        for joint in joints:
+            moved = [at | {joint: at[joint] + step} for step in _STEP_M * np.eye(3)]
+            slope = np.array([angle(each, known) - value for each in moved]) / _STEP_M
+            variance += float(slope @ estimate.joint_covariance[joint] @ slope)
+        found[name] = value, float(np.sqrt(variance))
+    return found
 
 
 def _between(a: FloatArray, b: FloatArray) -> float:
     """Angle between two vectors (3,), degrees."""
     return float(np.degrees(np.arctan2(np.linalg.norm(np.cross(a, b)), a @ b)))
-
-
-def _with_sigma(
-    estimate: LiveEstimate, joints: tuple[str, ...], angle: Callable[[dict[str, FloatArray]], float]
-) -> tuple[float, float]:
-    """The angle and its sigma; errors of joints are taken as independent, which is on the safe side."""
-    at = {joint: estimate.joints[joint] for joint in joints}
-    value, variance = angle(at), 0.0
-    for joint in joints:
-        slope = np.zeros(3)
-        for axis in range(3):
-            moved = dict(at)
-            moved[joint] = at[joint] + _STEP_M * np.eye(3)[axis]
-            slope[axis] = (angle(moved) - value) / _STEP_M
-        variance += float(slope @ estimate.joint_covariance[joint] @ slope)
-    return value, float(np.sqrt(variance))

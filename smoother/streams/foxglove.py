@@ -81,25 +81,17 @@ class LiveMessages:
     def estimate(self, estimate: LiveEstimate, wanted: Collection[str] = TOPICS) -> Iterator[LiveMessage]:
         """The arm at a moment, on those of its topics that are wanted."""
         names, suffix = (_NOW, "") if estimate.kind == "now" else (_SETTLED, "/settled")
-        suffix = self._suffix + suffix
-        topics = _among(names, suffix, wanted)
-        if topics:
-            nothing = np.empty((0, len(JOINTS)))
-            frames = JointTracks(
-                self._info.skeleton, np.empty(0), np.empty((*nothing.shape, 3)), nothing.astype(np.int8)
-            )
-            yield from self._encoded(self._recovery(estimate, frames), suffix, topics)
+        none = FrameRows()
+        here = JointTracks(self._info.skeleton, none.t_s, none.position, none.state)
+        yield from self._encoded(estimate, here, self._suffix + suffix, names, wanted)
 
     def frames(
         self, frames: FrameRows, offset_s: float, wanted: Collection[str] = TOPICS
     ) -> Iterator[LiveMessage]:
         """The camera's joints as they came, on the IMU's clock."""
-        topics = _among(_FRAMES, self._suffix, wanted)
-        if not topics:
-            return
         t_s = frames.t_s + (offset_s if np.isfinite(offset_s) else 0.0)
         tracks = JointTracks(self._info.skeleton, t_s, frames.position, frames.state)
-        yield from self._encoded(self._recovery(None, tracks), self._suffix, topics)
+        yield from self._encoded(None, tracks, self._suffix, _FRAMES, wanted)
 
     def gap(self, gap: Gap) -> Iterator[LiveMessage]:
         """A gap that is over, as an event and a line of the log."""
@@ -117,12 +109,23 @@ class LiveMessages:
         data = line.SerializeToString(deterministic=True)
         return LiveMessage(f"{RESULT_PREFIX}log", "foxglove.Log", stamp, data)
 
-    def _encoded(self, recovery: Recovery, suffix: str, wanted: set[str]) -> Iterator[LiveMessage]:
-        channels = _Channels()
+    def _encoded(
+        self,
+        estimate: LiveEstimate | None,
+        arm: JointTracks,
+        suffix: str,
+        names: Collection[str],
+        wanted: Collection[str],
+    ) -> Iterator[LiveMessage]:
+        """Messages of an estimate and of frames, on those of some topics that are wanted."""
+        topics = {f"{RESULT_PREFIX}{name}{suffix}" for name in names} & set(wanted)
+        if not topics:
+            return
+        channels, recovery = _Channels(), self._recovery(estimate, arm)
         joints = [JOINTS.index(joint) for joint in self._info.joints]
         for stream in recovery_streams(channels, recovery, suffix, CAMERA, 0, self._down, joints):
             topic, schema = channels.names[stream.channel]
-            if topic not in wanted:
+            if topic not in topics:
                 continue
             encoded = stream.encode(slice(0, len(stream.time_ns)))
             for stamp, row in zip(stream.time_ns.tolist(), encoded, strict=True):
@@ -161,11 +164,6 @@ class LiveMessages:
             origin_ns=self._info.origin_ns,
             side=self._info.side,
         )
-
-
-def _among(names: Collection[str], suffix: str, wanted: Collection[str]) -> set[str]:
-    """Topics of these names that are wanted."""
-    return {topic for name in names if (topic := f"{RESULT_PREFIX}{name}{suffix}") in wanted}
 
 
 #: The port that Foxglove proposes.

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from ..array_types import FloatArray
 from ..errors import UnoccludeError
 from ..live.answers import LiveEstimate, LiveOutput, LiveState
-from ..live.arm_angles import TITLES, live_angles
+from ..live.arm_angles import ANGLES, live_angles
 from ..measurements.visibility import Gap
 from ..recording import JOINTS
 from ..runtime.packages import extra_module
@@ -299,7 +299,7 @@ class LslOutlet:
         yield "state", "", "State", "0 calibrating, 1 visible, 2 gap, 3 lost", float(state)
         yield "gap", "", "Time", "seconds", since_s
         yield "lag", "", "Time", "seconds", lag_s
-        for name in TITLES:
+        for name in ANGLES:
             for suffix, kind, value in zip(
                 ("", "_sigma"), ("Angle", "Sigma"), angles.get(name, nothing[:2]), strict=True
             ):

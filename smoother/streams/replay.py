@@ -56,10 +56,6 @@ class LogTimes:
             if len(stamp) == len(log):  # else messages are damaged
                 self._stamp[label], self._log[label] = stamp, log
 
-    def of_imu(self, topic: str, stamp_ns: IntArray) -> IntArray:
-        """When samples (n,) arrived, on the forearm IMU's clock, ns; at their stamps where it is unknown."""
-        return self._arrivals(topic, stamp_ns)
-
     def of_frames(
         self,
         stamp_ns: IntArray,  # int (n,) ns
@@ -69,27 +65,21 @@ class LogTimes:
         if latency_s is None and self._skeleton in self._log:
             delay = self._log[self._skeleton] - self._stamp[self._skeleton]
             if np.ptp(delay) > 0 or abs(float(np.median(delay))) > 0:
-                arrival = self._arrivals(self._skeleton, stamp_ns)
-                return arrival, "Frames arrive at the recording's log times."
+                return self.of(self._skeleton, stamp_ns), "Frames arrive at the recording's log times."
         seconds = CAMERA_LATENCY_S if latency_s is None else latency_s
         return stamp_ns + round(seconds * 1e9), f"Frames arrive {seconds:g} s after their stamps."
 
-    def _shift(self) -> int:
-        """Log time less the IMU's clock, where those are different clocks, ns."""
-        if self._imu not in self._log:
-            return 0
-        shift = int((self._log[self._imu] - self._stamp[self._imu]).min())
-        return shift if abs(shift) > _ONE_CLOCK_NS else 0
-
-    def _arrivals(self, topic: str, stamp_ns: IntArray) -> IntArray:
-        """Log times of the messages with these stamps, on the forearm IMU's clock."""
+    def of(self, topic: str, stamp_ns: IntArray) -> IntArray:
+        """When messages (n,) arrived, on the forearm IMU's clock, ns; at their stamps where it is unknown."""
         if topic not in self._log:
             return stamp_ns
+        shift = int((self._log[self._imu] - self._stamp[self._imu]).min()) if self._imu in self._log else 0
+        shift = shift if abs(shift) > _ONE_CLOCK_NS else 0  # else they are of one clock
         order = np.argsort(self._stamp[topic], kind="stable")
         at = np.searchsorted(self._stamp[topic][order], stamp_ns)
         at = order[np.minimum(at, len(order) - 1)]
         same = self._stamp[topic][at] == stamp_ns
-        return np.where(same, self._log[topic][at] - self._shift(), stamp_ns)
+        return np.where(same, self._log[topic][at] - shift, stamp_ns)
 
 
 #: With speed 0 the session's time goes on by this much from look to look, s.
@@ -128,7 +118,7 @@ class Replay:
         origin = origin if beside is None else beside.info.origin_ns
         log_times = LogTimes(path, choice.imu.topic, arm.topic, [s.topic for s in choice.further.values()])
         frame_ns, note = log_times.of_frames(arm.stamp_ns, latency_s)
-        self._check(path, log_times.of_imu(choice.imu.topic, choice.imu.stamp_ns), frame_ns)
+        self._check(path, log_times.of(choice.imu.topic, choice.imu.stamp_ns), frame_ns)
         frames = FrameRows(seconds(arm.stamp_ns, origin), arm.position, arm.state, seconds(frame_ns, origin))
         self._frames = frames.select(np.argsort(frame_ns, kind="stable"))
         self._imus = {
@@ -136,7 +126,7 @@ class Replay:
                 seconds(each.stamp_ns, origin), each.acc, each.gyro, seconds(at_ns, origin), each.mag
             ).select(np.argsort(at_ns, kind="stable"))
             for segment, each in {FOREARM.name: choice.imu, **choice.further}.items()
-            for at_ns in [log_times.of_imu(each.topic, each.stamp_ns)]
+            for at_ns in [log_times.of(each.topic, each.stamp_ns)]
             if len(each.stamp_ns)
         }
         self._info = SourceInfo(

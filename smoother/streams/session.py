@@ -122,7 +122,7 @@ class LiveSession:
             self.recording.take(arrivals, self._arm)
         self._add(arrivals)
         now_s = self.source.now_s()
-        events = [*arrivals.events, *self._counted(arrivals), *self._look(now_s)]
+        events = [*arrivals.events, *self._counted(arrivals, now_s)]
         output = self.engine.step(now_s)
         if self.recording is not None:
             self.recording.shown(output, self._arm)
@@ -153,14 +153,17 @@ class LiveSession:
                 events += said_frames
         return Arrivals(imus.pop(FOREARM.name), frames, tuple(events), imus)
 
-    def _counted(self, arrivals: Arrivals) -> list[str]:
-        """Count what arrived; sentences on streams that are back."""
-        imus, frames, figures = arrivals.imus, arrivals.frames, self.figures
-        said = {
-            segment: figures.imus[segment].take(rows.t_s, rows.arrival_s) for segment, rows in imus.items()
-        }
-        # what becomes of a further IMU, the smoother says
-        return [*said[FOREARM.name], *figures.skeleton.take(frames.t_s, frames.arrival_s)]
+    def _counted(self, arrivals: Arrivals, now_s: float) -> list[str]:
+        """Count what arrived; sentences on streams that are back or gone."""
+        back, gone = list[str](), list[str]()
+        streams = [(self.figures.imus[segment], rows) for segment, rows in arrivals.imus.items()]
+        for health, rows in [*streams, (self.figures.skeleton, arrivals.frames)]:
+            said = health.take(rows.t_s, rows.arrival_s), health.look(now_s)
+            # what becomes of a further IMU, the smoother says
+            if health in (self.figures.imu, self.figures.skeleton):
+                back += said[0]
+                gone += said[1]
+        return back + gone
 
     def _add(self, arrivals: Arrivals) -> None:
         for segment, came in arrivals.imus.items():
@@ -178,11 +181,6 @@ class LiveSession:
         rows = zip(t_s.tolist(), frames.arrival_s.tolist(), frames.position, frames.state, strict=True)
         for stamp_s, arrival_s, position, state in rows:
             self.engine.add_frame(SkeletonFrame(stamp_s, arrival_s, position, state))
-
-    def _look(self, now_s: float) -> list[str]:
-        """What became of the streams."""
-        said = {segment: health.look(now_s) for segment, health in self.figures.imus.items()}
-        return [*said[FOREARM.name], *self.figures.skeleton.look(now_s)]
 
     def _answered(self, output: LiveOutput, frames: FrameRows, events: list[str]) -> None:
         self.figures.event(output.now_s, events)
