@@ -10,9 +10,7 @@ from gtsam import Rot3
 from lag_arms import DT, LEVERS, SIGMA_M, TILTED, UPPER, UPPER_LEVERS, intervals, lag_window
 
 from smoother.array_types import FloatArray
-from smoother.graph.lag_elimination import in_order
 from smoother.graph.lag_window import LagWindow
-from smoother.graph.variables import keys_of
 from smoother.units import GRAVITY
 from smoother.window.problem import ImuIncrements
 from smoother.window.solution import LagSolution, NodeState
@@ -175,13 +173,3 @@ def test_an_imu_that_rests_beside_a_moving_arm_does_not_fit(chain: Chain) -> Non
         lag.set_increments(index, rest, UPPER)
     lag.solve(0.0)
     assert lag.misfit(UPPER, -np.inf) > 20.0 * sound
-
-
-def test_the_variables_of_all_segments_leave_in_the_order_of_time() -> None:
-    fore, upper = keys_of("forearm"), keys_of(UPPER)
-    moments = [keys.pose + k for k in (3, 4) for keys in (fore, upper)]
-    assert in_order([upper.bias, moments[3], upper.lever, moments[0], moments[2], moments[1]]) == [
-        *moments,
-        upper.bias,
-        upper.lever,
-    ]

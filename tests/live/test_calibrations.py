@@ -146,14 +146,6 @@ def test_a_clock_that_jumped_is_less_certain_and_asked_for_at_once() -> None:
     assert live.until(live.t_s + 0.5) == [live.t_s]
 
 
-def test_nothing_is_asked_without_both_streams() -> None:
-    live = session(worked())
-    live.calibrations.ask(live.imu, live.frames, live.camera)
-    live.imu.add(ImuBatch(np.arange(0.0, 20.0, 0.1), np.ones((200, 3)), np.zeros((200, 3))))
-    live.calibrations.ask(live.imu, live.frames, live.camera)
-    assert not live.calibrator.jobs
-
-
 RECORDING = replace(simulated(3, 9.0, ()).recording, truth=None)
 JOB = CalibrationJob(RECORDING, ArmCalibration(side="right"), Config())
 

@@ -12,7 +12,6 @@ from live_engine import CameraEcho
 import smoother.live.smoother
 from smoother.cli.run import run
 from smoother.io import read_recording
-from smoother.streams.foxglove import LiveMessages, topics_of
 from smoother.streams.replay import Replay
 from smoother.streams.session import LiveSession, run_together
 
@@ -93,22 +92,8 @@ def test_one_recording_one_file_of_figures_and_every_line_names_its_arm(both, tm
     assert list(arms) == list(SIDES)
     assert arms["left"]["skeleton"]["count"] == arms["right"]["skeleton"]["count"] > 100
     # an arm alone has its figures as before
-    assert (
-        run(
-            [
-                "live",
-                "--replay",
-                str(both),
-                "--side",
-                "left",
-                "--speed",
-                "0",
-                "--json",
-                str(tmp_path / "left.json"),
-            ]
-        )
-        == 0
-    )
+    arguments = ["--side", "left", "--speed", "0", "--json", str(tmp_path / "left.json")]
+    assert run(["live", "--replay", str(both), *arguments]) == 0
     alone = json.loads((tmp_path / "left.json").read_text())
     same = ("steps", "imu", "skeleton", "further", "state_s", "gaps", "longest_gap_s")
     assert {key: alone[key] for key in same} == {key: arms["left"][key] for key in same}
@@ -135,15 +120,3 @@ def test_what_a_person_gets_wrong(both, capsys):
     same = ("--imu", "right=/imu/forearm_left", "--imu", "left=/imu/forearm_left")
     said = sentence(*played, "--arms", "both", "--speed", "0", *same, code=1)
     assert "/imu/forearm_left" in said or "which IMU is on which arm" in said
-
-
-def test_topics_end_in_the_side(both):
-    from live_answers import INFO, answer
-
-    output = answer(1.0, 40.0)
-    assert output.now is not None
-    right = list(LiveMessages(INFO, "/right").estimate(output.now, topics_of("/right")))
-    assert {message.topic for message in right} <= topics_of("/right").keys()
-    assert "/unocclude/forearm/right" in {message.topic for message in right}
-    assert not list(LiveMessages(INFO, "/right").estimate(output.now, topics_of("/left")))
-    assert topics_of("/right").keys() & topics_of("/left").keys() == {"/unocclude/gaps", "/unocclude/log"}

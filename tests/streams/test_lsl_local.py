@@ -25,9 +25,6 @@ def test_a_users_settings_stay_but_for_how_far_streams_are_announced(tmp_path):
     assert parser["multicast"]["ResolveScope"] == "machine"
     assert parser["multicast"]["ListenAddress"] == "127.0.0.1"
     assert parser["log"]["level"] == "-3"
-
-
-def test_settings_that_cannot_be_read_count_as_none(tmp_path):
     (tmp_path / "damaged.cfg").write_text("no section")
-    for file in (None, tmp_path / "missing.cfg", tmp_path / "damaged.cfg"):
-        assert read(local_settings(file))["multicast"]["ResolveScope"] == "machine"
+    for unread in (None, tmp_path / "missing.cfg", tmp_path / "damaged.cfg"):
+        assert read(local_settings(unread))["multicast"]["ResolveScope"] == "machine"

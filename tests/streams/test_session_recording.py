@@ -16,7 +16,6 @@ from scenes import ALONE, arm
 from smoother.errors import UnoccludeError
 from smoother.io import open_recording, read_recording, write_recording
 from smoother.io.mcap.repair import repair_container
-from smoother.live.buffers import ImuBatch
 from smoother.smoothing import smooth
 from smoother.streams.arrivals import Arrivals
 from smoother.streams.replay import Replay
@@ -208,25 +207,3 @@ def test_what_was_shown_is_kept(original, tmp_path):
     seconds = (shown[-1].log_time - shown[0].log_time) / 1e9
     assert 20 < len(shown) / seconds < 40
     same(read_recording(original), read_recording(tmp_path / "session.mcap"))
-
-
-def test_the_magnetometer_is_kept_and_not_needed(tmp_path):
-    recording, engines = make(6.0), []
-    field = np.random.default_rng(0).normal(30.0, 5.0, (len(recording.imu), 3))
-    for name, mag in (("with", field), ("without", None)):
-        write_recording(
-            dataclasses.replace(recording, imu=dataclasses.replace(recording.imu, mag=mag)),
-            tmp_path / f"{name}.mcap",
-        )
-        session, _ = played(tmp_path / f"{name}.mcap", tmp_path / f"{name}_session.mcap")
-        engines.append(session.engine)
-        kept = read_recording(tmp_path / f"{name}_session.mcap").imu.mag
-        assert (kept is None) == (mag is None)
-        if mag is not None and kept is not None:
-            np.testing.assert_array_equal(kept, field)
-    # what the smoother is given is all that it knows: it is the same
-    for one, other in zip(*(engine.imu for engine in engines), strict=True):
-        np.testing.assert_array_equal(one.t_s, other.t_s)
-        np.testing.assert_array_equal(one.acc, other.acc)
-        np.testing.assert_array_equal(one.gyro, other.gyro)
-    assert {each.name for each in dataclasses.fields(ImuBatch)} == {"t_s", "acc", "gyro"}

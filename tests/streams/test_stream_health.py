@@ -70,12 +70,6 @@ TRUE = np.arange(0, 20, 0.01)
 ARRIVAL = TRUE + 0.02 + 0.004 * np.random.default_rng(0).random(len(TRUE))
 
 
-def test_a_clock_that_runs_is_left_alone():
-    t, events, _ = passed(TRUE, ARRIVAL)
-    np.testing.assert_array_equal(t, TRUE)
-    assert not events
-
-
 @pytest.mark.parametrize("step_s", [-3600.0, -3.0, 0.7, 3.0, 1e6])
 @pytest.mark.parametrize("batch", [1, 7, 200])
 def test_a_step_is_taken_out(step_s, batch):
@@ -87,16 +81,6 @@ def test_a_step_is_taken_out(step_s, batch):
     assert len(events) == 1
     assert f"stepped by {step_s:+.3f}"[:-3] in events[0]
     assert steps.moved_s == pytest.approx(-step_s, abs=0.005)
-
-
-def test_a_burst_after_a_pause_is_no_step():
-    arrival = ARRIVAL.copy()
-    paused = (TRUE > 8) & (TRUE < 12)
-    arrival[paused] = 12.02
-    t, events, steps = passed(TRUE, np.maximum.accumulate(arrival))
-    np.testing.assert_array_equal(t, TRUE)
-    assert not events
-    assert not steps.dropped
 
 
 @pytest.mark.parametrize("batch", [1, 7, 100])
