@@ -189,19 +189,14 @@ class StampSteps(Generic[Rows]):
         for at in range(len(rows)):
             row = rows.select(slice(at, at + 1))
             moved = row.stamped(row.t_s + self.moved_s)
-            if not self._is_odd(moved.t_s, moved.arrival_s).any():
-                if self._ran_back(moved):
-                    self._odd.append(row)
-                    stepped, sentence = self._step()
-                    usable.append(stepped)
-                    events.append(sentence)
-                    continue
+            is_odd = bool(self._is_odd(moved.t_s, moved.arrival_s).any())
+            if not is_odd and not self._ran_back(moved):
                 usable += self._only_late()
                 self._learn(moved)
                 usable.append(moved)
                 continue
             self._odd.append(row)
-            if row.arrival_s[0] - self._odd[0].arrival_s[0] >= PERSISTS_S:
+            if not is_odd or row.arrival_s[0] - self._odd[0].arrival_s[0] >= PERSISTS_S:
                 stepped, sentence = self._step()
                 usable.append(stepped)
                 events.append(sentence)

@@ -10,6 +10,7 @@ import multiprocessing
 from collections.abc import Sequence
 from configparser import ConfigParser, Error
 from contextlib import suppress
+from io import StringIO
 from multiprocessing.queues import Queue
 from multiprocessing.synchronize import Event
 from pathlib import Path
@@ -90,8 +91,6 @@ def local_settings(file: Path | None) -> str:
     if not parser.has_option("log", "level"):
         parser.read_dict({"log": {"level": "-3"}})
     parser.read_dict(_LOCAL)
-    sections = []
-    for section in parser.sections():
-        rows = [f"{key} = {value}" for key, value in parser.items(section)]
-        sections.append("\n".join([f"[{section}]", *rows]))
-    return "\n".join(sections) + "\n"
+    text = StringIO()
+    parser.write(text)
+    return text.getvalue()

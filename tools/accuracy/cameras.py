@@ -5,37 +5,28 @@ from __future__ import annotations
 import argparse
 import time
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from smoother.config import Config
 from smoother.errors import UnoccludeError
+from smoother.evaluation.metrics import squared_sigmas
 from smoother.result import CameraEstimate, Recovery
 from smoother.simulation import ArmSimulation, SimulatedArm, simulate_arm
 from smoother.smoothing import smooth
 from tools.accuracy.check import CHANGES, PRESET, changes, check, option, rms, seeds_option
 
 
-@dataclass(frozen=True)
-class WristErrors:
-    """Errors of a recovery's wrist at some samples: distances (n,) m and squared sigmas / 3 (n,)."""
-
-    distance_m: np.ndarray
-    nees: np.ndarray
-
-    @classmethod
-    def of(cls, recovery: Recovery, simulated: SimulatedArm, mask: np.ndarray) -> WristErrors:
-        """Against the truth, where there is an answer."""
-        truth = simulated.recording.truth
-        assert truth is not None
-        error = (recovery.joints["wrist"] - truth.joints["wrist"])[mask]
-        covariance = recovery.joint_covariance["wrist"][mask]
-        known = np.isfinite(error).all(axis=1)
-        error, covariance = error[known], covariance[known]
-        squared = np.einsum("ni,ni->n", error, np.linalg.solve(covariance, error[:, :, None])[:, :, 0])
-        return cls(np.linalg.norm(error, axis=1), squared / 3.0)
+def wrist_errors(recovery: Recovery, simulated: SimulatedArm, rows: np.ndarray) -> np.ndarray:
+    """The wrist's errors at some samples with an answer (n, 2): distance, m, and squared sigmas / 3."""
+    truth = simulated.recording.truth
+    assert truth is not None
+    error = (recovery.joints["wrist"] - truth.joints["wrist"])[rows]
+    known = np.isfinite(error).all(axis=1)
+    squared = squared_sigmas(error[known], recovery.joint_covariance["wrist"][rows][known])
+    return np.column_stack([np.linalg.norm(error[known], axis=1), squared / 3.0])
 
 
 def placing_error(found: CameraEstimate, simulated: SimulatedArm) -> tuple[float, float, float]:
@@ -68,7 +59,7 @@ def cameras(options: argparse.Namespace) -> Iterator[str]:
         "camera_clock_s": 0.35,
     } | changes(options)
     kinds = ("gaps", "helped", "blind", "visible")
-    found: dict[tuple[str, int], list[WristErrors]] = {}
+    found: dict[tuple[str, int], list[np.ndarray]] = {}
     placed: list[tuple[float, float, float]] = []
     spent = [0.0, 0.0]
     for seed in options.seeds:
@@ -88,7 +79,7 @@ def cameras(options: argparse.Namespace) -> Iterator[str]:
         }
         for kind in kinds:
             for number, recovery in enumerate(answers):
-                found.setdefault((kind, number), []).append(WristErrors.of(recovery, simulated, masks[kind]))
+                found.setdefault((kind, number), []).append(wrist_errors(recovery, simulated, masks[kind]))
         used = [camera for camera in several.estimates.cameras[1:] if camera.takes_part]
         placed += [placing_error(camera, simulated) for camera in used]
         if len(used) < len(options.angles):
@@ -99,8 +90,8 @@ def cameras(options: argparse.Namespace) -> Iterator[str]:
     )
     yield "  where     one, cm   several, cm   ratio   NEES one   NEES several"
     for kind in kinds:
-        cm = [100 * rms(np.concatenate([each.distance_m for each in found[kind, n]])) for n in (0, 1)]
-        nees = [float(np.mean(np.concatenate([each.nees for each in found[kind, n]]))) for n in (0, 1)]
+        both = [np.concatenate(found[kind, number]) for number in (0, 1)]
+        cm, nees = [100 * rms(each[:, 0]) for each in both], [each[:, 1].mean() for each in both]
         yield (f"  {kind:8} {cm[0]:8.2f} {cm[1]:13.2f} {cm[1] / cm[0]:7.2f} {nees[0]:10.2f} {nees[1]:14.2f}")
     if placed:
         worst = np.abs(np.array(placed))
@@ -134,7 +125,7 @@ def rgb(options: argparse.Namespace) -> Iterator[str]:
     )
     yield "  speed   gaps, cm   worst   depth, cm   its sigma   NEES   inside 95 %   far   refused"
     for speed in options.speeds:
-        found: list[WristErrors] = []
+        found: list[np.ndarray] = []
         depths: list[tuple[float, float]] = []
         far = refused = 0
         for seed in options.seeds:
@@ -146,7 +137,7 @@ def rgb(options: argparse.Namespace) -> Iterator[str]:
                 refused += 1
                 yield f"  seed {seed}: {error}"
                 continue
-            found.append(WristErrors.of(recovery, simulated, recovery.occluded))
+            found.append(wrist_errors(recovery, simulated, recovery.occluded))
             truth = simulated.recording.truth
             assert truth is not None
             z_m = (recovery.joints["wrist"] - truth.joints["wrist"])[:, 2]
@@ -155,8 +146,8 @@ def rgb(options: argparse.Namespace) -> Iterator[str]:
             far += any("distance" in each for each in recovery.estimates.cautions)
         if not found:
             continue
-        cm, depth = [100 * rms(each.distance_m) for each in found], 100 * np.array(depths)
-        nees = np.concatenate([each.nees for each in found])
+        cm, depth = [100 * rms(each[:, 0]) for each in found], 100 * np.array(depths)
+        nees = np.concatenate(found)[:, 1]
         yield (
             f"  {speed:5g} {np.sqrt(np.mean(np.square(cm))):10.2f} {max(cm):7.2f} {rms(depth[:, 0]):11.2f}"
             f" {rms(depth[:, 1]):11.2f} {nees.mean():6.2f} {100 * np.mean(nees < 7.815 / 3):13.1f}"
