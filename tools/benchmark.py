@@ -21,7 +21,7 @@ import time
 from dataclasses import replace
 from pathlib import Path
 
-import psutil
+import psutil  # of `distributed`
 
 import calib
 import smoother
