@@ -14,7 +14,7 @@ from ...array_types import FloatArray
 from ...errors import RecordingError
 from ...runtime.inputs import crashes_in_subprocess
 from ...units import STANDARD_GRAVITY
-from .imu import ImuTable, holds_gravity, size_notes
+from .imu import ImuTable, holds_gravity
 from .table import FileHead, Format, amount, begins, shown
 
 
@@ -42,7 +42,7 @@ def _read_apdm_hdf(path: Path) -> list[ImuTable]:
         raise RecordingError(
             f"{path} has no raw sensors of an Opal; export 'raw data' as HDF5, or CSV, from the APDM program."
         )
-    return [_noted(table) for table in tables]
+    return tables
 
 
 APDM_HDF = Format(
@@ -273,16 +273,14 @@ def _read_mvnx(path: Path) -> list[ImuTable]:
     stamped = bool((np.diff(stamps) > 0).any())
     names += [f"sensor {at + 1}" for at in range(len(names), count)]
     return [
-        _noted(
-            ImuTable(
-                names[at],
-                stamps.copy() if stamped else None,
-                acc[:, at],
-                gyro[:, at],
-                None if mag is None or mag.shape[1] != count else mag[:, at],
-                rate,
-                units="m/s^2, rad/s",
-            )
+        ImuTable(
+            names[at],
+            stamps.copy() if stamped else None,
+            acc[:, at],
+            gyro[:, at],
+            None if mag is None or mag.shape[1] != count else mag[:, at],
+            rate,
+            units="m/s^2, rad/s",
         )
         for at in range(count)
     ]
@@ -296,11 +294,6 @@ MVNX = Format(
     recognises=_is_mvnx,
     read=_read_mvnx,
 )
-
-
-def _noted(table: ImuTable) -> ImuTable:
-    table.notes += size_notes(table)
-    return table
 
 
 def _vectors(path: Path, key: str, texts: list[str]) -> FloatArray:

@@ -105,7 +105,7 @@ def describe_file(path: Path, reader: FileReader) -> DescribedFile:
             return about
         found = reader.recognised(path)
         if found is None:
-            about.guess = _guess(path, head)
+            about.guess = _guess(path)
             about.error = str(unknown_file(head))
             return about
         about.format, about.title, about.kind = found.key, found.title, found.kind
@@ -118,7 +118,7 @@ def describe_file(path: Path, reader: FileReader) -> DescribedFile:
             about.notes += notes
             reader.forget(short)
         if any(table.units for table in tables):  # where the units are wrong, the columns can be described
-            about.guess = _guess(path, head)
+            about.guess = _guess(path)
     except RecordingError as error:
         about.error = str(error)
     return about
@@ -218,34 +218,34 @@ def _rounded(values: FloatArray) -> list[float | None]:
 
 def guessed_table(path: Path, reader: FileReader) -> tuple[Format | None, Table | None, Guess | None]:
     """The format of a file, and what it would be taken for as a plain table."""
-    head = read_head(path)
     found = reader.recognised(path)
     try:
-        with _beginning(path, head) as (short, notes):
-            table = read_table(short)
-            table.path = path
-            table.notes += notes
+        table, guess = _guessed(path)
     except RecordingError:
         if found is None:
             raise
         return found, None, None
-    guess = guess_of(table)
     if not guess.kind:
         raise RecordingError(
             f"{path} has {table.width} columns and {len(table)} rows, and none of them look like an"
-            f" accelerometer's, a gyroscope's or a joint's; it begins: {first_rows(head)}."
+            f" accelerometer's, a gyroscope's or a joint's; it begins: {first_rows(read_head(path))}."
         )
     return found, table, guess
 
 
-def _guess(path: Path, head: FileHead) -> dict[str, Any] | None:
-    """What a table of an unknown layout seems to contain; None if it is not a table, or is too long."""
-    if not head.text:
-        return None
+def _guessed(path: Path) -> tuple[Table, Guess]:
+    """A file as a plain table, and what that seems to contain."""
+    with _beginning(path, read_head(path)) as (short, notes):
+        table = read_table(short)
+        table.path = path
+        table.notes += notes
+    return table, guess_of(table)
+
+
+def _guess(path: Path) -> dict[str, Any] | None:
+    """What a table of an unknown layout seems to contain, as plain values; None if it is not a table."""
     try:
-        with _beginning(path, head) as (short, _):
-            table = read_table(short)
-        guess = guess_of(table)
+        table, guess = _guessed(path)
     except RecordingError:
         return None
     columns = [[shown(cell, 24) for cell in table.texts(at)[:SHOWN_ROWS]] for at in range(table.width)]

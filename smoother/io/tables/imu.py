@@ -210,8 +210,6 @@ def missing_axes_words(missing: dict[str, list[str]]) -> str:
 
 #: A median below this part of gravity has no gravity, and above the other is none in m/s^2.
 _NO_GRAVITY, _MOST_GRAVITY = 0.35, 2.0
-#: A median between these parts of gravity is gravity.
-_GRAVITY = (0.6, 1.7)
 #: The fastest gyroscopes measure 4000 deg/s; more in one sample of a hundred is another unit, rad/s.
 _FASTEST = 70.0
 #: rad/s that no arm reaches in one sample of a hundred: larger values are deg/s.
@@ -295,25 +293,6 @@ def _unit_by_resolution(gyro: FloatArray) -> str:
             if abs(smallest / (most / 32768 * per_degree) - 1) < 0.01:
                 return unit
     return ""
-
-
-def size_notes(table: ImuTable) -> list[str]:
-    """Sentences on values that do not fit the unit they are in; none where all is well."""
-    return [*(_gravity_notes(table.acc) if table.acc is not None else []), *turn_notes(table)]
-
-
-def _gravity_notes(acc: FloatArray) -> list[str]:
-    median = usual_size(acc)
-    if not np.isfinite(acc).all(axis=1).any() or _GRAVITY[0] < median / STANDARD_GRAVITY < _GRAVITY[1]:
-        return []
-    if _GRAVITY[0] < median < _GRAVITY[1]:
-        return ["The accelerometer's usual size is 1, not 9.81 m/s^2: it is probably in g; check the export."]
-    what = (
-        f"{median:.2g} m/s^2: it has no gravity; export raw acceleration."
-        if median < _NO_GRAVITY * STANDARD_GRAVITY
-        else f"{median:.3g} m/s^2, not 9.81; check its unit and calibration."
-    )
-    return [f"The accelerometer's usual size is {what}"]
 
 
 def turn_notes(table: ImuTable) -> list[str]:

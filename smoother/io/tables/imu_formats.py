@@ -20,10 +20,8 @@ from .imu import (
     UNUSED,
     Columns,
     ImuTable,
-    size_notes,
     unit_of,
     usual_size,
-    with_settled_unit,
 )
 from .table import FileHead, Format, Table, is_data, read_table, shown, split_line
 from .times import seconds, time_column
@@ -77,7 +75,6 @@ def _read_device(path: Path, device: Device) -> list[ImuTable]:
         raise _refused(table, device, nothing)
     for imu in found:
         imu.notes[:0] = table.notes
-        imu.notes += size_notes(imu)
     return found
 
 
@@ -135,7 +132,7 @@ def _sensor(table: Table, device: Device, prefix: str) -> ImuTable | None:
     imu.units = ", ".join(units)
     if acc is None or gyro is None:
         _fill_from_increments(table, device, imu)
-    return with_settled_unit(imu) if device.settles_unit else imu
+    return imu
 
 
 def _in_si(table: Table, kind: str, columns: Columns, usual: str = "") -> tuple[FloatArray, str]:
@@ -197,14 +194,13 @@ def _fill_from_increments(table: Table, device: Device, imu: ImuTable) -> None:
 
 
 def _angular_velocity(rotation: FloatArray, rate_hz: float) -> FloatArray:  # (n, 4) -> (n, 3) rad/s
-    """Mean angular velocity over each sample."""
-    w, xyz = rotation[:, :1], rotation[:, 1:]
-    xyz = np.where(w < 0, -xyz, xyz)
-    sine = np.linalg.norm(xyz, axis=1, keepdims=True)
-    angle = 2 * np.arctan2(sine, np.abs(w))
-    # At small angles the rotation vector is twice the vector part.
-    factor = np.where(sine > 1e-9, angle / np.maximum(sine, 1e-12), 2.0)
-    return np.asarray(xyz * factor * rate_hz)
+    """Mean angular velocity over each sample, nan where there is none."""
+    from scipy.spatial.transform import Rotation
+
+    velocity = np.full((len(rotation), 3), np.nan)
+    there = np.isfinite(rotation).all(axis=1) & rotation.any(axis=1)
+    velocity[there] = Rotation.from_quat(rotation[there][:, [1, 2, 3, 0]]).as_rotvec() * rate_hz
+    return velocity
 
 
 _RATE_INTO_TOML = "write rate_hz into a recording.toml (`unocclude import describe` prints one)."
@@ -494,7 +490,6 @@ def _read_sensorlog(path: Path, title: str) -> list[ImuTable]:
         "", t_s, -np.sum([values for values, _ in parts], axis=0), gyro, units=f"{parts[0][1]}, {gyro_unit}"
     )
     imu.notes = [*table.notes, *notes]
-    imu.notes += size_notes(imu)
     return [imu]
 
 
@@ -598,7 +593,6 @@ def read_named(path: Path, title: str, fits: Fits, usual_gyro: str = "") -> list
         imu.notes.append(f"{UNUSED} columns {shown(', '.join(unused), 120)}.")
     imu.notes += [each for each in guess.unsure if "There is no" not in each]
     imu.gyro_unit_assumed = any("gyroscope's unit is guessed" in each for each in guess.unsure)
-    imu.notes += [note for note in size_notes(imu) if note not in imu.notes]
     return [imu]
 
 

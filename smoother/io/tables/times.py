@@ -23,7 +23,7 @@ from ...measurements.timestamps import (
     strayed,
     unwrapped,
 )
-from .imu import ImuTable
+from .imu import ImuTable, turn_notes, with_settled_unit
 from .joints import words_of
 from .skeletons import SkeletonTable
 from .table import Table, amount, shown
@@ -141,6 +141,10 @@ Stream = TypeVar("Stream", ImuTable, SkeletonTable)
 
 def repaired_imu(table: ImuTable, source: str) -> ImuTable:
     """An IMU's samples with times that increase."""
+    table = with_settled_unit(table)
+    table = replace(
+        table, notes=table.notes + [each for each in turn_notes(table) if each not in table.notes]
+    )
     vectors = [values for values in (table.acc, table.gyro) if values is not None]
     sends = np.logical_or.reduce([values.any(axis=1) for values in vectors])
     table = _kept(table, np.maximum.accumulate(sends), "rows of zeros at the start were left out")

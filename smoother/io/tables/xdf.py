@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -87,27 +85,13 @@ def _loaded(path: Path) -> list[dict[str, Any]]:
             f"{path}: XDF files are read by the library pyxdf; install it with: pip install pyxdf"
         ) from None
     try:
-        with _silent("pyxdf"):
-            streams, _ = pyxdf.load_xdf(str(path), dejitter_timestamps=False, verbose=False)
+        logging.getLogger("pyxdf").setLevel(logging.CRITICAL)  # what is wrong is said in our words
+        streams, _ = pyxdf.load_xdf(str(path), dejitter_timestamps=False, verbose=False)
     except Exception as error:  # whatever a damaged file leads the library into
         raise RecordingError(
             f"{path} is damaged and pyxdf cannot read it ({shown(str(error), 80)}); copy it again."
         ) from error
     return list(streams)
-
-
-@contextmanager
-def _silent(name: str) -> Iterator[None]:
-    """Keep a library's warnings off the terminal."""
-    logger = logging.getLogger(name)
-    before, logger.propagate = logger.propagate, False
-    handler = logging.NullHandler()
-    logger.addHandler(handler)
-    try:
-        yield
-    finally:
-        logger.removeHandler(handler)
-        logger.propagate = before
 
 
 def _stream(entry: dict[str, Any]) -> _Stream | None:
