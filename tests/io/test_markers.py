@@ -8,8 +8,6 @@ from pathlib import Path
 import ezc3d
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from smoother.errors import RecordingError
 from smoother.io.tables.markers import _refuse_cut_off, read_markers
@@ -170,31 +168,6 @@ class TestTrc:
             read_markers(tmp_path / "none.trc")
         with pytest.raises(RecordingError, match=r"read from \.c3d or \.trc"):
             read_markers(tmp_path / "none.xlsx")
-
-    @settings(max_examples=40, deadline=None)
-    @given(
-        st.lists(
-            st.lists(
-                st.one_of(st.none(), st.floats(-1e4, 1e4).filter(lambda x: x == 0 or abs(x) > 1e-3)),
-                min_size=3,
-                max_size=3,
-            ),
-            min_size=1,
-            max_size=12,
-        )
-    )
-    def test_what_is_written_is_read(self, tmp_path_factory, marker):
-        """Any numbers and blanks of one marker come back; a coordinate that is missing hides the marker."""
-        rows = "".join(
-            f"{k + 1}\t{k / 100!r}\t" + "\t".join("" if v is None else repr(v) for v in place) + "\t4\t5\t6\n"
-            for k, place in enumerate(marker)
-        )
-        found = read_markers(write(tmp_path_factory.mktemp("trc"), rows, "m"))
-        for place, got in zip(marker, found.position[:, 0], strict=True):
-            if None in place or not any(place):
-                assert np.isnan(got).all()
-            else:
-                np.testing.assert_array_equal(got, place)
 
 
 class TestC3d:

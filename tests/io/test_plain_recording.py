@@ -7,7 +7,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
 from hypothesis import strategies as st
 from made_recordings import make, plain_texts
 
@@ -145,23 +144,6 @@ TABLE = "x,word,z\n"
 
 
 @pytest.mark.parametrize(
-    ("rows", "x", "words"),
-    [
-        ("1,a,2\n\n  \n,\n3,b,\n", [1, 3], ["a", "b"]),  # blank lines
-        ('"1", "a, b", "2"\n', [1], ["a, b"]),  # quotes behind spaces
-        ("+1,a,2\n1000.,b,\n", [1, 1000], ["a", "b"]),  # as Python writes numbers, not Arrow
-        (" 1 ,\ta,2\r\n2,,3\r\n", [1, 2], ["a", ""]),
-        ("1,a,2\r2,b,3\r", [1, 2], ["a", "b"]),
-    ],
-)
-def test_tables_that_are_not_plain(tmp_path: Path, rows: str, x: list[float], words: list[str]) -> None:
-    path = tmp_path / "t.csv"
-    path.write_text(TABLE + rows, encoding="utf-8", newline="")
-    numbers, texts = read_exact(path, ("x", "word"), ("z",), words=("word",), empty=("z",))
-    assert numbers["x"].tolist() == x and texts["word"] == words
-
-
-@pytest.mark.parametrize(
     ("rows", "said"),
     [
         ("1,a,2\n" * 5000 + "\n1,a,2\n1,b,x\n", "line 5004: 'x' in column z is not a number"),
@@ -176,46 +158,6 @@ def test_the_wrong_line_of_a_table_is_named(tmp_path: Path, rows: str, said: str
 
 
 cells = st.floats(allow_nan=False, allow_infinity=False)
-
-
-@settings(max_examples=60, deadline=None)
-@given(
-    st.lists(
-        st.tuples(cells, cells, st.none() | cells, st.sampled_from(["a", "bc"])), min_size=1, max_size=20
-    ),
-    st.sampled_from(["\n", "\r\n"]),
-    st.sampled_from([",", ", ", " ,"]),
-    st.booleans(),
-)
-def test_any_table(
-    tmp_path_factory: pytest.TempPathFactory, rows: list[tuple[object, ...]], end: str, comma: str, bom: bool
-) -> None:
-    path = tmp_path_factory.mktemp("table") / "t.csv"
-    lines = [comma.join(("x", "y", "z", "word", "more"))]
-    lines += [
-        comma.join((repr(x), repr(y), "" if z is None else repr(z), word, "?")) for x, y, z, word in rows
-    ]
-    path.write_text(("\ufeff" if bom else "") + end.join(lines) + end, encoding="utf-8", newline="")
-    numbers, texts = read_exact(path, ("x", "y", "word"), ("z", "absent"), words=("word",), empty=("z",))
-    assert numbers["x"].tolist() == [row[0] for row in rows]
-    assert numbers["y"].tolist() == [row[1] for row in rows]
-    assert [None if np.isnan(z) else z for z in numbers["z"].tolist()] == [row[2] for row in rows]
-    assert texts["word"] == [row[3] for row in rows]
-    assert "absent" not in numbers
-
-
-@pytest.mark.parametrize("cut", [1, 2, 4])
-def test_a_table_that_ends_within_a_number(tmp_path: Path, cut: int) -> None:
-    text = "t_s,x\n" + "".join(f"{0.01 * k:.4f},{1.5 + k:.3f}\n" for k in range(40))
-    (tmp_path / "a.csv").write_text(text)
-    numbers, _ = read_exact(tmp_path / "a.csv", ["t_s", "x"])
-    assert numbers["x"][-1] == 40.5
-    (tmp_path / "a.csv").write_text(text[:-1])  # its last line is whole
-    numbers, _ = read_exact(tmp_path / "a.csv", ["t_s", "x"])
-    assert numbers["x"][-1] == 40.5
-    (tmp_path / "a.csv").write_text(text[: -1 - cut])
-    with pytest.raises(RecordingError, match="ends within a number"):
-        read_exact(tmp_path / "a.csv", ["t_s", "x"])
 
 
 def test_a_camera_without_skeleton_leaves_the_imus(plain_folder: Folder) -> None:

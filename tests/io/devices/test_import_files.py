@@ -3,16 +3,12 @@
 from __future__ import annotations
 
 import json
-import time
 from pathlib import Path
 
 import device_files as made
 import numpy as np
 import pytest
 from commands import done
-from hypothesis import given, settings
-from hypothesis import strategies as st
-from imu_files import rows
 
 from smoother.cli.run import run
 from smoother.errors import RecordingError
@@ -144,58 +140,10 @@ def test_truth(files: Path, capsys: pytest.CaptureFixture[str]):
     assert len(open_recording(files / "0.mcap").poses) == 1
 
 
-COLUMNS = (
-    "Timestamp (us)",
-    *(f"Gyroscope {a} (deg/s)" for a in "XYZ"),
-    *(f"Accelerometer {a} (g)" for a in "XYZ"),
-)
-
-
-@settings(max_examples=40, deadline=None)
-@given(
-    st.permutations(range(7)),
-    st.sampled_from([",", ";", "\t"]),
-    st.booleans(),
-    st.booleans(),
-    st.sampled_from(["utf-8", "utf-8-sig", "utf-16"]),
-    st.sampled_from(["\n", "\r\n"]),
-)
-def test_any_order_separator_decimal_mark_and_line_of_units(
-    tmp_path_factory: pytest.TempPathFactory, order, separator, comma, units_line, encoding, newline
-):
-    columns = [made.MICROS, *np.round(made.DEG, 6).T, *np.round(made.ACC / made.GRAVITY, 6).T]
-    body = rows(*(columns[at] for at in order), separator=separator)
-    if comma and separator != ",":
-        body = [row.replace(".", ",") for row in body]
-    names = [COLUMNS[at] for at in order]
-    if units_line:
-        split = [name.rstrip(")").split(" (") for name in names]
-        header = [separator.join(name for name, _ in split), separator.join(unit for _, unit in split)]
-    else:
-        header = [separator.join(names)]
-    path = tmp_path_factory.mktemp("any") / "file"
-    path.write_bytes(newline.join([*header, *body, ""]).encode(encoding))
-    file, reports = import_files([], [ImuFiles((path,))])
-    assert reports[0].format == "x-imu" and len(file.imus[0].stamp_ns) == made.COUNT
-    assert np.allclose(file.imus[0].acc, made.ACC, atol=1e-5)
-    assert np.allclose(file.imus[0].gyro, made.GYRO, atol=1e-7)
-
-
 def test_formats_are_listed(capsys: pytest.CaptureFixture[str]):
     done("import", "formats")
     printed = capsys.readouterr().out
     assert "xsens-dot" in printed and "recognised by" in printed
-
-
-def test_fifty_thousand_rows(tmp_path: Path):
-    path = tmp_path / "long.csv"
-    repeated = np.resize(np.arange(made.COUNT), 50_000)
-    stamps = 10_000 * np.arange(50_000)
-    body = rows(stamps, made.DEG[repeated], made.ACC[repeated] / made.GRAVITY)
-    path.write_text("\n".join([",".join(COLUMNS), *body, ""]))
-    start = time.process_time()  # of this process alone: others may keep the machine busy
-    import_files([], [ImuFiles((path,))])
-    assert time.process_time() - start < 1.0
 
 
 @pytest.mark.real
@@ -215,3 +163,8 @@ def test_every_real_file_that_holds_raw_data(datasets: Path):
         skeletons, imus, _ = sort_files([path], FileReader())
         file, reports = import_files(skeletons, imus)
         assert file.imus or (file.arms and reports[0].rate_hz > 10)
+        for imu in file.imus:
+            assert 0.8 < np.median(np.linalg.norm(imu.acc, axis=1)) / 9.81 < 1.2
+            assert np.median(np.linalg.norm(imu.gyro, axis=1)) < 8.0  # rad/s
+        for arm in file.arms:
+            assert 0.15 < np.nanmedian(np.linalg.norm(arm.position[:, 1] - arm.position[:, 2], axis=1)) < 0.4

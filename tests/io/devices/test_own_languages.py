@@ -7,17 +7,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from importers import tables
 from imu_files import GRAVITY, motion
 
 from smoother.errors import RecordingError
 from smoother.io.files import ImuFiles, import_files
 from smoother.io.registry import FileReader, recognise
-from smoother.io.tables.columns import guess_sensor
 from smoother.io.tables.imu import ImuTable
 from smoother.io.tables.joints import joint_name
 from smoother.io.tables.skeletons import SkeletonTable
-from smoother.io.tables.table import read_head, read_table
+from smoother.io.tables.table import read_head
 
 COUNT = 400
 ACC, GYRO = motion(COUNT)
@@ -141,26 +139,3 @@ def test_what_is_not_known_is_not_made_up(tmp_path: Path):
         assert importer is not None
         with pytest.raises(RecordingError, match=said):
             importer.read(path)
-
-
-GERMAN = ("Gyroskop", "Drehrate", "Drehgeschwindigkeit", "Winkelgeschwindigkeit")
-
-
-@pytest.mark.parametrize("units", [True, False])
-@pytest.mark.parametrize("turning", GERMAN)
-def test_german_headers(tmp_path: Path, turning: str, units: bool) -> None:
-    """With units it is phyphox's table; without, a plain log. A description of it keeps its times."""
-    rng = np.random.default_rng(3)
-    gyro = rng.normal(0, 1, (300, 3))
-    acc = np.array([0.0, 0.0, 9.81]) + rng.normal(0, 0.1, (300, 3))
-    second, force, rate = (" (s)", " (m/s^2)", " (rad/s)") if units else ("", "", "")
-    header = [f"Zeit{second}", *(f"Beschleunigung {a}{force}" for a in "xyz")]
-    header += [f"{turning} {a}{rate}" for a in "xyz"]
-    rows = [";".join(f"{v:.6f}" for v in (k / 100, *acc[k], *gyro[k])).replace(".", ",") for k in range(300)]
-    path = tmp_path / "a.csv"
-    path.write_text("\n".join([";".join(header), *rows, ""]), encoding="utf-8")
-    (table,) = tables(path, "phyphox" if units else "android")
-    assert np.allclose(table.t_s, np.arange(300) / 100) and np.allclose(table.gyro, gyro, atol=1e-6)
-    guess = guess_sensor(read_table(path))
-    assert guess.columns["t"] == f"Zeit{second}" and guess.keys["time_unit"] == "s"
-    assert guess.columns["gx"] == f"{turning} x{rate}"

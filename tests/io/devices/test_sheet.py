@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from datetime import datetime, timedelta
 from pathlib import Path
 
@@ -84,26 +83,6 @@ def test_a_table_that_ends_within_a_number(cut: int, comma: bool):
     assert sheet.notes == [
         "The file ends without a line break; if it was cut off, what came behind line 13 is missing."
     ]
-
-
-@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "utf-16", "utf-16-le", "utf-16-be", "cp1252"])
-def test_encodings(tmp_path: Path, encoding: str):
-    path = tmp_path / "a.bin"
-    lines = table(";", comma=True)
-    lines[0] = "Time (µs);Acc X (m/s²);Acc Y (m/s²);Acc Z (°/s)"
-    path.write_bytes("\r\n".join(lines).encode(encoding))
-    sheet = read_table(path)
-    assert np.array_equal(values(sheet), ROWS)
-    assert [plain_unit(unit) for unit in sheet.units] == ["us", "m/s^2", "m/s^2", "deg/s"]
-    assert sheet.labels == ("time", "acc x", "acc y", "acc z")
-
-
-def test_quoted_cells_with_decimal_commas_between_commas():
-    text = "\n".join(['"Time","Acc, X"'] + [f'"{k},25","-{k},5"' for k in range(5)])
-    sheet = read(text)
-    assert sheet.names == ("Time", "Acc, X")
-    assert np.array_equal(sheet.numbers(0), np.arange(5) + 0.25)
-    assert np.array_equal(sheet.numbers(1), -(np.arange(5) + 0.5))
 
 
 def test_gaps_in_a_table_are_missing_and_said():
@@ -285,15 +264,6 @@ def test_a_recording_toml_may_name_a_workbook(tmp_path: Path):
     (tmp_path / "recording.toml").write_text("\n".join(lines) + "\n")
     (imu,) = open_csv(tmp_path).imus
     assert np.allclose(imu.acc, made.ACC, atol=1e-5)
-
-
-def test_without_openpyxl_the_sentence_says_what_to_install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    made.EXAMPLES["nilspod"](tmp_path / "a.csv")
-    path = as_workbook(tmp_path / "a.csv", tmp_path / "a.xlsx")
-    monkeypatch.setitem(sys.modules, "openpyxl", None)
-    assert recognise(read_head(path)) is None
-    with pytest.raises(RecordingError, match=r"pip install '\.\[xlsx\]'.*or save it as CSV"):
-        read_table(path)
 
 
 def test_a_damaged_workbook_is_one_sentence(tmp_path: Path):
