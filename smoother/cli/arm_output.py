@@ -10,13 +10,10 @@ import typer
 
 from ..errors import UnoccludeError
 from ..runtime.printable import printable
-from ..table import Table
-from .output import say, say_more, show
+from .output import say
 from .run import NOT_TRUSTED
 
 if TYPE_CHECKING:
-    from calib.motion import ArmEstimates, ClockOffset
-
     from ..recording import Recording
     from ..result import Recovery
 
@@ -80,97 +77,17 @@ def say_arm(arm: Any, count: int) -> None:
         say(f"--- {arm.arm_label} ---")
 
 
-def print_arm(estimates: ArmEstimates) -> None:
-    """Print lever arms and lengths, each with its sigma."""
-    levers = [
-        (joint, *map(_with_sigma, lever.position_m, lever.sigma_m))
-        for joint, lever in estimates.calibration.lever_arms.items()
-    ]
-    title = "Lever arms in the IMU's axes, mm (+- one sigma)"
-    show(Table(title, ("joint", "x", "y", "z"), levers))
-    lengths = [
-        (name.replace("_", " ").replace("imu", "IMU"), _with_sigma(value, sigma))
-        for name, (value, sigma) in estimates.lengths.items()
-    ]
-    show(Table("Lengths, mm", ("length", "found"), lengths))
-
-
-def _with_sigma(value_m: float, sigma_m: float) -> str:
-    return f"{1e3 * value_m:.1f} +- {1e3 * sigma_m:.1f}"
-
-
-def print_clock(offset: ClockOffset) -> None:
-    """Print the clock offset of one recording, in a line."""
-    known = f" +- {1e3 * offset.sigma_s:.1f} ms" if offset.sigma_s == offset.sigma_s else ""
-    wandered = f"; it wandered by {1e3 * offset.drift_s:.0f} ms" if offset.drift_s > WANDERED_S else ""
-    say(f"the IMU's clock is {1e3 * offset.offset_s:+.1f} ms{known} against the camera's{wandered}")
-
-
-def print_camera(estimates: ArmEstimates) -> None:
-    """Print the camera's noise and the constant errors of its joints, a line."""
-    if not estimates.camera:
-        return
-    noise = ", ".join(f"{joint} {1e3 * each.sample_m:.1f}" for joint, each in estimates.camera.items())
-    say(f"noise of the camera's joints, mm per axis: {noise}")
-    off = [f"{joint} {1e3 * each.bias_m:.1f}" for joint, each in estimates.camera.items() if each.bias_m > 0]
-    if off:
-        say(
-            f"constant errors of the joints against each other, mm: {', '.join(off)}; "
-            f"shared component: {1e3 * estimates.joint_bias_sigma_m:.1f} mm per axis"
-        )
-
-
-#: A clock that wandered less is not worth a word, s.
-WANDERED_S = 0.001
-
-
-#: More sentences than this are counted on a terminal, not printed.
-MOST_SENTENCES = 25
-
-
-def say_verdict(recovery: Recovery) -> None:
-    """Print the verdict, the self-check's sentence, and the other signs where there is a cause."""
-    estimates = recovery.estimates
-    if estimates.verdict:
-        say(estimates.verdict)
-    if estimates.self_check is not None:
-        say(estimates.self_check.sentence)
-    if estimates.cause:
-        for sign in estimates.reasons[1:]:
-            say(f"sign: {sign}")
-
-
-def say_untrusted_parts(recovery: Recovery) -> None:
-    """Print the gaps and times that are not to be trusted of a result that otherwise is, a line each."""
-    from ..result.untrusted import untrusted_sentences
-
-    sentences = untrusted_sentences(recovery)
-    for sentence in sentences[:MOST_SENTENCES]:
-        say(f"not to be trusted: {sentence}")
-    say_more(len(sentences), MOST_SENTENCES, "more; --json and the report have them all")
-
-
-def has_doubts(recovery: Recovery) -> bool:
-    """Whether anything of a result is not to be trusted."""
-    return recovery.has_verdict and not bool(recovery.trusted.all())
-
-
-def doubts(recoveries: Sequence[Recovery]) -> list[str]:
-    """A line for each result that is not to be trusted, or not everywhere; of several it names the arm."""
+def warn(recoveries: Sequence[Recovery]) -> None:
+    """A line on stderr for each result that is not to be trusted, or not everywhere; of several it names the
+    arm.
+    """
     from ..result.untrusted import standing
 
-    several = len(recoveries) > 1
-    return [
-        f"{recovery.arm_label}: {standing(recovery)}" if several else standing(recovery)
-        for recovery in recoveries
-        if has_doubts(recovery)
-    ]
-
-
-def warn(recoveries: Sequence[Recovery]) -> None:
-    """Print those lines on stderr."""
-    for line in doubts(recoveries):
-        print(f"unocclude: warning: {printable(' '.join(line.split()))}", file=sys.stderr)
+    for recovery in recoveries:
+        if recovery.has_verdict and not recovery.trusted.all():
+            of = f"{recovery.arm_label}: " if len(recoveries) > 1 else ""
+            line = printable(" ".join(f"{of}{standing(recovery)}".split()))
+            print(f"unocclude: warning: {line}", file=sys.stderr)
 
 
 def end_strictly(verdicts: Iterable[bool | None]) -> None:

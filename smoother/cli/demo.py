@@ -7,20 +7,14 @@ import platform
 import sys
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
 from ..runtime.packages import OPEN3D, extra_module
-from ..table import Table, centimetres
+from ..table import Table
 from . import options as o
-from .arm_output import say_untrusted_parts, say_verdict
 from .output import check_outputs, progress_bar, say, say_command, show, write_json
-
-if TYPE_CHECKING:
-    from ..evaluation.validate import Validation
-    from ..result import Recovery
-
 
 #: Used where `data/` has no recording.
 SEED = 1
@@ -39,12 +33,13 @@ def demo(
     Example: unocclude demo
     """
     from .. import smooth
+    from ..error_radius import in_cm, within_words
     from ..evaluation.validate import validate
     from ..io import read_recording, write_recovery
     from ..report import write_report
     from .config import read_config, with_processes
     from .methods import usual_draws
-    from .smooth import smooth_figures
+    from .smooth import print_recovery, smooth_figures
 
     folder.mkdir(parents=True, exist_ok=True)
     check_outputs(True, [json_file])
@@ -69,9 +64,10 @@ def demo(
         "report": report.name,
     }
     write_json(json_file, figures, True)
-    say_verdict(recovery)
-    print_gaps(recovery, validation)
-    say_untrusted_parts(recovery)
+    print_recovery(recording, recovery)
+    if validation is not None and validation.occluded.position_p95_m is not None:
+        within, most_m = within_words(validation.occluded.position_p95_m), validation.occluded.position_max_m
+        say(f"In the gaps the answer is {within} of the truth, {in_cm(most_m or 0.0)} at most.")
     say("Joints, joint angles and the calibration are in the report.")
     by_hand = folder / "by_hand.mcap"
     say("Without any calibration, as a first recording of your own. The same by hand:")
@@ -80,35 +76,6 @@ def demo(
         say_command("validate", by_hand, "--truth", source)
     say(f"result: {result}")
     say(f"report: {report.resolve()}")
-
-
-def print_gaps(recovery: Recovery, validation: Validation | None) -> None:
-    """Print one table: every gap, its stated sigma, and the error against the truth where there is one."""
-    from ..error_radius import in_cm, within_words
-    from ..evaluation.summary import error_figures, gap_summaries
-
-    errors = {} if validation is None else {gap.start_s: figures for gap, figures in validation.gaps}
-    rows: list[tuple[object, ...]] = []
-    for summary in gap_summaries(recovery):
-        found = errors.get(summary.gap.start_s)
-        about = (f"{summary.gap.start_s:.2f}", f"{summary.gap.length_s:.2f}", centimetres(summary.error_95_m))
-        if found is None:
-            rows.append((*about, None, None, None))
-        else:
-            errors_cm = (centimetres(found.position_p95_m), centimetres(found.position_max_m))
-            rows.append((*about, *errors_cm, found.orientation_rms_deg))
-    columns = (
-        *("gap starts, s", "length, s", "stated within, cm"),
-        *("95 % within, cm", "error max, cm", "error rms, deg"),
-    )
-    show(Table(f"{recovery.name}: the forearm where the camera did not see it", columns, rows))
-    if validation is not None and validation.occluded.position_p95_m is not None:
-        stated_m = error_figures(recovery)["occluded"]["all"]
-        stated = "" if stated_m is None else f" (stated: {in_cm(stated_m)})"
-        say(
-            f"In the gaps the answer is {within_words(validation.occluded.position_p95_m)}{stated}"
-            f" of the truth, {in_cm(validation.occluded.position_max_m or 0.0)} at most."
-        )
 
 
 def _recording(folder: Path) -> Path:

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from ..recording import ImuStream
     from ..simulation import MarkerCapture
     from ..simulation.panel import SimulatedPanel
-    from ..simulation.rig import ClockSession
+    from ..simulation.rig import ClockSession, SensorModel
 
 
 Preset = Annotated[
@@ -327,8 +327,6 @@ def strap(
     radius_m, behind_m = strap_radius_m(simulated), measures["strap_to_wrist_m"]
     from_elbow_m, along = float(measures["forearm_m"] - behind_m), float(1 - behind_m / measures["forearm_m"])
     truth = {"strap": {"radius_m": radius_m, "from_elbow_m": from_elbow_m, "along": along}}
-    write_text(truth_file, truth_text(truth), force)
-    write_json(json_file, {"seed": seed, "images": len(images), "truth": truth}, force)
     rows = [
         ("images, colour and depth", len(images)),
         ("forearm's core to the IMU, mm", f"{1e3 * radius_m:.1f}"),
@@ -336,7 +334,7 @@ def strap(
         ("the same in parts of the forearm", f"{along:.2f}"),
     ]
     show(Table(output.name, ("what", "value"), rows))
-    say_written(output, truth_file, json_file)
+    finish(output, truth_file, truth, {"seed": seed, "images": len(images)}, json_file, force)
     say_command("import", "strap", output, "-o", "with_strap.mcap", "--radius-m", f"{radius_m:.3f}")
 
 
@@ -353,22 +351,20 @@ def imu(
 
     Example: unocclude simulate imu -o poses.mcap --seed 7
     """
-    import numpy as np
-
-    from ..simulation.rig import SensorModel, long_rest, rest_poses
+    from ..simulation.rig import long_rest, rest_poses
     from ..simulation.settings import RestPoses
 
     (config,) = configured(settings, RestPoses)
     truth_file = check_recording(output, json_file, force)
-    sizes = {"offset": config.offset, "scale": config.scale, "cross": config.cross}
-    model = SensorModel.draw(np.random.default_rng([seed, 2]), **sizes)
+    model = _sensor_model(seed, offset=config.offset, scale=config.scale, cross=config.cross)
     if config.long_rest_s is None:
         noise = {"acc_noise": config.noise, "gyro_noise": config.noise / 10.0}
         stream, bias = rest_poses(model, config.poses, seed=seed, rest_s=config.rest_s, **noise)
     else:
         stream, bias = long_rest(model, config.long_rest_s, seed=seed)
     truth = {"accelerometer": _correction(*model.correction()), "gyroscope": {"offset": bias.tolist()}}
-    _write_sensor(output, truth_file, stream, truth, seed, json_file, force)
+    tables = write_sensor(output, stream, truth, force)
+    finish(output, truth_file, tables, {"seed": seed}, json_file, force)
     say_command("calibrate", "imu", output, "-o", "arm.toml", "--report", "imu.html")
 
 
@@ -385,46 +381,55 @@ def magnetometer(
 
     Example: unocclude simulate magnetometer -o turning.mcap --seed 7
     """
-    import numpy as np
-
-    from ..simulation.rig import SensorModel, turning_sensor
+    from ..simulation.rig import turning_sensor
     from ..simulation.settings import TurningMagnetometer
 
     (config,) = configured(settings, TurningMagnetometer)
     truth_file = check_recording(output, json_file, force)
-    sizes = {"offset": config.hard_iron, "scale": config.soft_iron, "cross": config.soft_iron}
-    model = SensorModel.draw(np.random.default_rng([seed, 2]), **sizes)
+    model = _sensor_model(seed, offset=config.hard_iron, scale=config.soft_iron, cross=config.soft_iron)
     stream = turning_sensor(model, seed=seed, field=config.field, noise=config.noise)
     truth = {"magnetometer": _correction(*model.correction(config.field))}
-    _write_sensor(output, truth_file, stream, truth, seed, json_file, force)
+    tables = write_sensor(output, stream, truth, force)
+    finish(output, truth_file, tables, {"seed": seed}, json_file, force)
     say_command("calibrate", "magnetometer", output, "-o", "arm.toml", "--report", "magnetometer.html")
+
+
+def _sensor_model(seed: int, **sizes: float) -> SensorModel:
+    import numpy as np
+
+    from ..simulation.rig import SensorModel
+
+    return SensorModel.draw(np.random.default_rng([seed, 2]), **sizes)
 
 
 def _correction(offset: FloatArray, matrix: FloatArray) -> dict[str, Any]:
     return {"offset": offset.tolist(), "matrix": matrix.tolist()}
 
 
-def _write_sensor(
-    output: Path,
-    truth_file: Path,
-    stream: ImuStream,
-    truth: dict[str, Any],
-    seed: int,
-    json_file: Path | None,
-    force: bool,
-) -> None:
-    """Write the recording of a sensor alone, and its truth; print what was written."""
+def write_sensor(output: Path, stream: ImuStream, truth: dict[str, Any], force: bool) -> dict[str, Any]:
+    """Write the recording of a sensor alone; its truth under its name."""
     from calib.sensor import sensor_name
 
     from ..io import write_recording
     from ..io.recording.write import as_session
 
     write_recording(as_session(output.name, [stream], []), output, force=force)
-    tables = {"imu": {sensor_name(stream.name): truth}}
-    write_text(truth_file, truth_text(tables), force)
-    write_json(json_file, {"seed": seed, "truth": tables}, force)
     length_s = stream.t_s[-1] - stream.t_s[0]
     say(f"{output}: IMU {stream.name}, {stream.rate_hz:.0f} Hz, {length_s:.0f} s")
+    return {"imu": {sensor_name(stream.name): truth}}
+
+
+def finish(
+    output: Path,
+    truth_file: Path,
+    truth: dict[str, Any],
+    figures: dict[str, Any],
+    json_file: Path | None,
+    force: bool,
+) -> None:
+    """Write what a calibration should find, as its file and as JSON; print what was written."""
+    write_text(truth_file, truth_text(truth), force)
+    write_json(json_file, figures | {"truth": truth}, force)
     say_written(output, truth_file, json_file)
 
 

@@ -15,16 +15,7 @@ import typer
 from ..evaluation.methods import METHODS
 from ..table import Table
 from . import options as o
-from .arm_output import (
-    MOST_SENTENCES,
-    arms_figures,
-    end_strictly,
-    print_arm,
-    print_camera,
-    print_clock,
-    say_arm,
-    say_verdict,
-)
+from .arm_output import arms_figures, end_strictly, say_arm
 from .load import ArmInput, damage
 from .methods import baseline_settings, choose, drawn_motions, recover_arms, with_strap, with_strap_note
 from .output import (
@@ -40,8 +31,6 @@ from .output import (
 )
 
 if TYPE_CHECKING:
-    from calib.motion import ArmEstimates
-
     from ..config import Config
     from ..evaluation.summary import GapSummary
     from ..io.recording.choose import Selection
@@ -212,13 +201,20 @@ def print_recovery(recording: Recording, recovery: Recovery, verbose: bool = Fal
     `verbose`: every gap, what was found and rejected, and every note.
     """
     from calib.motion import found_in
+    from calib.protocol import findings
 
     from ..evaluation.summary import camera_sentences, gap_summaries
     from ..result.untrusted import untrusted_sentences
 
     gaps = list(enumerate(gap_summaries(recovery), start=1))
     duration_s = float(recovery.t_s[-1] - recovery.t_s[0]) if len(recovery) else 0.0
-    say_verdict(recovery)
+    estimates = recovery.estimates
+    if estimates.verdict:
+        say(estimates.verdict)
+    if estimates.self_check is not None:
+        say(estimates.self_check.sentence)
+    for sign in estimates.reasons[1:] if estimates.cause else ():
+        say(f"sign: {sign}")
     say(
         f"{recovery.name}: {duration_s:.1f} s, {len(recovery)} samples, {len(gaps)}"
         f" {'gap' if len(gaps) == 1 else 'gaps'}, {sum(gap.length_s for gap in recovery.gaps):.1f} s occluded"
@@ -237,7 +233,9 @@ def print_recovery(recording: Recording, recovery: Recovery, verbose: bool = Fal
     if verbose:
         say_more(len(gaps), most, "gaps more; --json and the report have them all")
         if found is not None:
-            print_found(found)
+            known = ("lever_arms", "lengths") if found.all_given else ()
+            for table in findings({key: value for key, value in found.figures.items() if key not in known}):
+                show(table)
         show(rejected_table(recovery))
     notes = dict.fromkeys((*recording.notes, *recovery.notes))
     damaged = damage(notes)
@@ -247,7 +245,7 @@ def print_recovery(recording: Recording, recovery: Recovery, verbose: bool = Fal
         *(f"not determined: {sentence}" for sentence in (() if found is None else found.not_determined)),
         *(f"note: {each}" for each in notes if each not in damaged and (verbose or not is_imported(each))),
     ]
-    few = MOST_SENTENCES if verbose else FEW_REMARKS
+    few = MOST_REMARKS if verbose else FEW_REMARKS
     for remark in remarks[:few]:
         say(remark)
     how = "" if verbose else "--verbose prints them, "
@@ -273,15 +271,6 @@ def _gap_row(number: int, gap: GapSummary) -> tuple[object, ...]:
     )
 
 
-def print_found(found: ArmEstimates) -> None:
-    """Print what the recording showed of arm, sensor and clock."""
-    if not found.all_given:
-        print_arm(found)
-    for offset in found.offsets:
-        print_clock(offset)
-    print_camera(found)
-
-
 def rejected_table(recovery: Recovery) -> Table:
     """What was rejected of the camera's samples, one row per reason."""
     from ..evaluation.advice import rejected
@@ -305,6 +294,6 @@ def rejected_table(recovery: Recovery) -> Table:
 #: A table longer than this is too long for a terminal: without --verbose this many gaps are shown.
 MOST_ROWS, FEW_GAPS = 25, 4
 #: And this many remarks, the gravest first.
-FEW_REMARKS = 5
+MOST_REMARKS, FEW_REMARKS = 25, 5
 #: A normal error is smaller than this many sigmas in 95 of 100 cases.
 SIGMAS_95 = 1.96

@@ -14,18 +14,14 @@ import numpy as np
 import pytest
 from commands import done
 from rich.console import Console
-from scenes import ALONE
 
 from calib.motion import known_to
 from smoother.cli import output
-from smoother.cli.demo import print_gaps
 from smoother.cli.output import say, show
 from smoother.cli.run import run
-from smoother.evaluation.validate import validate
 from smoother.io import open_recording, write_recording
 from smoother.runtime.printable import printable
-from smoother.simulation import ArmSimulation, SimulatedArm, simulate_arm
-from smoother.smoothing import smooth
+from smoother.simulation import ArmSimulation, simulate_arm
 from smoother.table import Table
 
 DEMO = Path(__file__).parents[2] / "data" / "demo.mcap"
@@ -55,26 +51,6 @@ def test_sentences_break_between_words_on_a_terminal_only(monkeypatch: pytest.Mo
     assert len(lines) > 3 and all(len(line) <= 50 for line in lines)
     assert set(" ".join(lines).split()) == {"hidden", "gaps"}
     assert command == f"try: unocclude smooth 'a b.mcap' -o {'x' * 60}"
-
-
-@pytest.fixture(scope="module")
-def arm() -> SimulatedArm:
-    return simulate_arm(ArmSimulation.preset("white", protocol="random", duration_s=12.0), 4)
-
-
-def test_the_demo_prints_one_table(arm: SimulatedArm, capsys) -> None:
-    recovery = smooth(arm.recording, arm.calibration, ALONE)
-    assert arm.recording.truth is not None
-    validation = validate(recovery, arm.recording.truth)
-    print_gaps(recovery, validation)
-    out = capsys.readouterr().out
-    assert out.count("┏") == 1 and "In the gaps the answer is within " in out and " of the truth, " in out
-    # one row per gap, with the figures of the validation
-    assert out.count("\n│") == len(recovery.gaps) == len(validation.gaps)
-    assert f"{100 * validation.gaps[0][1].position_p95_m:.2f}" in out
-    print_gaps(recovery, None)
-    out = capsys.readouterr().out
-    assert "the truth" not in out and out.count("\n│") == len(recovery.gaps)
 
 
 @pytest.mark.parametrize(
