@@ -78,27 +78,12 @@ class Commands(TyperGroup):
 
 class _Root(Commands):
     modules: ClassVar[Mapping[str, str]] = {
-        "app": "demo",
-        "demo": "demo",
-        "info": "recordings",
-        "check": "recordings",
-        "match": "recordings",
-        "repair": "recordings",
-        "cut": "recordings",
-        "smooth": "smooth",
-        "validate": "validate",
-        "compare": "compare",
-        "measures": "measures",
-        "gaps": "gaps",
-        "benchmark": "benchmark",
-        "export": "export",
-        "methods": "export",
-        "view": "view",
-        "batch": "batch",
-        "progress": "progress",
-        "live": "live",
-        "config": "demo",
-        "doctor": "demo",
+        **dict.fromkeys(("app", "demo"), "demo"),
+        **dict.fromkeys(("info", "check", "match", "repair", "cut"), "recordings"),
+        **{name: name for name in ("smooth", "validate", "compare", "measures", "gaps", "benchmark")},
+        **dict.fromkeys(("export", "methods"), "export"),
+        **{name: name for name in ("view", "batch", "progress", "live")},
+        **dict.fromkeys(("config", "doctor"), "demo"),
     }
 
 

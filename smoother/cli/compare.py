@@ -14,7 +14,7 @@ from ..evaluation.methods import GRAPH, LIVE_METHODS, METHODS, make_methods
 from . import options as o
 from .arm_output import arms_figures, each_arm, say_arm, warn
 from .load import ArmInput
-from .methods import baseline_settings, choose, with_strap
+from .methods import baseline_settings, choose
 from .output import (
     check_outputs,
     part_of,
@@ -63,8 +63,6 @@ def compare(
     clock_sigma: o.ClockSigma = None,
     config_file: o.ConfigFile = None,
     orientation: o.Orientation = None,
-    boundary_s: o.BoundaryS = None,
-    solve_lever_arms: o.SolveLeverArms = False,
     live: o.Live = False,
     latency: o.Latency = 0.1,
     processes: o.Processes = None,
@@ -81,7 +79,7 @@ def compare(
     from .config import read_config
 
     names = [*choose(methods), *(LIVE_METHODS if live else ())]
-    settings = baseline_settings(names, orientation, boundary_s)
+    settings = baseline_settings(names, orientation)
     chosen: Selection = {"imu": imu, "skeleton": skeleton, "side": side, "body": body}
     source = ArmInput(calibration, chosen, mirror, swap, negate, camera_frame, clock_offset, clock_sigma)
     inputs = [recording_file, truth, calibration, markers, config_file]
@@ -95,7 +93,6 @@ def compare(
 
     def compare_arm(place: int) -> Comparison:
         recording, given = arms[place]
-        given = with_strap(given, recording) if solve_lever_arms else given
         blind = replace(recording, truth=None)
         of_arm = part_of(progress, place, len(arms))
         running = make_methods(

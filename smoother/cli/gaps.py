@@ -16,7 +16,7 @@ from ..table import Table, centimetres, percent
 from . import options as o
 from .arm_output import each_arm
 from .load import ArmInput, refuse_twice
-from .methods import baseline_settings, choose, with_strap
+from .methods import baseline_settings, choose
 from .output import (
     check_outputs,
     part_of,
@@ -133,8 +133,6 @@ def gaps(
     clock_sigma: o.ClockSigma = None,
     config_file: o.ConfigFile = None,
     orientation: o.Orientation = None,
-    boundary_s: o.BoundaryS = None,
-    solve_lever_arms: o.SolveLeverArms = False,
     live: o.Live = False,
     latency: o.Latency = 0.1,
     gaps_per_run: Annotated[int, o.rare("Most gaps hidden at the same time.", min=1)] = 6,
@@ -159,7 +157,7 @@ def gaps(
 
     lengths_s = parse_lengths(lengths)
     names = [*choose(methods), *(LIVE_METHODS if live else ())]
-    settings = baseline_settings(names, orientation, boundary_s)
+    settings = baseline_settings(names, orientation)
     chosen: Selection = {"imu": imu, "skeleton": skeleton, "side": side, "body": body}
     source = ArmInput(calibration, chosen, mirror, swap, negate, camera_frame, clock_offset, clock_sigma)
     if keep_in is not None and GRAPH not in names:
@@ -194,7 +192,6 @@ def gaps(
             ) -> GapTable:
                 recording, given = here[place], arms[place][1]
                 clock = source.clock(recording)
-                given = with_strap(given, recording) if solve_lever_arms else given
                 if keep_in is not None and given is not None:  # what is measured anew is not applied before
                     given = replace(given, sigma_factors=None)
                 return evaluate_gaps(

@@ -35,25 +35,14 @@ def choose(names: str) -> list[str]:
     return list(dict.fromkeys(wanted))
 
 
-def baseline_settings(
-    names: Sequence[str], orientation: str | None, boundary_s: float | None
-) -> BaselineSettings:
+def baseline_settings(names: Sequence[str], orientation: str | None) -> BaselineSettings:
     """Check what was set for the baselines among the chosen methods."""
-    if orientation is None:
-        orientation = DEFAULT_ORIENTATION
-    elif not any(_needs_orientation(name) for name in names):
+    if orientation is not None and not any(_needs_orientation(name) for name in names):
         raise typer.BadParameter(
             "--orientation belongs to the methods that need a filter's orientation, such as rts; no such"
             f" method was chosen, but {', '.join(names)}"
         )
-    if boundary_s is None:
-        return BaselineSettings(orientation)
-    if not 0.05 <= boundary_s <= 10.0:
-        raise typer.BadParameter("--boundary-s is a time between 0.05 and 10 s")
-    settings = BaselineSettings(orientation, {"boundary_s": boundary_s})
-    if not any(name in BASELINES and settings.for_method(name) for name in names):
-        raise typer.BadParameter("--boundary-s belongs to the method linear-drift")
-    return settings
+    return BaselineSettings(orientation or DEFAULT_ORIENTATION)
 
 
 def _needs_orientation(name: str) -> bool:

@@ -90,13 +90,6 @@ Orientation = Annotated[
     Literal["vqf", "madgwick", "comotti", "complementary"] | None,
     rare("Orientation filter of the methods other than graph.  [default: vqf]"),
 ]
-BoundaryS = Annotated[
-    float | None,
-    rare("For linear-drift: visible time that fits a gap's ends.  [default: 0.5]", metavar="S"),
-]
-SolveLeverArms = Annotated[
-    bool, rare("Estimate the offset between tracked strap and IMU, else zero.", "--solve-lever-arms")
-]
 Anatomy = Annotated[Literal["adult", "child", "any"] | None, rare("Range of limb lengths that is plausible.")]
 BodyHeight = Annotated[
     float | None, rare("The person's, for limb lengths before one camera without depth.", metavar="M")

@@ -140,10 +140,7 @@ def print_missing(about: RecordingInfo) -> None:
 
 def match(
     recording_file: o.RecordingPath,
-    method: Annotated[
-        Literal["motion", "joint-likelihood", "all"],
-        o.option("How pairs are compared; `all` prints both results."),
-    ] = "motion",
+    method: Annotated[Literal["motion", "joint-likelihood"], o.option("How pairs are compared.")] = "motion",
     clocks_apart_s: Annotated[
         float, o.option("Clocks may differ by this, s.", metavar="S", min=0, max=60)
     ] = 5.0,
@@ -162,26 +159,16 @@ def match(
     """
     from ..io import open_recording
     from ..io.recording.match import match_file
-    from ..matching import METHODS
 
-    names = list(METHODS) if method == "all" else [method]
     check_outputs(force, [json_file], [recording_file])
     file = open_recording(recording_file, truth=False)
-    found = {name: match_file(file, name, clocks_apart_s, skeleton=skeleton) for name in names}
-    matches, notes = found[names[0]]
+    matches, notes = match_file(file, method, clocks_apart_s, skeleton=skeleton)
     show(match_table(str(recording_file), matches))
     sure = sum(one.is_sure for one in matches)
     are = "is" if sure == 1 else "are"
     say(f"{sure} of {len(matches)} IMUs {are} matched with a probability above 0.95")
     print_notes([*file.notes, *notes])
-    figures: dict[str, object] = {"matches": [one.to_dict() for one in matches], "method": names[0]}
-    if len(names) > 1:
-        beside = [
-            [each[0].imu, *(f"{m.limb.body if m.limb else ''} {m.joint} {m.probability:.2f}" for m in each)]
-            for each in zip(*(mine for mine, _ in found.values()), strict=True)
-        ]
-        show(Table("Both methods: body, joint, probability", ("IMU", *names), beside))
-        figures["methods"] = {name: [one.to_dict() for one in mine] for name, (mine, _) in found.items()}
+    figures = {"matches": [one.to_dict() for one in matches], "method": method}
     write_json(json_file, figures, force)
 
 

@@ -68,8 +68,9 @@ def smooth(
     clock_sigma: o.ClockSigma = None,
     config_file: o.ConfigFile = None,
     orientation: o.Orientation = None,
-    boundary_s: o.BoundaryS = None,
-    solve_lever_arms: o.SolveLeverArms = False,
+    solve_lever_arms: Annotated[
+        bool, o.rare("Estimate the offset between tracked strap and IMU, else zero.", "--solve-lever-arms")
+    ] = False,
     anatomy: o.Anatomy = None,
     body_height: o.BodyHeight = None,
     processes: o.Processes = None,
@@ -99,7 +100,7 @@ def smooth(
     names = choose(method)
     if len(names) != 1:
         raise typer.BadParameter("--method takes one method; `unocclude compare` runs several")
-    settings = baseline_settings(names, orientation, boundary_s)
+    settings = baseline_settings(names, orientation)
     if max_sigma_m is not None and not max_sigma_m > 0:
         raise typer.BadParameter("--max-sigma-m is a length above zero, in m")
     motions = drawn_motions(draws, seed, names[0])
@@ -201,7 +202,6 @@ def print_recovery(recording: Recording, recovery: Recovery, verbose: bool = Fal
     `verbose`: every gap, what was found and rejected, and every note.
     """
     from calib.motion import found_in
-    from calib.protocol import findings
 
     from ..evaluation.summary import camera_sentences, gap_summaries
     from ..result.untrusted import untrusted_sentences
@@ -233,6 +233,8 @@ def print_recovery(recording: Recording, recovery: Recovery, verbose: bool = Fal
     if verbose:
         say_more(len(gaps), most, "gaps more; --json and the report have them all")
         if found is not None:
+            from calib.protocol import findings
+
             known = ("lever_arms", "lengths") if found.all_given else ()
             for table in findings({key: value for key, value in found.figures.items() if key not in known}):
                 show(table)

@@ -20,7 +20,7 @@ from calib.sensor import sensor_of
 from smoother.cli.load import load_arm
 from smoother.cli.run import run
 from smoother.config import Config
-from smoother.io import open_csv, read_imu, read_recording, write_recording
+from smoother.io import open_csv, read_imu, write_recording
 from smoother.io.mcap.messages import nanoseconds
 from smoother.io.recording.streams import ImuSamples, RecordingFile
 from smoother.linalg import sphere
@@ -120,21 +120,6 @@ def test_sound_in_a_recording(tmp_path: Path):
         tmp_path / "d.json",
     )
     assert "ends in the middle" in json.loads((tmp_path / "d.json").read_text())["notes"][0]
-
-
-def test_motion(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
-    simulated = simulate_arm(ArmSimulation.preset("realistic", repetitions=1), 4)
-    write_recording(simulated.recording, tmp_path / "rec.mcap")
-    done(
-        *("calibrate", "clock", "--motion", tmp_path / "rec.mcap", "--processes", 1),
-        *("--report", tmp_path / "m.html", "--motion-clocks", "camera,arm", "--json", tmp_path / "m.json"),
-    )
-    (link,) = json.loads((tmp_path / "m.json").read_text())["links"]
-    assert (link["from"], link["to"]) == ("camera", "arm")
-    assert link["offset_s"] == pytest.approx(simulated.parameters["clock_offset_s"], abs=5e-3)
-    assert 2e-4 < link["sigma_s"] < 5e-3
-    assert "the skew of camera-arm is not measured" in capsys.readouterr().out
-    assert "Links" in (tmp_path / "m.html").read_text(encoding="utf-8")
 
 
 def test_missed_receptions_are_told_in_any_spelling(tmp_path):
@@ -414,21 +399,6 @@ def test_clock(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys) -> None:
     at_zero = of_file["base", "forearm_right"]
     assert at_zero["offset_s"] == session.offset_s("base", "forearm_right", 0.0)
     assert at_zero["skew_ppm"] == pytest.approx(390.0, abs=0.01)
-
-
-def test_strap(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys) -> None:
-    monkeypatch.chdir(tmp_path)
-    words = simulated(capsys, "strap", "-o", "session.mcap", "--set", "duration_s=10", "--seed", 6)
-    done(*words, "--processes", "1", "--json", "strap.json")
-    found, truth = json.loads(Path("strap.json").read_text()), truth_of(Path("session_truth.toml"))["strap"]
-    # the ends of the skeleton's forearm are known to a centimetre of 25
-    assert found["along"] == pytest.approx(truth["along"], abs=0.04)
-    arm, motion = read_recording("with_strap.mcap").arm, read_recording("session.mcap").truth
-    assert motion is not None
-    rows = arm.tracked("strap")
-    true = np.stack([np.interp(arm.t_s[rows], motion.t_s, column) for column in motion.position.T], axis=1)
-    error = np.linalg.norm(arm.joint("strap")[rows] - true, axis=1)
-    assert rows.sum() > 20 and np.sqrt(np.mean(error**2)) < 3 * np.linalg.norm(found["sigma_m"])
 
 
 def test_nothing_is_overwritten_unasked(tmp_path: Path, capsys) -> None:

@@ -13,15 +13,15 @@ from commands import done
 
 from smoother import Config, smoothing
 from smoother.baselines.registry import BASELINES
-from smoother.cli.methods import baseline_settings, choose
+from smoother.cli.methods import choose
 from smoother.errors import SolveError
 from smoother.evaluation.compare import compare
 from smoother.evaluation.gaps import evaluate_gaps
-from smoother.evaluation.methods import METHODS, BaselineSettings, make_methods, shared_graph
+from smoother.evaluation.methods import METHODS, make_methods, shared_graph
 from smoother.io import read_recovery
 from smoother.recording import Recording
 from smoother.runtime import pool
-from smoother.simulation import ArmSimulation, PointSimulation, simulate_arm, simulate_point
+from smoother.simulation import ArmSimulation, simulate_arm
 
 ALONE = Config.model_validate({"windows": {"processes": 1}})
 #: The contract with users.
@@ -107,26 +107,11 @@ def test_the_orientation_asked_for_is_used(session: Path, tmp_path: Path):
     assert np.degrees(2 * np.arccos(np.clip(np.nanmin(dot), 0, 1))) > 2.0
 
 
-def test_the_boundary_asked_for_is_used(session: Path, tmp_path: Path):
-    found = []
-    for boundary_s in (0.5, 0.1):
-        out = tmp_path / f"{boundary_s}.mcap"
-        done(
-            *("smooth", session / "rec.mcap", "-o", out, "--method", "linear-drift", "--processes", 1),
-            *("--boundary-s", boundary_s, "--calibration", session / "cal.toml"),
-        )
-        found.append(read_recovery(out)[0])
-    assert found[1].estimates.further["boundary_s"] == 0.1
-    moved = np.linalg.norm(found[0].position - found[1].position, axis=1)
-    assert np.nanmax(moved[found[0].occluded]) > 0.005
-    assert np.nanmax(moved[~found[0].occluded]) < 1e-9
-
-
 def test_help_names_the_methods(capsys):
     for command in ("smooth", "gaps"):
         done(command, "--help")
         said = "".join(capsys.readouterr().out.split())  # lines are broken at hyphens too
-        assert all(name in said for name in (*PROMISED, "--orientation", "--boundary-s", "complementary"))
+        assert all(name in said for name in (*PROMISED, "--orientation", "complementary"))
 
 
 @pytest.fixture
@@ -174,28 +159,6 @@ def test_a_new_recording_is_solved_anew(solved: list[Recording]):
     assert graph(made.recording) is first
     assert graph(replace(made.recording)) is not first
     assert len(solved) == 2
-
-
-def test_settings_go_where_they_are_known():
-    settings = baseline_settings(["graph", "linear-drift", "hold"], "madgwick", 0.4)
-    assert settings == BaselineSettings("madgwick", {"boundary_s": 0.4})
-    assert settings.for_method("linear-drift") == {"boundary_s": 0.4}
-    assert settings.for_method("hold") == {}
-
-
-def test_gaps_can_solve_the_straps_lever_arm(tmp_path: Path):
-    from smoother.io import write_recording
-
-    made = simulate_point(PointSimulation.preset("white", duration_s=20.0, occlusion_lengths_s=()), seed=2)
-    write_recording(made.recording, tmp_path / "point.mcap")
-    done(
-        *("gaps", tmp_path / "point.mcap", "--lengths", 0.5, "--gaps-per-run", 1, "--processes", 1),
-        *("--solve-lever-arms", "--methods", "graph,rts,hold", "--json", tmp_path / "g.json"),
-    )
-    (entry,) = json.loads((tmp_path / "g.json").read_text())["lengths"]
-    # solving a lever arm that is zero costs its uncertainty, no more
-    assert entry["methods"]["graph"]["rms_m"] < 0.03
-    assert set(entry["methods"]) == {"graph", "rts", "hold"}
 
 
 def test_side_by_side_gives_the_same_table(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -3,42 +3,35 @@
 from __future__ import annotations
 
 import json
+import tomllib
 from pathlib import Path
 
 import numpy as np
 import pytest
 from commands import done, refused
 from mcap.reader import make_reader
-from strap_recordings import with_images
 
 from smoother.io import read_recording
 from smoother.recording import JointState
 from smoother.simulation import ArmSimulation, simulate_arm
-from smoother.simulation.strap import strap_radius_m
 
 
 @pytest.fixture(scope="module")
 def session(tmp_path_factory: pytest.TempPathFactory):
-    """A recording with images, its arm, and what the command made of it."""
+    """A recording with images and what the command made of it; the arm, and where its strap is."""
     folder = tmp_path_factory.mktemp("strap")
-    simulated = simulate_arm(ArmSimulation(protocol="random", duration_s=10.0), 6)
-    with_images(simulated, folder / "rec.mcap", every=5)
+    made = ("--set", "duration_s=10", "--seed", 6, "-o", folder / "rec.mcap")
+    done("simulate", "strap", *made)
+    truth = tomllib.loads((folder / "rec_truth.toml").read_text())["strap"]
     done(
         *("import", "strap", folder / "rec.mcap", "-o", folder / "out.mcap", "--processes", 1),
-        *(
-            "--radius-m",
-            strap_radius_m(simulated),
-            "--json",
-            folder / "s.json",
-            "--report",
-            folder / "s.html",
-        ),
+        *("--radius-m", truth["radius_m"], "--json", folder / "s.json", "--report", folder / "s.html"),
     )
-    return folder, simulated
+    return folder, simulate_arm(ArmSimulation(protocol="random", duration_s=10.0), 6), truth
 
 
 def test_the_strap_is_where_the_sensor_is(session):
-    folder, simulated = session
+    folder, simulated, _ = session
     arm, truth = read_recording(folder / "out.mcap").arm, simulated.recording.truth
     rows = arm.tracked("strap")
     assert rows.sum() > 30
@@ -55,7 +48,7 @@ def test_the_strap_is_where_the_sensor_is(session):
 
 
 def test_other_joints_stay_and_images_stay_out(session):
-    folder, _ = session
+    folder, *_ = session
     before, after = read_recording(folder / "rec.mcap"), read_recording(folder / "out.mcap")
     for joint in ("shoulder", "elbow", "wrist", "hand"):
         assert np.array_equal(before.arm.joint(joint), after.arm.joint(joint), equal_nan=True)
@@ -67,14 +60,14 @@ def test_other_joints_stay_and_images_stay_out(session):
 
 
 def test_what_stays_out_is_said(session):
-    folder, _ = session
+    folder, *_ = session
     assert any("were left out" in note for note in json.loads((folder / "s.json").read_text())["notes"])
 
 
 def test_sigma_goes_with_the_strap(session):
     from smoother.io.wire.schemas import message_class
 
-    folder, _ = session
+    folder, *_ = session
     seen = 0
     with open(folder / "out.mcap", "rb") as stream:
         for _, _, message in make_reader(stream).iter_messages(topics=["/skeleton"]):
@@ -88,8 +81,10 @@ def test_sigma_goes_with_the_strap(session):
 
 
 def test_what_is_said(session):
-    folder, _ = session
+    folder, _, truth = session
     figures = json.loads((folder / "s.json").read_text())
+    # the ends of the skeleton's forearm are known to a centimetre of 25
+    assert figures["along"] == pytest.approx(truth["along"], abs=0.04)
     assert figures["images"] > 50 and figures["found"] == figures["reasons"]["found"]
     assert figures["reasons"]["elbow or wrist is not tracked"] > 0
     assert figures["colour_topic"] == "/colour/image" and figures["depth_topic"] == "/depth/image"
@@ -98,7 +93,7 @@ def test_what_is_said(session):
 
 
 def test_a_depth_topic_that_is_not_there(session, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
-    folder, _ = session
+    folder, *_ = session
     output = ("--depth-topic", "nothing", "-o", tmp_path / "o.mcap", "--processes", 1)
     assert "has no depth images" in refused(capsys, "import", "strap", folder / "rec.mcap", *output)
     assert not (tmp_path / "o.mcap").exists()

@@ -13,7 +13,7 @@ from commands import done
 
 from smoother.cli.run import run
 from smoother.errors import RecordingError
-from smoother.io import open_recording, read_recording, read_recovery, select_recording, write_recording
+from smoother.io import open_recording, read_recording, read_recovery, select_recording
 from smoother.io.recording.match import match_file
 from smoother.io.recording.streams import RecordingFile
 from smoother.io.recording.write import as_file
@@ -188,16 +188,6 @@ def test_every_imu_is_named(people, tmp_path: Path, capsys: pytest.CaptureFixtur
     assert all(imu in printed for imu in truth) and "3 of 4 IMUs are matched" in printed
 
 
-def test_every_method_in_one_table(people, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    recording, truth = people
-    done("match", recording, "--method", "all", "--json", tmp_path / "m.json", "--clocks-apart-s", "1")
-    figures = json.loads((tmp_path / "m.json").read_text())
-    assert set(figures["methods"]) == {"motion", "joint-likelihood"}
-    assert figures["matches"] == figures["methods"]["motion"]
-    assert {row["imu"] for found in figures["methods"].values() for row in found} == set(truth)
-    assert "Both methods" in capsys.readouterr().out
-
-
 def without(file: RecordingFile, **changes: object) -> RecordingFile:
     return replace(file, **changes)
 
@@ -294,14 +284,3 @@ def test_names_are_still_believed_first() -> None:
     made = simulate_arm(ArmSimulation(protocol="random", duration_s=5.0), 1).recording
     taken = select_recording(as_file(made))
     assert taken.notes == made.notes
-
-
-def test_the_same_seed_gives_the_same_people(people, tmp_path: Path) -> None:
-    settings = "--seed 3 --set duration_s=12 --set imu_rate_hz=50 --set in_time=0 --set hanging=0"
-    done("simulate", "people", "-o", tmp_path / "again.mcap", *settings.split())
-    first, again = open_recording(people[0]), open_recording(tmp_path / "again.mcap")
-    for one, other in zip(first.imus, again.imus, strict=True):
-        np.testing.assert_array_equal(one.acc, other.acc)
-    for arm, same in zip(first.arms, again.arms, strict=True):
-        np.testing.assert_array_equal(arm.position, same.position)
-    write_recording(again, tmp_path / "third.mcap")  # what was read can be written again
