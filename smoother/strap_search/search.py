@@ -82,7 +82,7 @@ def import_strap(
             else arm_messages(output, each)
             for each in arms
         ]
-        output.interleave(Container(source).chunks(wanted))
+        output.copy(Container(source).chunks(wanted))
         output.write(outgoing)
     cameras.found.notes.append("Images and other topics without motion were left out.")
     return cameras.found

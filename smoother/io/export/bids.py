@@ -11,6 +11,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -27,8 +28,12 @@ BIDS_VERSION = "1.10.0"
 #: Sessions begin here: true dates say who a person is. Streams keep their distance from each other.
 _EPOCH = datetime(1900, 1, 1, tzinfo=UTC)
 _TYPES = ("ACCEL", "GYRO", "MAGN", "POS", "ORNT", "VEL", "JNTANG", "LATENCY", "MISC")
-#: Which way a camera's x, y and z point, as one sees who stands behind it: L, R, S, I, A, P.
-_SPATIAL = {CameraFrame.KINECT: "LSA", CameraFrame.OPTICAL: "RIA", CameraFrame.ZUP: "__S"}
+#: Which way a camera's x, y and z point, as one sees who stands behind it (L, R, S, I, A, P), and in words.
+_SPATIAL = {
+    CameraFrame.KINECT: ("LSA", "x to the camera's left, y up, z forward"),
+    CameraFrame.OPTICAL: ("RIA", "x to the camera's right, y down, z forward"),
+    CameraFrame.ZUP: ("__S", "z up; the direction of x is not stated"),
+}
 
 
 @dataclass(frozen=True)
@@ -36,8 +41,8 @@ class BidsNames:
     """How a recording is called in a data set."""
 
     subject: str  # Labels of letters and digits; `session` may be ""
-    session: str = ""  # Labels of letters and digits; `session` may be ""
-    task: str = "arm"  # Labels of letters and digits; `session` may be ""
+    session: str = ""
+    task: str = "arm"
 
     def __post_init__(self) -> None:
         for option, label in (("subject", self.subject), ("session", self.session), ("task", self.task)):
@@ -61,26 +66,25 @@ def label_of(name: str) -> str:
     return re.sub(r"[^A-Za-z0-9]", "", Path(name).stem) or "01"
 
 
-@dataclass(frozen=True)
-class Channel:
-    """A column of a motion file."""
+class Channel(NamedTuple):
+    """A column of a motion file, as `channels.tsv` describes it; "" is n/a."""
 
-    name: str  # As `channels.tsv` has them; `kind` is its `type`, "" is n/a
-    component: str  # As `channels.tsv` has them; `kind` is its `type`, "" is n/a
-    kind: str  # As `channels.tsv` has them; `kind` is its `type`, "" is n/a
-    point: str  # As `channels.tsv` has them; `kind` is its `type`, "" is n/a
-    units: str  # As `channels.tsv` has them; `kind` is its `type`, "" is n/a
+    name: str
+    component: str
+    kind: str  # Its `type`
+    point: str
+    units: str
+    frame: str
+    description: str
     values: FloatArray  # (N,): nan is n/a
-    description: str  # As `channels.tsv` has them; `kind` is its `type`, "" is n/a
-    frame: str = ""  # As `channels.tsv` has them; `kind` is its `type`, "" is n/a
 
 
 @dataclass(frozen=True)
 class TrackingSystem:
     """One stream with one clock."""
 
-    label: str  # `tracksys-LABEL`, and what it is
-    title: str  # `tracksys-LABEL`, and what it is
+    label: str  # `tracksys-LABEL`
+    title: str  # What it is
     t_s: FloatArray  # (N,) s
     channels: list[Channel]
     more: dict[str, object] = field(default_factory=dict)  # Further keys of `motion.json`
@@ -89,29 +93,32 @@ class TrackingSystem:
 
 def recorded_systems(recording: Recording) -> list[TrackingSystem]:
     """The camera's joints and the IMUs of an arm, as they were recorded."""
-    side = recording.side.capitalize()
-    systems = [_imu(f"imuForearm{side}", "forearm", recording.side, recording.imu)]
+    side, arm = recording.side.capitalize(), recording.arm
+    systems = [_imu(f"imuForearm{side}", _point("forearm", recording.side), recording.imu)]
     for segment, imu in recording.further_imus.items():
         label = "".join(word.capitalize() for word in segment.split("_"))
-        systems.append(_imu(f"imu{label}{side}", segment, recording.side, imu))
-    arm, channels = recording.arm, []
-    has_depth = arm.pixel_rad is None
-    title = "depth camera" if has_depth else "camera without depth"
+        systems.append(_imu(f"imu{label}{side}", _point(segment, recording.side), imu))
     frames = _camera_frames(recording.camera_frame)
-    frame = next(iter(frames), "")
+    frame, channels = next(iter(frames), ""), []
     for joint in arm.present:
         point = _point(joint, recording.side)
         state = arm.state[:, JOINTS.index(joint)]
         place = np.where((state == JointState.NOT_TRACKED)[:, None], np.nan, arm.joint(joint))
-        for axis, values in zip("xyz" if has_depth else "xy", place.T, strict=False):
+        if arm.pixel_rad is None:
             words = f"position of the {joint} in the camera's axes"
-            if has_depth:
-                channels.append(Channel(f"{point}_{axis}", axis, "POS", point, "m", values, words, frame))
-            else:
-                words = f"image coordinate {axis}/z of the {joint}, lens distortion removed"
-                channels.append(Channel(f"{point}_{axis}_image", "", "MISC", point, "", values, words))
+            channels += [
+                Channel(f"{point}_{axis}", axis, "POS", point, "m", frame, words, values)
+                for axis, values in zip("xyz", place.T, strict=True)
+            ]
+        else:
+            words = "image coordinate {}/z of the " + joint + ", lens distortion removed"
+            channels += [
+                Channel(f"{point}_{axis}_image", "", "MISC", point, "", "", words.format(axis), values)
+                for axis, values in zip("xy", place.T, strict=False)
+            ]
         about = "0 not tracked, 1 a guess of the camera's, 2 tracked"
-        channels.append(Channel(f"{point}_state", "", "MISC", point, "", state.astype(float), about))
+        channels.append(Channel(f"{point}_state", "", "MISC", point, "", "", about, state.astype(float)))
+    title = "depth camera" if arm.pixel_rad is None else "camera without depth"
     systems.append(TrackingSystem(f"camera{side}", title, arm.t_s, channels, frames=frames))
     return systems
 
@@ -120,10 +127,9 @@ def recovered_system(recovery: Recovery, version: str) -> TrackingSystem:
     """The answer: every column of the CSV export, with its sigmas, on the forearm IMU's clock."""
     channels = []
     for group in column_groups(recovery):
+        units = "" if group.unit == "1" else group.unit
         for name, values in zip(group.names, group.values.T, strict=True):
-            kind, component, point = _kind(name)
-            units = {"deg": "deg", "1": "", "m": "m", "m/s": "m/s"}[group.unit]
-            channels.append(Channel(name, component, kind, point, units, values, group.description))
+            channels.append(Channel(name, *_kind(name), units, "", group.description, values))
     marks = {
         "occluded": (recovery.occluded, "1: the camera did not see the forearm"),
         "usable": (usable(recovery), "1: there is an answer that is not distrusted"),
@@ -131,7 +137,7 @@ def recovered_system(recovery: Recovery, version: str) -> TrackingSystem:
     if recovery.has_verdict:
         marks["trusted"] = (recovery.trusted, "1: the answer is to be trusted")
     for name, (flags, about) in marks.items():
-        channels.append(Channel(name, "", "MISC", "", "", np.asarray(flags, float), about))
+        channels.append(Channel(name, "", "MISC", "", "", "", about, np.asarray(flags, float)))
     more: dict[str, object] = {
         "SoftwareVersions": f"unocclude {version}",
         "Method": recovery.method,
@@ -144,8 +150,7 @@ def recovered_system(recovery: Recovery, version: str) -> TrackingSystem:
         },
         "Notes": list(recovery.notes),
     }
-    label = f"arm{recovery.side.capitalize()}"
-    return TrackingSystem(label, "recovered arm", recovery.t_s, channels, more)
+    return TrackingSystem(f"arm{recovery.side.capitalize()}", "recovered arm", recovery.t_s, channels, more)
 
 
 def write_bids(
@@ -172,7 +177,8 @@ def write_bids(
         (root / names.folder).mkdir(parents=True, exist_ok=True)
         _describe(root, version, root == derivative)
         _add_row(root / "participants.tsv", "participant_id", f"sub-{names.subject}")
-    _once(folder / "README.md", _README)
+    if not (folder / "README.md").exists():
+        _lines(folder / "README.md", _README.splitlines())
     begin_s = min((float(system.t_s[0]) for system in raw), default=0.0)
     for system in raw:
         _write(folder, names, system)
@@ -191,21 +197,12 @@ def _write(root: Path, names: BidsNames, system: TrackingSystem) -> None:
     """The four files of a tracking system."""
     latency = system.t_s - system.t_s[0]
     about = "seconds since the first sample"
-    channels = [Channel("latency", "", "LATENCY", "", "s", latency, about), *system.channels]
+    channels = [Channel("latency", "", "LATENCY", "", "s", "", about, latency), *system.channels]
     values = np.stack([channel.values for channel in channels], axis=1)
     rows = ("\t".join(_cell(value) for value in row) for row in values.tolist())
     _lines(root / _file(names, system, "motion.tsv"), rows)
     head = "name\tcomponent\ttype\ttracked_point\tunits\treference_frame\tdescription"
-    listed = (
-        "\t".join(
-            each or "n/a"
-            for each in (
-                *(channel.name, channel.component, channel.kind, channel.point, channel.units),
-                *(channel.frame, channel.description),
-            )
-        )
-        for channel in channels
-    )
+    listed = ("\t".join(each or "n/a" for each in channel[:-1]) for channel in channels)
     _lines(root / _file(names, system, "channels.tsv"), [head, *listed])
     frames: dict[str, object] = {"Description": "axes of the positions; n/a: the sensor's own, or none"}
     if system.frames:
@@ -235,25 +232,16 @@ def _file(names: BidsNames, system: TrackingSystem, ending: str) -> str:
     return f"{names.folder}/{names.start}_task-{names.task}_tracksys-{system.label}_{stem}.{suffix}"
 
 
-def _imu(label: str, segment: str, side: str, imu: ImuStream) -> TrackingSystem:
-    point = _point(segment, side)
+def _imu(label: str, point: str, imu: ImuStream) -> TrackingSystem:
     parts = [
         ("acc", "ACCEL", "m/s^2", imu.acc, "specific force"),
         ("gyro", "GYRO", "rad/s", imu.gyro, "turn rate"),
+        ("mag", "MAGN", "n/a", imu.mag, "magnetic field, in the sensor's own unit"),
     ]
-    if imu.mag is not None:
-        parts.append(("mag", "MAGN", "n/a", imu.mag, "magnetic field, in the sensor's own unit"))
     channels = [
-        Channel(
-            f"{point}_{name}_{axis}",
-            axis,
-            kind,
-            point,
-            units,
-            np.asarray(column),
-            f"{words} in the IMU's axes",
-        )
+        Channel(f"{point}_{name}_{axis}", axis, kind, point, units, "", f"{words} in the IMU's axes", column)
         for name, kind, units, values, words in parts
+        if values is not None
         for axis, column in zip("xyz", np.asarray(values).T, strict=True)
     ]
     return TrackingSystem(label, "inertial sensor", imu.t_s, channels)
@@ -264,40 +252,34 @@ def _point(name: str, side: str) -> str:
 
 
 def _kind(column: str) -> tuple[str, str, str]:
-    """Type, component and tracked point of a column of the CSV export."""
+    """Component, type and tracked point of a column of the CSV export."""
     if "sigma" in column:
-        axis = column[-1] if column[-2:] in ("_x", "_y", "_z") else ""
-        return "MISC", axis, ""
+        return column[-1] if column[-2:] in ("_x", "_y", "_z") else "", "MISC", ""
     if match := re.fullmatch(r"(.*)_q([wxyz])", column):
-        return "ORNT", f"quat_{match[2]}", match[1]
+        return f"quat_{match[2]}", "ORNT", match[1]
     if match := re.fullmatch(r"v([xyz])", column):
-        return "VEL", match[1], "imu"
+        return match[1], "VEL", "imu"
     if column.endswith("_deg"):
-        return "JNTANG", "", column.removesuffix("_deg")
+        return "", "JNTANG", column.removesuffix("_deg")
     if match := re.fullmatch(r"(.*)_([xyz])", column):
-        return "POS", match[2], match[1]
-    return "MISC", "", ""
+        return match[2], "POS", match[1]
+    return "", "MISC", ""
 
 
 def _camera_frames(frame: CameraFrame | None) -> dict[str, dict[str, str]]:
     if frame is None:
         return {}
-    about = {
-        CameraFrame.KINECT: "x to the camera's left, y up, z forward",
-        CameraFrame.OPTICAL: "x to the camera's right, y down, z forward",
-        CameraFrame.ZUP: "z up; the direction of x is not stated",
-    }[frame]
+    axes, about = _SPATIAL[frame]
     level = {"Description": about, "RotationRule": "right-hand", "RotationOrder": "XYZ"}
-    return {"camera": {**level, "SpatialAxes": _SPATIAL[frame]}}
+    return {"camera": {**level, "SpatialAxes": axes}}
 
 
 def _describe(root: Path, version: str, is_derivative: bool) -> None:
-    made = {"Name": "unocclude", "Version": version}
     description: dict[str, object] = {
         "Name": "Arms recovered by unocclude" if is_derivative else "Arms recorded by camera and IMU",
         "BIDSVersion": BIDS_VERSION,
         "DatasetType": "derivative" if is_derivative else "raw",
-        "GeneratedBy": [made],
+        "GeneratedBy": [{"Name": "unocclude", "Version": version}],
     }
     if not (root / "dataset_description.json").exists():
         _json(root / "dataset_description.json", description)
@@ -314,11 +296,6 @@ def _add_row(path: Path, header: str, row: str) -> None:
     _lines(path, [head, *sorted([*(each for each in rows if each not in same), "\t".join(cells)])])
 
 
-def _once(path: Path, text: str) -> None:
-    if not path.exists():
-        path.write_text(text, encoding="utf-8", newline="\n")
-
-
 def _cell(value: float) -> str:
     return f"{value:.11g}" if np.isfinite(value) else "n/a"
 
@@ -333,8 +310,7 @@ def _lines(path: Path, lines: Sequence[str] | Iterator[str]) -> None:
 
 
 def _json(path: Path, values: dict[str, object]) -> None:
-    text = json.dumps(values, indent=2, ensure_ascii=False, allow_nan=False)
-    _lines(path, [text])
+    _lines(path, [json.dumps(values, indent=2, ensure_ascii=False, allow_nan=False)])
 
 
 _README = """# Arms recorded by a camera and IMUs

@@ -42,9 +42,11 @@ ARM_COLORS: dict[str, Color] = {
 _STATES = ("seen", "occluded", "not to be trusted", "no answer")
 #: How far back the trail reaches, s.
 TRAIL_S = 2.0
-#: Where the eye is from the arm in the level frame, in radii of what is drawn: before the person, to one
-#: side, above; not nearer than so many m.
-_EYE, _NEAR_M = 1.45 * np.array([0.80, -0.52, 0.30]), 0.7
+_LEGEND = """Blue: the camera saw the forearm. Orange: recovered. Grey: the camera's own joints.
+
+Dark red: the answer is not to be trusted.
+
+Ellipsoid: 2 sigma. Trail: 2 s."""
 
 
 class _Arm:
@@ -70,22 +72,25 @@ class _Arm:
         self.step = max(round(rate / PICTURES_HZ), 1) if np.isfinite(rate) else 1
 
     def log(self) -> None:
-        """All of it."""
+        """The arm in space and its curves; seen, occluded, not trusted or without an answer."""
         self._in_space()
         self._before()
-        r, lines = self.recovery, np.array([-2.0, 2.0])
+        r, look = self.recovery, self.rr.SeriesLines
         for axis, name in enumerate("xyz"):
-            value, sigma = self.places[:, axis, None], self.sigma[:, axis, None]
-            self._value(f"{self.point}_{name}", r.t_s, value, value + sigma * lines)
-        self._curve("sigma", "", r.t_s, 100.0 * self.sigma)
+            self._value(f"{self.point}_{name}", r.t_s, self.places[:, axis], self.sigma[:, axis])
+        names = [f"{self.label}{self.point} {axis}" for axis in "xyz"]
+        style = look(names=names, widths=[1.5] * 3, colors=_AXIS_COLORS)
+        self._curve("sigma", "", r.t_s, 100.0 * self.sigma, style)
         for name, (_, angle, sigma) in self.angles.items():
             rows = slice(None, None, 1 if name == ELBOW_FLEXION.name else self.step)
-            value = broken_at_turns(angle[rows])[:, None]
-            self._value(name, r.t_s[rows], value, value + sigma[rows, None] * lines)
-        names = [f"{self.label}{self.point} {axis}" for axis in "xyz"]
-        style = self.rr.SeriesLines(names=names, widths=[1.5] * 3, colors=_AXIS_COLORS)
-        self.stream.log(f"curves/sigma/{self.name}", style, static=True)
-        self._gaps()
+            self._value(name, r.t_s[rows], broken_at_turns(angle[rows]), sigma[rows])
+        states = np.where(r.answered, self.kind, np.int8(len(ANSWER)))
+        turns = np.flatnonzero(np.diff(states, prepend=-1))
+        columns = self.rr.StateChange.columns(state=[_STATES[state] for state in states[turns]])
+        colors = np.array([packed(color) for color in (*ANSWER, GUESSED)], np.uint32)
+        self._send(f"gaps/{self.name}", r.t_s[turns], columns)
+        style = self.rr.StateConfiguration(values=_STATES, colors=colors)
+        self.stream.log(f"gaps/{self.name}", style, static=True)
 
     def _in_space(self) -> None:
         """The arm, its uncertainty and the trail, some pictures a second."""
@@ -94,10 +99,9 @@ class _Arm:
         joints = [r.joints.get(JOINTS[i], nothing)[rows] for i in CHAIN]
         shade = np.array([packed(color) for color in ANSWER])[self.kind[rows]]
         self._bones("after", t_s, np.stack(joints, axis=1), shade, _BONE_M)
-        dots = np.stack([*joints, r.position[rows]], axis=1)
-        self._dots("after/joints", t_s, dots, np.repeat(shade[:, None], dots.shape[1], 1), _JOINT_M)
+        self._dots("after/joints", t_s, np.stack([*joints, r.position[rows]], axis=1), shade, _JOINT_M)
         point, covariance = self.places[rows], self.covariance[rows]
-        self._dots("trail", t_s, point[:, None], shade[:, None], _TRAIL_M)
+        self._dots("trail", t_s, point[:, None], shade, _TRAIL_M)
         good = np.isfinite(point).all(axis=1) & np.isfinite(covariance).all(axis=(1, 2))
         variance, turn = np.linalg.eigh(covariance[good])
         turn[:, :, 2] *= np.sign(np.linalg.det(turn).reshape(-1, 1))
@@ -108,7 +112,7 @@ class _Arm:
             colors=shade[good] - 0xFF + 0x60,
             fill_mode=[rr.components.FillMode.TransparentFillMajorWireframe] * int(good.sum()),
         )
-        self._send("two_sigma", t_s, columns.partition(good.astype(int)))
+        self._send(f"scene/camera/{self.name}/two_sigma", t_s, columns.partition(good.astype(int)))
 
     def _before(self) -> None:
         """The camera's joints."""
@@ -118,61 +122,47 @@ class _Arm:
         shades = np.where(frames.state == JointState.INFERRED, packed(GUESSED), packed(CAMERA))
         self._bones("before", frames.t_s, places[:, CHAIN], np.full(len(frames), packed(CAMERA)), _THIN_M)
         self._dots("before/joints", frames.t_s, places, shades, _JOINT_M / 2)
+        style = self.rr.SeriesPoints(
+            colors=[packed(CAMERA)], marker_sizes=[1.5], names=[f"{self.label}camera"]
+        )
         for axis, name in enumerate("xyz" if self.point == "wrist" else ""):
-            self._curve(f"wrist_{name}", "camera", frames.t_s, places[:, JOINTS.index("wrist"), axis, None])
-            style = self.rr.SeriesPoints(
-                colors=[packed(CAMERA)], marker_sizes=[1.5], names=[f"{self.label}camera"]
-            )
-            self.stream.log(f"curves/wrist_{name}/{self.name}/camera", style, static=True)
+            wrist = places[:, JOINTS.index("wrist"), axis, None]
+            self._curve(f"wrist_{name}", "camera", frames.t_s, wrist, style)
 
-    def _gaps(self) -> None:
-        """Seen, occluded, not to be trusted or without an answer, where it changes."""
-        states = np.where(self.recovery.answered, self.kind, np.int8(len(ANSWER)))
-        turns = np.flatnonzero(np.diff(states, prepend=-1))
-        columns = self.rr.StateChange.columns(state=[_STATES[state] for state in states[turns]])
-        self._columns(f"gaps/{self.name}", self.recovery.t_s[turns], columns)
-        colors = np.array([packed(color) for color in (*ANSWER, GUESSED)], np.uint32)
-        style = self.rr.StateConfiguration(values=_STATES, colors=colors)
-        self.stream.log(f"gaps/{self.name}", style, static=True)
+    def _value(self, curve: str, t_s: FloatArray, value: FloatArray, sigma: FloatArray) -> None:
+        """A curve (n,) with its 2 sigma lines."""
+        look, color = self.rr.SeriesLines, ARM_COLORS[self.color_name]
+        style = look(colors=[packed(color)], widths=[2.0], names=[f"{self.label}after"])
+        names, faint = [f"{self.label}{sign} 2 sigma" for sign in "-+"], [packed((*color[:3], 0.45))] * 2
+        self._curve(curve, "after", t_s, value[:, None], style)
+        band = value[:, None] + sigma[:, None] * np.array([-2.0, 2.0])
+        self._curve(curve, "two_sigma", t_s, band, look(colors=faint, widths=[1.0] * 2, names=names))
 
-    def _value(self, curve: str, t_s: FloatArray, value: FloatArray, band: FloatArray) -> None:
-        """A curve (n, 1) with its 2 sigma lines (n, 2)."""
-        color = ARM_COLORS[self.color_name]
-        faint = [packed((*color[:3], 0.45))] * 2
-        names = [f"{self.label}{sign} 2 sigma" for sign in "-+"]
-        style = self.rr.SeriesLines(colors=[packed(color)], widths=[2.0], names=[f"{self.label}after"])
-        faint_style = self.rr.SeriesLines(colors=faint, widths=[1.0] * 2, names=names)
-        for line, values, look in (("after", value, style), ("two_sigma", band, faint_style)):
-            self._curve(curve, line, t_s, values)
-            self.stream.log(f"curves/{curve}/{self.name}/{line}", look, static=True)
-
-    def _curve(self, curve: str, line: str, t_s: FloatArray, values: FloatArray) -> None:
+    def _curve(self, curve: str, line: str, t_s: FloatArray, values: FloatArray, style: Any) -> None:
         """Values (n, lines); nan breaks a line."""
         columns = self.rr.Scalars.columns(scalars=values.ravel())
         path = "/".join(part for part in ("curves", curve, self.name, line) if part)
-        self._columns(path, t_s, columns.partition(np.full(len(values), values.shape[1])))
+        self._send(path, t_s, columns.partition(np.full(len(values), values.shape[1])))
+        self.stream.log(path, style, static=True)
 
     def _bones(self, path: str, t_s: FloatArray, places: FloatArray, shade: IntArray, radius: float) -> None:
         """A line through the joints (n, J, 3) that are there; nothing where it is less than two."""
         has = np.asarray(np.isfinite(places).all(axis=2))
         drawn = has.sum(axis=1) > 1
         strips = [places[row][has[row]] for row in np.flatnonzero(drawn)]
-        columns = self.rr.LineStrips3D.columns(
-            strips=strips, colors=shade[drawn], radii=np.full(len(strips), radius)
-        )
-        self._send(path, t_s, columns.partition(drawn.astype(int)))
+        radii = np.full(len(strips), radius)
+        columns = self.rr.LineStrips3D.columns(strips=strips, colors=shade[drawn], radii=radii)
+        self._send(f"scene/camera/{self.name}/{path}", t_s, columns.partition(drawn.astype(int)))
 
     def _dots(self, path: str, t_s: FloatArray, places: FloatArray, shade: IntArray, radius: float) -> None:
-        """Points (n, J, 3) where they are there."""
+        """Points (n, J, 3) where they are there, of a shade (n,) or (n, J)."""
         has = np.asarray(np.isfinite(places).all(axis=2))
+        shades = np.broadcast_to(shade.reshape(len(shade), -1), has.shape)[has]
         radii = np.full(int(has.sum()), radius)
-        columns = self.rr.Points3D.columns(positions=places[has], colors=shade[has], radii=radii)
-        self._send(path, t_s, columns.partition(has.sum(axis=1)))
+        columns = self.rr.Points3D.columns(positions=places[has], colors=shades, radii=radii)
+        self._send(f"scene/camera/{self.name}/{path}", t_s, columns.partition(has.sum(axis=1)))
 
     def _send(self, path: str, t_s: FloatArray, columns: Any) -> None:
-        self._columns(f"scene/camera/{self.name}/{path}", t_s, columns)
-
-    def _columns(self, path: str, t_s: FloatArray, columns: Any) -> None:
         if len(t_s):
             self.stream.send_columns(path, [self.rr.TimeColumn(TIMELINE, duration=t_s)], columns)
 
@@ -188,11 +178,10 @@ def packed(color: Color) -> int:
     return red << 24 | green << 16 | blue << 8 | alpha
 
 
-def _views(rr: Any, arms: list[_Arm], R_W_K: FloatArray, upright: bool) -> Any:  # R_W_K (3, 3)
+def _views(rr: Any, arms: list[_Arm]) -> Any:
     """The blueprint: the arm in space and its gaps on the left, curves on the right."""
     rrb = rr.blueprint
     whose = ", ".join(f"{arm.color_name}: {arm.name}" for arm in arms) if len(arms) > 1 else ""
-    top_cm = max((float(np.nanmax(arm.sigma, initial=0.0)) for arm in arms), default=0.0) * 100.0
     whole = rr.TimeRange(start=rr.TimeRangeBoundary.infinite(), end=rr.TimeRangeBoundary.infinite())
 
     def plot(path: str, name: str) -> Any:
@@ -201,7 +190,6 @@ def _views(rr: Any, arms: list[_Arm], R_W_K: FloatArray, upright: bool) -> Any: 
             origin=f"curves/{path}",
             name=f"{name} ({whose})" if whose and not is_sigma else name,
             axis_x=rrb.TimeAxis(view_range=whole, zoom_lock=False),
-            axis_y=rrb.ScalarAxis(range=(0.0, max(1.1 * top_cm, 0.1))) if is_sigma else None,
             plot_legend=rrb.PlotLegend("RightTop", visible=is_sigma and len(arms) == 1),
         )
 
@@ -211,37 +199,21 @@ def _views(rr: Any, arms: list[_Arm], R_W_K: FloatArray, upright: bool) -> Any: 
     plots = rrb.Vertical(*places, *angles[:1], plot("sigma", "sigma, cm"), name="place")
     if angles[1:]:
         plots = rrb.Tabs(plots, rrb.Vertical(*angles[1:], name="joint angles"))
+    boundary = rr.TimeRangeBoundary.cursor_relative
+    trail = rr.VisibleTimeRange(TIMELINE, start=boundary(seconds=-TRAIL_S), end=boundary())
+    space = rrb.Spatial3DView(
+        origin="scene",
+        name="blue: seen, orange: recovered, dark red: not to be trusted, grey: the camera's",
+        overrides={f"scene/camera/{arm.name}/trail": rrb.VisibleTimeRanges(trail) for arm in arms},
+    )
     gaps = rrb.StateTimelineView(origin="gaps", name="gaps")
     below = rrb.Tabs(gaps, rrb.TextDocumentView(origin="notes", name="notes"))
-    left = rrb.Vertical(_space(rr, arms, R_W_K, upright), below, row_shares=[4, 1])
     return rrb.Blueprint(
-        rrb.Horizontal(left, plots, column_shares=[1, 1]),
+        rrb.Horizontal(rrb.Vertical(space, below, row_shares=[4, 1]), plots, column_shares=[1, 1]),
         rrb.BlueprintPanel(state="collapsed"),
         rrb.SelectionPanel(state="collapsed"),
         rrb.TimePanel(state="collapsed", timeline=TIMELINE),
         auto_views=False,
-    )
-
-
-def _space(rr: Any, arms: list[_Arm], R_W_K: FloatArray, upright: bool) -> Any:
-    rrb, boundary, eye = rr.blueprint, rr.TimeRangeBoundary.cursor_relative, None
-    if upright:
-        drawn = np.concatenate(
-            [places for arm in arms for places in arm.recovery.joints.values()] or [arms[0].places]
-        )
-        drawn = drawn[np.isfinite(drawn).all(axis=1)]
-        middle = np.median(drawn, axis=0)
-        radius = float(np.percentile(np.linalg.norm(drawn - middle, axis=1), 98))
-        there = R_W_K @ middle + max(radius, _NEAR_M / 1.45) * _EYE
-        eye = rrb.EyeControls3D(
-            kind=rrb.Eye3DKind.Orbital, position=there, look_target=R_W_K @ middle, eye_up=[0, 0, 1]
-        )
-    trail = rr.VisibleTimeRange(TIMELINE, start=boundary(seconds=-TRAIL_S), end=boundary())
-    return rrb.Spatial3DView(
-        origin="scene",
-        name="blue: seen, orange: recovered, dark red: not to be trusted, grey: the camera's",
-        overrides={f"scene/camera/{arm.name}/trail": rrb.VisibleTimeRanges(trail) for arm in arms},
-        eye_controls=eye,
     )
 
 
@@ -269,47 +241,29 @@ def write_rrd(
     force: bool = False,
 ) -> None:
     """Write all arms of a result into one file of Rerun."""
-    rr = rerun_module()
-    results = list(recoveries)
-    several = len(results) > 1
-    down = common_down(results, level_down)
-    R_W_K = np.eye(3) if down is None else world_axes(down)
+    rr, down = rerun_module(), common_down(recoveries, level_down)
+    # The same for the same recording: Rerun shows a file that was made anew in place of the older one.
+    text = "|".join(f"{each.name} {each.side} {each.origin_ns} {len(each)}" for each in recoveries)
+    identity = hashlib.sha256(text.encode()).hexdigest()[:32]
+    sides = [recovery.side or "arm" for recovery in recoveries]
     with writing(path, force) as temporary:
-        stream = rr.RecordingStream("unocclude", recording_id=_identity(results), send_properties=False)
-        arms = [
-            _Arm(
-                rr,
-                stream,
-                recovery,
-                name,
-                list(ARM_COLORS)[k % len(ARM_COLORS)],
-                name + " " if several else "",
-            )
-            for k, (recovery, name) in enumerate(zip(results, _names(results), strict=True))
-        ]
-        stream.save(str(temporary), default_blueprint=_views(rr, arms, R_W_K, upright=down is not None))
-        stream.send_recording_name(results[0].name)
-        upright = rr.ViewCoordinates.RIGHT_HAND_Z_UP
+        stream = rr.RecordingStream("unocclude", recording_id=identity, send_properties=False)
+        arms = []
+        for k, (recovery, side) in enumerate(zip(recoveries, sides, strict=True)):
+            name, color = side if sides.count(side) == 1 else f"{side}_{k + 1}", list(ARM_COLORS)
+            label = f"{name} " if len(sides) > 1 else ""
+            arms.append(_Arm(rr, stream, recovery, name, color[k % len(color)], label))
+        stream.save(str(temporary), default_blueprint=_views(rr, arms))
+        stream.send_recording_name(recoveries[0].name)
         if down is not None:
-            stream.log("scene", upright, static=True)
-        stream.log("scene/camera", rr.Transform3D(mat3x3=R_W_K), static=True)
-        stream.log("notes", rr.TextDocument(_notes(results), media_type="text/markdown"), static=True)
+            stream.log("scene", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
+        axes = np.eye(3) if down is None else world_axes(down)
+        stream.log("scene/camera", rr.Transform3D(mat3x3=axes), static=True)
+        stream.log("notes", rr.TextDocument(_notes(recoveries), media_type="text/markdown"), static=True)
         for arm in arms:
             arm.log()
         stream.flush()
         stream.disconnect()
-
-
-def _names(recoveries: Sequence[Recovery]) -> list[str]:
-    """Side of each arm, with a number where sides do not distinguish them."""
-    sides = [recovery.side or "arm" for recovery in recoveries]
-    return [side if sides.count(side) == 1 else f"{side}_{number + 1}" for number, side in enumerate(sides)]
-
-
-def _identity(recoveries: Sequence[Recovery]) -> str:
-    """The same for the same recording: Rerun shows a file that was made anew in place of the older one."""
-    text = "|".join(f"{each.name} {each.side} {each.origin_ns} {len(each)}" for each in recoveries)
-    return hashlib.sha256(text.encode()).hexdigest()[:32]
 
 
 def _notes(recoveries: Sequence[Recovery]) -> str:
@@ -321,7 +275,4 @@ def _notes(recoveries: Sequence[Recovery]) -> str:
         if (check := recovery.estimates.self_check) is not None:
             lines.append(check.sentence)
         lines += [f"- {note}" for note in recovery.notes]
-    lines.append("Blue: the camera saw the forearm. Orange: recovered. Grey: the camera's own joints.")
-    lines.append("Dark red: the answer is not to be trusted.")
-    lines.append("Ellipsoid: 2 sigma. Trail: 2 s.")
-    return "\n\n".join(line for line in lines if line)
+    return "\n\n".join(line for line in (*lines, _LEGEND) if line)

@@ -44,10 +44,6 @@ from .messages import ChunkMessages, Topic
 
 #: Messages that are encoded together; keeps memory flat however long the recording is.
 SLICE = 2048
-#: Messages of another file are written at the latest when they contain this many bytes.
-_HELD_BYTES = 1 << 23
-#: After all times.
-END = int(np.iinfo(np.int64).max)
 _CHUNK_BYTES = 1 << 20
 #: A chunk's index of a channel up to its entries: the channel, and the bytes of the entries.
 _INDEX = struct.Struct("<HI")
@@ -101,10 +97,8 @@ class Output:
         self._channels: dict[tuple[str, str, str], Channel] = {}
         self._schemas: dict[tuple[str, str, bytes], Schema] = {}
         self._latest: dict[int, int] = {}
-        self._foreign: Iterator[ChunkMessages] = iter(())
-        self._next_foreign: ChunkMessages | None = None
         self._counts: Counter[int] = Counter()
-        self._chunks, self._first_ns, self._last_ns = 0, END, 0
+        self._chunks, self._first_ns, self._last_ns = 0, np.iinfo(np.int64).max, 0
         self._chunk_indexes = RecordBuilder()  # 0.1 kB a chunk, so that a session may last a day
         self._metadata: list[MetadataIndex] = []
         self._attachments: list[AttachmentIndex] = []
@@ -173,50 +167,30 @@ class Output:
         self._put(_packed(self._channels[key]))
         return int(self._channels[key].id)
 
-    def interleave(self, chunks: Iterable[ChunkMessages]) -> None:
-        """Write these messages of another file between all that comes, about in the order of their times."""
-        self._foreign = iter(chunks)
-        self._next_foreign = next(self._foreign, None)
+    def copy(self, chunks: Iterable[ChunkMessages]) -> None:
+        """Write messages of another file, chunk by chunk."""
+        for chunk in chunks:
+            channels = np.zeros(len(chunk.topics), np.int64)
+            for position in np.unique(chunk.topic).tolist():
+                channels[position] = self._channel(chunk.topics[position])
+            columns = (channels[chunk.topic], chunk.sequence, chunk.log_ns, chunk.publish_ns)
+            self._write([_Part(np.stack(columns), chunk.chunk, chunk.start, chunk.stop - chunk.start)])
 
-    def write(self, outgoing: Sequence[OutputStream], until: int = END) -> None:
-        """Write streams by log time, and between them those of another file."""
+    def write(self, outgoing: Sequence[OutputStream]) -> None:
+        """Write streams by log time."""
         latest = dict(self._latest)
         for stream in outgoing:  # streams that go on where an earlier part of them ended
             if len(stream.time_ns):
                 stream.time_ns = np.maximum(stream.time_ns, latest.get(stream.channel, 0))
                 last = int(stream.time_ns[-1])
                 self._latest[stream.channel] = max(self._latest.get(stream.channel, 0), last)
-        for edge, parts in _slices(outgoing, until):
-            self._write(self._with_foreign(parts, edge))
+        for parts in _slices(outgoing):
+            self._write(parts)
 
     def flush(self) -> None:
         """Write all that was given so far, so that a reader of the unfinished file has it."""
         assert self._file is not None
         self._file.flush()
-
-    def _with_foreign(self, parts: list[_Part], edge: int) -> list[_Part]:
-        """Parts, and the messages of another file that come before an edge; some are written at once."""
-        held = 0
-        while self._next_foreign is not None:
-            chunk = self._next_foreign
-            late = chunk.log_ns >= edge
-            stop = int(np.argmax(late)) if late.any() and edge != END else len(late)
-            if stop:
-                early = chunk.select(slice(0, stop))
-                channels = np.zeros(len(early.topics), np.int64)
-                for position in np.unique(early.topic).tolist():
-                    channels[position] = self._channel(early.topics[position])
-                columns = (channels[early.topic], early.sequence, early.log_ns, early.publish_ns)
-                parts.append(_Part(np.stack(columns), early.chunk, early.start, early.stop - early.start))
-                held += int(parts[-1].size.sum())
-            if stop < len(chunk.log_ns):
-                self._next_foreign = chunk.select(slice(stop, None))
-                break
-            self._next_foreign = next(self._foreign, None)
-            if held > _HELD_BYTES:
-                self._write(parts)
-                parts, held = [], 0
-        return parts
 
     def _write(self, parts: list[_Part]) -> None:
         """Write messages by log time, those of one time as they came, in chunks of about a megabyte."""
@@ -325,19 +299,19 @@ def _packed(*records: Any) -> bytes:
     return builder.end()
 
 
-def _slices(outgoing: Sequence[OutputStream], until: int) -> Iterator[tuple[int, list[_Part]]]:
-    """Yield messages of all streams a batch at a time, and the log time that each ends before."""
+def _slices(outgoing: Sequence[OutputStream]) -> Iterator[list[_Part]]:
+    """Yield messages of all streams a batch at a time."""
     streams = [stream for stream in outgoing if len(stream.time_ns)]
     longest = max((stream.time_ns for stream in streams), key=len, default=np.empty(0, np.int64))
-    edges = [*longest[SLICE::SLICE].tolist(), until]
+    edges = [*longest[SLICE::SLICE].tolist(), None]
     starts = [0] * len(streams)
     for edge in edges:
         parts = []
         for i, stream in enumerate(streams):
-            stop = int(np.searchsorted(stream.time_ns, edge)) if edge != until else len(stream.time_ns)
+            stop = len(stream.time_ns) if edge is None else int(np.searchsorted(stream.time_ns, edge))
             # A stream may be far denser here than the longest is: encode it in parts all the same.
             for start in range(starts[i], stop, SLICE):
                 part = slice(start, min(start + SLICE, stop))
                 parts.append(_Part.of(stream.channel, stream.time_ns[part], stream.encode(part)))
             starts[i] = stop
-        yield edge, parts
+        yield parts

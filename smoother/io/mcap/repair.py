@@ -70,8 +70,7 @@ def repair_container(
                     REPAIRED, {"notes": json.dumps(notes), "missing": json.dumps(container.missing)}
                 )
             left_out = _carried_over(container, file)
-            file.interleave(by_time(rows, topics, payloads))
-            file.write([])
+            file.copy(by_time(rows, topics, payloads))
     return RepairReport(
         container.path.name, dict(+messages), container.missing, container.damage, container.notes, left_out
     )

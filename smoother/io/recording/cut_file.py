@@ -110,8 +110,7 @@ def _cut(
                 for name, values in _metadata(container, topics, rows, first, last):
                     output.metadata(name, values)
                 output.metadata(CUT, record)
-                output.interleave(by_time(mine, topics, payloads))
-                output.write([])
+                output.copy(by_time(mine, topics, payloads))
             counts = np.bincount(mine[:, 0], minlength=len(topics)).tolist()
             messages = {topic.name: count for topic, count in zip(topics, counts, strict=True) if count}
             about = {"name": part.name, "file": str(part.path), "from_s": part.from_s, "to_s": part.to_s}
