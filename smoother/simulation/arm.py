@@ -11,15 +11,15 @@ from scipy.interpolate import BSpline, make_interp_spline
 from scipy.spatial.transform import Rotation
 
 from ..array_types import BoolArray, FloatArray
+from ..body import SEGMENTS
 from ..calibration import ArmCalibration, Length, LeverArm, SegmentMounting
 from ..recording import Camera, CameraFrame, ImuStream, JointState, Recording, TrunkSensors, Truth
 from ..units import GRAVITY
-from .body import BodyMeasures, draw_measures
 from .camera import (
+    add_cameras,
     add_false_tracks,
     add_noise,
     add_outliers,
-    debounce,
     degrade_before_trunk,
     deliver,
     depth_free,
@@ -27,35 +27,42 @@ from .camera import (
     film,
     is_rgb,
     lose_forearm,
+    occlusions,
     photograph,
     random_gaps,
     with_pixels,
 )
 from .config import ArmSimulation, PointSimulation
-from .further_cameras import FilmedScene, add_cameras
 from .inertial import (
+    Pose,
     SegmentImuMotion,
+    SegmentMount,
     TrunkImuMotion,
     draw_hand_mount,
     draw_trunk_axes,
     draw_upper_mount,
     ideal_imu,
     measure,
-    measure_segment,
-    measure_trunk,
+    measure_worn,
 )
 from .motion import (
+    PAD_S,
     ArmMotion,
+    BodyMeasures,
     MotionModel,
+    Performance,
     Stage,
     TrunkTurn,
+    draw_measures,
     draw_stage,
     draw_wobble,
+    knot_times,
+    perform,
     tilt_rotation,
+    wander,
     wrist_angles,
 )
 from .people import mounted_anew, varied
-from .protocol import PAD_S, Performance, knot_times, perform, wander
 
 #: What the true calibration claims to be good to, m.
 LEVER_ARM_SIGMA_M = 0.002
@@ -147,43 +154,47 @@ def record_arm(
     wrist = wrist_angles(performance, config.wrist_deg, hand_rng)
     motion = ArmMotion(performance, measures, stage, wobble, config.side, turn, wrist)
 
-    ideal = ideal_imu(motion, performance.duration_s, config.imu_rate_hz, stage.gravity)
+    ideal = ideal_imu(motion.imu_pose, performance.duration_s, config.imu_rate_hz, stage.gravity)
     imu, parameters = measure(ideal, config, imu_rng)
-    motions, further, mountings = {}, {}, {}
+    motions: dict[str, SegmentImuMotion] = {}
+    further: dict[str, ImuStream] = {}
+    mountings: dict[str, SegmentMounting] = {}
+
+    def wear(
+        segment: str, bone: Pose, mount: SegmentMount, wobble: FloatArray, rng: np.random.Generator
+    ) -> None:
+        motions[segment] = SegmentImuMotion(bone, mount, performance.t_s, wobble)
+        further[segment], drawn = measure_worn(
+            f"/imu/{segment}_{config.side}",
+            SEGMENTS[segment].prefix,
+            motions[segment].imu_pose,
+            performance.duration_s,
+            stage.gravity,
+            config,
+            rng,
+        )
+        parameters.update(drawn)
+
     if "upper-arm" in config.imus:
         upper_wobble = draw_wobble(performance, config.upper_wobble_deg, upper_wobble_rng)
         mount = draw_upper_mount(measures, config.side, upper_rng)
-        motions["upper_arm"] = SegmentImuMotion(
-            motion, motion.upper_arm, mount, performance.t_s, upper_wobble
-        )
         joints = {"elbow": 0.0, "shoulder": -measures.upper_arm}
         mountings["upper_arm"] = SegmentMounting(given(mount.levers(joints)), R_bone=mount.R_U_B)
-        further["upper_arm"], upper_parameters = measure_segment(
-            "upper_arm", motions["upper_arm"], performance.duration_s, stage.gravity, config, upper_rng
-        )
-        parameters |= upper_parameters
+        wear("upper_arm", motion.upper_arm, mount, upper_wobble, upper_rng)
     if "hand" in config.imus:
         hand_wobble = draw_wobble(performance, 0.5 * config.wobble_deg, hand_rng)
         mount = draw_hand_mount(measures, config.side, hand_rng)
-        motions["hand"] = SegmentImuMotion(motion, motion.hand, mount, performance.t_s, hand_wobble)
         mountings["hand"] = SegmentMounting(given(mount.levers({"wrist": 0.0, "hand": measures.hand})))
-        further["hand"], hand_parameters = measure_segment(
-            "hand", motions["hand"], performance.duration_s, stage.gravity, config, hand_rng
-        )
-        parameters |= hand_parameters
+        wear("hand", motion.hand, mount, hand_wobble, hand_rng)
 
     times = exposures(performance.duration_s, config.frame_rate_hz, stamp_rng)
     strap = {"strap": motion.imu_pose(times)[1]} if config.strap else {}
     footage = film(times, motion.joints(times) | strap)
     true = footage.position.copy()
     parameters |= add_noise(footage, depth_free(config) if flat else config, noise_rng)
+    hidden = occlusions(motion, times, config, gap_rng)
     if config.protocol == "random" and not config.still_all:
-        hidden = random_gaps(
-            times, config.occlusion_lengths_s, config.occlusion_every_s, config.still_start_s, gap_rng
-        )
         hidden |= times >= performance.duration_s - config.end_gap_s
-    else:
-        hidden = debounce(motion.hidden(times), config.frame_rate_hz)
     before_belly = np.zeros(len(times), dtype=bool)
     for begin, end in performance.belly_s:
         before_belly |= (times >= begin) & (times < end) & ~hidden
@@ -201,8 +212,14 @@ def record_arm(
     trunk_motion, trunk = None, None
     if "trunk" in config.imus:
         trunk_motion = TrunkImuMotion(stage.R_K_T, stage.origin_K, turn, draw_trunk_axes(trunk_rng))
-        trunk_imu, trunk_parameters = measure_trunk(
-            trunk_motion, performance.duration_s, stage.gravity, config, trunk_rng
+        trunk_imu, trunk_parameters = measure_worn(
+            "/imu/trunk",
+            "trunk",
+            trunk_motion.imu_pose,
+            performance.duration_s,
+            stage.gravity,
+            config,
+            trunk_rng,
         )
         parameters |= trunk_parameters
         other = film(times, {"shoulder": motion.other_arm(times)["shoulder"]})
@@ -211,8 +228,7 @@ def record_arm(
 
     cameras: tuple[Camera, ...] = ()
     if config.cameras:
-        scene = FilmedScene(performance, measures, stage, wobble, turn, wrist)
-        cameras, of_cameras = add_cameras(config, scene, hidden, times, gap_rng.spawn(1)[0])
+        cameras, of_cameras = add_cameras(config, motion, hidden, times, gap_rng.spawn(1)[0])
         parameters["cameras"] = of_cameras
 
     on_forearm = ("elbow", "wrist") if "hand" in further else ("elbow", "wrist", "hand")
@@ -324,7 +340,7 @@ def simulate_point(config: PointSimulation | None = None, seed: int = 0) -> Simu
     tilt = tilt_rotation(config.tilt_deg, body_rng.uniform(-np.pi, np.pi), np.array([0.0, 0.0, 1.0]))
     gravity = tilt.apply([0.0, 0.0, -GRAVITY])
 
-    ideal = ideal_imu(motion, config.duration_s, config.imu_rate_hz, gravity)
+    ideal = ideal_imu(motion.imu_pose, config.duration_s, config.imu_rate_hz, gravity)
     imu, parameters = measure(ideal, config, imu_rng)
     times = exposures(config.duration_s, config.frame_rate_hz, stamp_rng)
     footage = film(times, motion.joints(times))

@@ -1,4 +1,4 @@
-"""What a camera's skeleton states of an arm: stamps, noise, occlusions, false tracks; pixels if no depth."""
+"""What cameras' skeletons state of an arm: stamps, noise, occlusions, false tracks; pixels if no depth."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from scipy.ndimage import binary_closing, binary_opening
 from scipy.signal import lfilter
+from scipy.spatial.transform import Rotation
 from scipy.special import gammainc
 
 from ..array_types import BoolArray, FloatArray
@@ -16,13 +17,15 @@ from ..recording import (
     FOCAL_CALIBRATED,
     FOREARM_JOINTS,
     JOINTS,
+    Camera,
     CameraFrame,
     CameraPose,
     JointState,
     JointTracks,
 )
-from ..rotation import Rotation
+from ..rotation import matrix_of
 from .config import ArmSimulation, SensorErrors
+from .motion import ArmMotion, Stage, perform, tilt_rotation
 
 
 @dataclass
@@ -139,6 +142,15 @@ def random_gaps(
     for a, b in zip(begin[inside], (begin + length)[inside], strict=True):
         hidden[(t_s >= a) & (t_s < b)] = True
     return hidden
+
+
+def occlusions(
+    motion: ArmMotion, t_s: FloatArray, config: ArmSimulation, rng: np.random.Generator
+) -> BoolArray:
+    """(F,) frames in which the forearm is hidden: at random, or by the body."""
+    if config.protocol != "random" or config.still_all:
+        return debounce(motion.hidden(t_s), config.frame_rate_hz)
+    return random_gaps(t_s, config.occlusion_lengths_s, config.occlusion_every_s, config.still_start_s, rng)
 
 
 def lose_forearm(
@@ -260,5 +272,107 @@ def with_pixels(tracks: JointTracks) -> JointTracks:
 def calibrated(R_K_C: FloatArray, p_K_C_m: FloatArray, rng: np.random.Generator) -> CameraPose:
     """A camera's place by a calibration, with its errors."""
     sigma_rad = float(np.radians(CALIBRATED_DEG))
-    turn = Rotation.from_rotvec(sigma_rad * rng.normal(size=3)).as_matrix()
+    turn = matrix_of(sigma_rad * rng.normal(size=3))
     return CameraPose(R_K_C @ turn, p_K_C_m + CALIBRATED_M * rng.normal(size=3), sigma_rad, CALIBRATED_M)
+
+
+#: A further camera's latency differs from the first one's by up to this, s.
+LATENCY_S = 0.010
+#: It is put up this far from the stated angle, degrees, and this much higher or lower, m (one sigma each).
+ANGLE_DEG, HEIGHT_M = 2.0, 0.15
+#: A camera that is knocked against: turned and pushed by this, degrees and m.
+KNOCK_DEG, KNOCK_M = 8.0, 0.15
+
+
+def stage_at(
+    stage: Stage, angle_deg: float, rng: np.random.Generator
+) -> tuple[Stage, FloatArray, FloatArray]:  # stage, R_K_C (3, 3), p_K_C_m (3,) m
+    """The person as seen by a camera placed elsewhere around them."""
+    up = -unit(stage.gravity)
+    about = Rotation.from_rotvec(np.radians(angle_deg + ANGLE_DEG * rng.normal()) * up)
+    tilt = tilt_rotation(rng.uniform(0, 5), rng.uniform(-np.pi, np.pi), up)
+    R = (about * tilt).as_matrix()
+    p = stage.origin_K + about.apply(-stage.origin_K) + HEIGHT_M * rng.normal() * up
+    return Stage(R.T @ stage.R_K_T, R.T @ (stage.origin_K - p)), R, p
+
+
+def add_cameras(
+    config: ArmSimulation,
+    motion: ArmMotion,
+    hidden: BoolArray,  # bool (F,)
+    hidden_t: FloatArray,  # (F,) s
+    rng: np.random.Generator,
+) -> tuple[tuple[Camera, ...], dict[str, Any]]:
+    """The further cameras of a simulation."""
+    cameras, parameters = [], {}
+    # in a part of the first camera's random occlusions no camera sees the forearm
+    blind = [
+        (float(hidden_t[gap.start]), float(hidden_t[gap.stop - 1]))
+        for gap in runs(hidden)
+        if rng.spawn(1)[0].uniform() < config.camera_blind
+    ]
+    for number, angle_deg in enumerate(config.cameras, start=2):
+        fault = config.camera_fault if number == len(config.cameras) + 1 else "none"
+        camera, drawn = _further(config, f"camera_{number}", number - 1, angle_deg, fault, motion, blind, rng)
+        cameras.append(camera)
+        parameters[camera.name] = drawn
+    return tuple(cameras), parameters
+
+
+def _further(
+    config: ArmSimulation,
+    name: str,
+    number: int,
+    angle_deg: float,
+    fault: str,
+    motion: ArmMotion,
+    blind: list[tuple[float, float]],
+    rng: np.random.Generator,
+) -> tuple[Camera, dict[str, Any]]:
+    place_rng, noise_rng, gap_rng, stamp_rng = rng.spawn(4)
+    own, first = motion, motion.stage
+    if fault == "other_person":
+        other = perform(config, place_rng.spawn(1)[0])
+        aside = first.R_K_T @ np.array([0.9, 0.0, 0.2])
+        own = replace(motion, performance=other, stage=replace(first, origin_K=first.origin_K + aside))
+    stage, R, p = stage_at(first, angle_deg, place_rng)
+    if fault == "other_person":
+        stage = replace(stage, origin_K=R.T @ (own.stage.origin_K - p))
+    own = replace(own, stage=stage)
+    duration_s = motion.performance.duration_s
+    times = exposures(duration_s, config.frame_rate_hz, stamp_rng)
+    footage = film(times, own.joints(times))
+    true = footage.position.copy()
+    flat = is_rgb(config, first=False)
+    drawn = add_noise(footage, depth_free(config) if flat else config, noise_rng)
+    hidden = occlusions(own, times, config, gap_rng)
+    if config.protocol == "random" and not config.still_all:
+        for begin, end in blind:
+            hidden |= (times >= begin) & (times <= end)
+    lose_forearm(footage, hidden, true, config, gap_rng)
+    add_outliers(footage, config, noise_rng)
+    if fault == "mirrored":
+        footage.position[:, :, 0] *= -1.0
+    elif fault == "moved":
+        later = times > 0.5 * duration_s
+        knock = Rotation.from_rotvec(np.radians(KNOCK_DEG) * unit(place_rng.normal(size=3)))
+        push = KNOCK_M * unit(place_rng.normal(size=3))
+        footage.position[later] = footage.position[later] @ knock.as_matrix().T + push
+    if flat:
+        photograph(footage, config, noise_rng)
+        R = R @ optical_from(config.camera_frame).T
+    latency_s = config.latency_s + place_rng.uniform(-LATENCY_S, LATENCY_S)
+    ahead_s = number * config.camera_clock_s
+    tracks, _ = deliver(footage, name, config.model_copy(update={"latency_s": latency_s}), stamp_rng)
+    tracks = replace(tracks, t_s=tracks.t_s + ahead_s + 1e-6 * config.camera_clock_ppm * tracks.t_s)
+    frame, pose = config.camera_frame, None
+    if flat:
+        tracks, frame = with_pixels(tracks), CameraFrame.OPTICAL
+        pose = calibrated(R, p, place_rng) if config.rgb == "all" else None
+    return Camera(name, tracks, frame, pose=pose), drawn | {
+        "R_K_C": R,
+        "p_K_C_m": p,
+        "offset_s": config.latency_s - latency_s - ahead_s,
+        "angle_deg": angle_deg,
+        "blind_s": [(float(times[run.start]), float(times[run.stop - 1])) for run in runs(hidden)],
+    }

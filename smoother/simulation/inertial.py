@@ -11,12 +11,12 @@ from scipy.interpolate import make_interp_spline
 from scipy.spatial.transform import Rotation
 
 from ..array_types import FloatArray
-from ..body import SEGMENTS
 from ..recording import ImuStream
-from .body import BodyMeasures
 from .config import ArmSimulation, SensorErrors
-from .motion import ArmMotion, MotionModel, TrunkTurn
+from .motion import BodyMeasures, TrunkTurn
 
+#: Orientations (N, 3, 3) from the IMU's axes and positions (N, 3) m at times (N,).
+Pose = Callable[[FloatArray], tuple[FloatArray, FloatArray]]
 #: At least this many points per second lie under every sample's average.
 FINE_RATE_HZ = 1000.0
 #: Samples worked on at a time, so that an hour fits in memory.
@@ -24,7 +24,7 @@ _CHUNK = 4000
 
 
 def ideal_imu(
-    motion: MotionModel,
+    imu_pose: Pose,
     duration_s: float,
     rate_hz: float,
     gravity: FloatArray,  # (3,) m/s^2
@@ -32,7 +32,7 @@ def ideal_imu(
     """Error-free samples: the mean over each sample's interval, stamped at its centre."""
     count = int(np.floor(duration_s * rate_hz))
     parts = [
-        _averages(motion, begin, min(_CHUNK, count - begin), rate_hz, gravity)
+        _averages(imu_pose, begin, min(_CHUNK, count - begin), rate_hz, gravity)
         for begin in range(0, count, _CHUNK)
     ]
     acc, gyro = (np.concatenate(part) for part in zip(*parts, strict=True))
@@ -40,13 +40,13 @@ def ideal_imu(
 
 
 def _averages(
-    motion: MotionModel, begin: int, count: int, rate_hz: float, gravity: FloatArray
+    imu_pose: Pose, begin: int, count: int, rate_hz: float, gravity: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """Mean specific force and angular velocity (count, 3) in {A} of samples from number `begin` on."""
     fine = 2 * int(np.ceil(FINE_RATE_HZ / rate_hz / 2))  # even, for Simpson's rule
     h = 1.0 / (rate_hz * fine)
     t_s = begin / rate_hz + h * np.arange(-2, count * fine + 3, dtype=np.float64)
-    R, p = motion.imu_pose(t_s)
+    R, p = imu_pose(t_s)
     acceleration = (-p[:-4] + 16 * p[1:-3] - 30 * p[2:-2] + 16 * p[3:-1] - p[4:]) / (12 * h * h)
     R_dot = (R[:-4] - 8 * R[1:-3] + 8 * R[3:-1] - R[4:]) / (12 * h)
     R_A_K = np.swapaxes(R[2:-2], 1, 2)
@@ -91,23 +91,8 @@ def measure(
     """The samples with the sensor's errors.
 
     The model is measured = matrix @ true + bias + noise, then saturation. A noise density d gives samples a
-    standard deviation of d * sqrt(rate).
-
-    Parameters
-    ----------
-    ideal : ImuStream
-        Samples without errors.
-    errors : SensorErrors
-        How large the errors are.
-    rng : Generator
-        Of the draws.
-
-    Returns
-    -------
-    imu : ImuStream
-    parameters : dict
-        What was drawn, by name: biases, their means (3,) and their course `..._bias_t` (N, 3), and matrices
-        (3, 3), SI units.
+    standard deviation of d * sqrt(rate). What was drawn is returned by name, SI units: biases, their means
+    (3,) and their course `..._bias_t` (N, 3), and matrices (3, 3).
     """
     samples, parameters = {}, {}
     for sensor, true in (("accelerometer", ideal.acc), ("gyroscope", ideal.gyro)):
@@ -166,13 +151,12 @@ class SegmentImuMotion:
 
     def __init__(
         self,
-        arm: ArmMotion,
-        bone: Callable[[FloatArray], tuple[FloatArray, FloatArray]],
+        bone: Pose,
         mount: SegmentMount,
         t_s: FloatArray,
         wobble: FloatArray,
     ) -> None:
-        self.arm, self.mount, self._bone = arm, mount, bone
+        self.mount, self._bone = mount, bone
         self._wobble = make_interp_spline(t_s, wobble, k=5)
 
     def imu_pose(self, t_s: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -184,28 +168,22 @@ class SegmentImuMotion:
         position = origin + np.einsum("nij,nj->ni", R_K_S, in_segment)
         return R_K_S @ tissue @ self.mount.axes, position
 
-    def joints(self, t_s: FloatArray) -> dict[str, FloatArray]:
-        """Positions (N, 3) by joint, m in {K}."""
-        return self.arm.joints(t_s)
 
-
-def measure_segment(
-    segment: str,
-    motion: SegmentImuMotion,
+def measure_worn(
+    name: str,
+    prefix: str,
+    imu_pose: Pose,
     duration_s: float,
     gravity: FloatArray,
     config: ArmSimulation,
     rng: np.random.Generator,
 ) -> tuple[ImuStream, dict[str, Any]]:
-    """The IMU's samples on its own clock, and what was drawn, by names that begin as `upper_imu_`."""
-    ideal = ideal_imu(motion, duration_s, config.imu_rate_hz, gravity)
-    measured, drawn = measure(ideal, config, rng)
-    of = SEGMENTS[segment].prefix
-    ahead_s, gains_ppm = (getattr(config, f"{of}_clock_{unit}") for unit in ("s", "ppm"))
+    """A further IMU's samples on its own clock, and what was drawn, by names that begin with the prefix."""
+    measured, drawn = measure(ideal_imu(imu_pose, duration_s, config.imu_rate_hz, gravity), config, rng)
+    ahead_s, gains_ppm = getattr(config, f"{prefix}_clock_s"), getattr(config, f"{prefix}_clock_ppm", 0.0)
+    parameters: dict[str, Any] = {f"{prefix}_imu_{key}": value for key, value in drawn.items()}
     t_s = ahead_s + (1.0 + 1e-6 * gains_ppm) * measured.t_s
-    parameters: dict[str, Any] = {f"{of}_imu_{name}": value for name, value in drawn.items()}
-    parameters[f"{of}_clock_s"] = ahead_s
-    return replace(measured, name=f"/imu/{segment}_{config.side}", t_s=t_s), parameters
+    return replace(measured, name=name, t_s=t_s), parameters | {f"{prefix}_clock_s": ahead_s}
 
 
 #: Where it sits, on the breastbone, m in {T}.
@@ -216,7 +194,7 @@ R_ISB_T = np.array([[0.0, 0.0, -1.0], [0.0, 1.0, 0.0], [1.0, 0.0, 0.0]])
 
 @dataclass(frozen=True)
 class TrunkImuMotion:
-    """The trunk with its IMU: a `MotionModel` without joints."""
+    """The trunk with its IMU."""
 
     R_K_T: FloatArray  # (3, 3): axes of the upright trunk to the camera's
     origin_K: FloatArray  # (3,) m: origin of {T} in {K}
@@ -237,27 +215,9 @@ class TrunkImuMotion:
         place = self.turn.moved(np.tile(BREASTBONE, (len(t_s), 1)), t_s)
         return self.R_K_T @ self.turn.at(t_s) @ self.axes, place @ self.R_K_T.T + self.origin_K
 
-    def joints(self, t_s: FloatArray) -> dict[str, FloatArray]:
-        """No joints."""
-        return {}
-
 
 def draw_trunk_axes(rng: np.random.Generator) -> FloatArray:
     """The IMU's orientation on the breastbone: turned at random, a little tilted, (3, 3) from {D} to {T}."""
     turn = Rotation.from_euler("z", rng.uniform(-180, 180), degrees=True)
     tilt = Rotation.from_rotvec(rng.normal(0, 12, 3), degrees=True)
     return np.asarray((tilt * turn).as_matrix())
-
-
-def measure_trunk(
-    motion: TrunkImuMotion,
-    duration_s: float,
-    gravity: FloatArray,
-    config: ArmSimulation,
-    rng: np.random.Generator,
-) -> tuple[ImuStream, dict[str, Any]]:
-    """The IMU's samples on its own clock, and what was drawn, by names that begin with `trunk_imu_`."""
-    measured, drawn = measure(ideal_imu(motion, duration_s, config.imu_rate_hz, gravity), config, rng)
-    parameters: dict[str, Any] = {f"trunk_imu_{name}": value for name, value in drawn.items()}
-    stream = ImuStream("/imu/trunk", measured.t_s + config.trunk_clock_s, measured.acc, measured.gyro)
-    return stream, parameters | {"trunk_clock_s": config.trunk_clock_s}

@@ -16,8 +16,7 @@ from ..array_types import BoolArray, FloatArray
 from ..linalg import unit
 from ..recording import CameraFrame
 from .arm import SimulatedArm
-from .motion import LEVEL_FROM_KINECT, ArmMotion
-from .protocol import PAD_S
+from .motion import LEVEL_FROM_KINECT, PAD_S, ArmMotion
 
 #: Markers of a joint: the mean of their positions is the joint's centre.
 JOINT_MARKERS = {

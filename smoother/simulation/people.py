@@ -18,12 +18,20 @@ from scipy.spatial.transform import Rotation
 from ..array_types import FloatArray
 from ..linalg import unit
 from ..recording import CameraFrame, ImuStream, JointTracks
-from .body import BodyMeasures, draw_measures
 from .camera import add_noise, add_outliers, debounce, deliver, exposures, film, lose_forearm
 from .config import ArmSimulation
-from .inertial import ideal_imu, measure
-from .motion import ArmMotion, Stage, draw_stage, draw_wobble
-from .protocol import band_noise, perform
+from .inertial import Pose, ideal_imu, measure
+from .motion import (
+    ArmMotion,
+    BodyMeasures,
+    Stage,
+    TrunkTurn,
+    band_noise,
+    draw_measures,
+    draw_stage,
+    draw_wobble,
+    perform,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -82,52 +90,34 @@ class SimulatedPeople:
         return {one.stream.name: (one.body, one.joint) for one in self.worn}
 
 
-class _UpperArmMount:
-    """An IMU on an upper arm, on soft tissue: a `MotionModel` made of the arm's joints and its flexion
-    axis.
-    """
+def _on_upper_arm(motion: ArmMotion, tissue_deg: float, rng: np.random.Generator) -> Pose:
+    """An IMU on an upper arm, on soft tissue, by the arm's joints and its flexion axis."""
+    along = rng.uniform(0.5, 0.8)
+    off = 0.045 * unit(rng.normal(size=3) * [1.0, 0.0, 1.0])
+    R_U_A = Rotation.from_quat(rng.normal(size=4)).as_matrix()
+    # soft tissue follows the motion: a few slow sines turn the sensor against the bone
+    rate = 2 * np.pi * rng.uniform(0.3, 1.5, (4, 3))
+    phase = rng.uniform(0, 2 * np.pi, (4, 3))
+    size = np.radians(tissue_deg) / np.sqrt(6.0)
 
-    def __init__(self, motion: ArmMotion, tissue_deg: float, rng: np.random.Generator) -> None:
-        self._motion = motion
-        self._along = rng.uniform(0.5, 0.8)
-        self._off = 0.045 * unit(rng.normal(size=3) * [1.0, 0.0, 1.0])
-        self._R_U_A = Rotation.from_quat(rng.normal(size=4)).as_matrix()
-        # soft tissue follows the motion: a few slow sines turn the sensor against the bone
-        self._rate = 2 * np.pi * rng.uniform(0.3, 1.5, (4, 3))
-        self._phase = rng.uniform(0, 2 * np.pi, (4, 3))
-        self._size = np.radians(tissue_deg) / np.sqrt(6.0)
-
-    def imu_pose(self, t_s: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """See `MotionModel.imu_pose`."""
-        joints = self._motion.joints(t_s)
+    def imu_pose(t_s: FloatArray) -> tuple[FloatArray, FloatArray]:
+        joints = motion.joints(t_s)
         shoulder, elbow = joints["shoulder"], joints["elbow"]
-        lateral, _ = self._motion.bone_axes(t_s)
+        lateral, _ = motion.bone_axes(t_s)
         down = unit(elbow - shoulder)
         front = unit(np.cross(down, lateral))
         R_K_U = np.stack([front, down, np.cross(front, down)], axis=2)
-        angle = t_s[:, None, None] * self._rate + self._phase
-        slip = Rotation.from_rotvec(self._size * np.sin(angle).sum(axis=1)).as_matrix()
-        position = shoulder + self._along * (elbow - shoulder) + R_K_U @ self._off
-        return R_K_U @ slip @ self._R_U_A, position
+        angle = t_s[:, None, None] * rate + phase
+        slip = Rotation.from_rotvec(size * np.sin(angle).sum(axis=1)).as_matrix()
+        return R_K_U @ slip @ R_U_A, shoulder + along * (elbow - shoulder) + R_K_U @ off
 
-    def joints(self, t_s: FloatArray) -> dict[str, FloatArray]:
-        """See `MotionModel.joints`."""
-        return self._motion.joints(t_s)
+    return imu_pose
 
 
-class _OnTable:
+def _on_table(rng: np.random.Generator) -> Pose:
     """An IMU at rest on the table."""
-
-    def __init__(self, rng: np.random.Generator) -> None:
-        self._R = Rotation.from_quat(rng.normal(size=4)).as_matrix()
-
-    def imu_pose(self, t_s: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """See `MotionModel.imu_pose`."""
-        return np.tile(self._R, (len(t_s), 1, 1)), np.tile([0.6, -0.4, 1.5], (len(t_s), 1))
-
-    def joints(self, t_s: FloatArray) -> dict[str, FloatArray]:
-        """No joints."""
-        return {}
+    R = Rotation.from_quat(rng.normal(size=4)).as_matrix()
+    return lambda t_s: (np.tile(R, (len(t_s), 1, 1)), np.tile([0.6, -0.4, 1.5], (len(t_s), 1)))
 
 
 def simulate_people(
@@ -198,7 +188,8 @@ def _motions(
                 sway=mirrored,
             )
             wobble = draw_wobble(performance, arm.wobble_deg, rng)
-            motions[body, side] = ArmMotion(performance, mounted_anew(measures, rng), place, wobble, side)
+            own_measures, still = mounted_anew(measures, rng), TrunkTurn(performance, 0.0, rng)
+            motions[body, side] = ArmMotion(performance, own_measures, place, wobble, side, still)
             durations.append(min(performance.duration_s, float(performance.t_s[-1]) - 0.4))
     return motions, min(durations), stage.gravity
 
@@ -238,11 +229,12 @@ def _worn(
     chosen = [places[k] for k in rng.choice(len(places), count, replace=False)]
     for place in [*chosen, *[None] * people.on_table]:
         offset = rng.uniform(-1, 1) * people.clocks_apart_s
-        model: ArmMotion | _UpperArmMount | _OnTable = _OnTable(rng)
+        imu_pose = _on_table(rng)
         if place is not None:
             motion = motions[place[:2]]
-            model = motion if place[2] == "wrist" else _UpperArmMount(motion, people.tissue_deg, rng)
-        ideal = ideal_imu(model, duration_s, arm.imu_rate_hz, gravity)
+            is_wrist = place[2] == "wrist"
+            imu_pose = motion.imu_pose if is_wrist else _on_upper_arm(motion, people.tissue_deg, rng)
+        ideal = ideal_imu(imu_pose, duration_s, arm.imu_rate_hz, gravity)
         stream, _ = measure(ideal, arm, imu_rng)
         joint = "none" if place is None else f"{place[2]}_{place[1]}"
         yield WornImu(

@@ -23,9 +23,16 @@ from calib.world import (
 )
 from smoother.errors import CalibrationError
 from smoother.recording import ImuStream
-from smoother.simulation.panel import PanelSimulation
-from smoother.simulation.panel.placing import facing, place_base, place_camera, place_imu, tilt_camera
-from smoother.simulation.panel.simulate import Held, imu_stream
+from smoother.simulation.panel import (
+    Held,
+    PanelSimulation,
+    facing,
+    imu_stream,
+    place_base,
+    place_camera,
+    place_imu,
+    tilt_camera,
+)
 
 SIGMA = np.radians(0.03)  # of the panel's rotation, an axis; the panel's own figure is 0.046 for all three
 

@@ -122,7 +122,7 @@ def test_flexion_without_epicondyles_is_the_angle_of_the_bones():
 
 def test_simulated_postures_come_back():
     """The simulation's own flexion and pronation, which its forearm is built from."""
-    from smoother.simulation.body import FLEXION, POSTURE_SIZE, PRONATION, arm_chain, draw_measures
+    from smoother.simulation.motion import FLEXION, POSTURE_SIZE, PRONATION, arm_chain, draw_measures
 
     rng = np.random.default_rng(5)
     posture = np.zeros((200, POSTURE_SIZE))

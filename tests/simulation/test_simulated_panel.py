@@ -17,9 +17,7 @@ from smoother.cli.run import run
 from smoother.io.mcap.container import Container
 from smoother.io.recording.read import open_recording
 from smoother.io.wire.schemas import message_class
-from smoother.simulation.panel import PanelSimulation, SimulatedPanel, simulate_panel
-from smoother.simulation.panel.placing import panel_corners
-from smoother.simulation.panel.simulate import FIELD_W
+from smoother.simulation.panel import FIELD_W, PanelSimulation, SimulatedPanel, panel_corners, simulate_panel
 
 
 def blob(infrared: np.ndarray, pixel: np.ndarray, reach: int = 7) -> np.ndarray:

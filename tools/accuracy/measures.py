@@ -55,9 +55,7 @@ from smoother.recording import Truth
 from smoother.result import Recovery
 from smoother.simulation import ArmSimulation, simulate_arm
 from smoother.simulation.arm import SimulatedArm, random_streams, record_arm
-from smoother.simulation.body import FLEXION, draw_measures
-from smoother.simulation.motion import draw_stage
-from smoother.simulation.protocol import perform
+from smoother.simulation.motion import FLEXION, draw_measures, draw_stage, perform
 from smoother.smoothing import smooth
 from tools.accuracy.check import DRAWS, PRESET, check, option, rms, seeds_option
 

@@ -153,7 +153,9 @@ def sensor_on_the_upper_arm(setup: Setup) -> Setup:
     """The IMU strapped above the elbow."""
     assert isinstance(setup.simulated.motion, ArmMotion)
     motion, config = OnUpperArm(setup.simulated.motion), setup.config
-    ideal = ideal_imu(motion, config.duration_s, config.imu_rate_hz, setup.simulated.parameters["gravity"])
+    ideal = ideal_imu(
+        motion.imu_pose, config.duration_s, config.imu_rate_hz, setup.simulated.parameters["gravity"]
+    )
     imu, _ = measure(ideal, config, setup.rng)
     return setup.with_recording(imu=imu, truth=true_motion(motion, imu.t_s))
 

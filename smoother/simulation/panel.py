@@ -1,0 +1,798 @@
+"""A marker panel before a depth camera: images, mocap markers, IMUs and the answer.
+
+What stands before the camera is triangles. Inside a surface a pixel is one ray. Where surfaces meet, and on
+markers, a pixel is the mean over a fine grid of rays: an infrared blob is then true to hundredths of a pixel,
+and a depth on a rim is a mixture, as a time-of-flight camera sees it (Kolb and Pece, Range Imaging, 2015).
+Real images are as a Kinect v2 makes them.
+"""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass, field, replace
+from functools import lru_cache
+from typing import Any, Literal, Self
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+from scipy.spatial.transform import Rotation
+
+from calib.intrinsics import Intrinsics
+
+from ..array_types import BoolArray, FloatArray
+from ..linalg import unit
+from ..recording import ImuStream
+from ..runtime.packages import load_open3d
+from ..units import GRAVITY
+from .config import SensorErrors
+from .inertial import ideal_imu, measure
+from .motion import band_noise, ramp
+
+Point = tuple[float, float]
+
+
+class PanelSimulation(BaseModel):
+    """A panel with retroreflective markers before a depth camera like a Kinect v2."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+    poses: int = Field(default=1, ge=1, le=200, description="panel poses")
+    markers: tuple[Point, ...] = Field(
+        default=((0.0, 0.0), (0.2, 0.0), (0.5, 0.0), (0.0, 0.35)),
+        min_length=3,
+        description="markers on the panel, m in {P}; the origin first",
+    )
+    extent: tuple[Point, Point] = Field(
+        default=((-0.05, -0.05), (0.55, 0.40)), description="corners of the panel, m in {P}"
+    )
+    extra_markers: tuple[Point, ...] = Field(
+        default=(), description="bright spots on the panel that its definition does not have, m in {P}"
+    )
+    hidden_markers: tuple[int, ...] = Field(default=(), description="markers that the camera cannot see")
+    marker_shape: Literal["disc", "sphere"] = "disc"
+    marker_height_m: float = Field(
+        default=0.0, ge=0, le=0.1, description="centre of a spherical marker above the panel, m"
+    )
+    marker_diameter_m: float = Field(default=0.016, gt=0.002, le=0.06, description="of a marker, m")
+
+    distance_m: Point = Field(default=(1.2, 1.9), description="panel's centre to camera, from and to, m")
+    tilt_deg: Point = Field(
+        default=(0.0, 25.0), description="panel's normal against the ray to the camera, from and to, degrees"
+    )
+    roll_deg: Point = Field(
+        default=(0.0, 360.0), description="panel's x axis in the image, from and to, degrees"
+    )
+    hand: bool = Field(default=True, description="a hand holds the panel, a person stands behind it")
+    distractors: int = Field(
+        default=0, ge=0, le=10, description="bright spots beside the panel in each image"
+    )
+
+    width: int = Field(default=512, ge=64, le=4096, description="of the images, pixels")
+    height: int = Field(default=424, ge=64, le=4096, description="of the images, pixels")
+    focal_px: float = Field(default=365.5, gt=50, description="focal length, pixels")
+    distortion: tuple[float, float, float, float, float] = Field(
+        default=(0.09, -0.27, 0.0006, -0.0004, 0.095), description="k1, k2, p1, p2, k3"
+    )
+    blur_px: float = Field(default=0.5, ge=0, le=3, description="sigma of the lens' blur, pixels")
+    marker_gain: float = Field(
+        default=2.5, gt=0, description="a marker's brightness at 1.5 m, in full scales of the infrared image"
+    )
+    infrared_noise: float = Field(default=0.02, ge=0, description="sigma, a fraction of the value")
+    depth_noise_m: float = Field(
+        default=0.0015, ge=0, description="sigma of a depth at 1.5 m, m; grows with distance and angle"
+    )
+    depth_offset_m: float = Field(default=0.0, description="added to every depth, m")
+    halo_m: float = Field(
+        default=0.01, ge=0, description="depth error beside a marker, m; fades within some pixels"
+    )
+    flying: float = Field(
+        default=0.3, ge=0, le=1, description="fraction of the pixels on rims that show a depth in between"
+    )
+    quantised: bool = Field(default=True, description="round depths to whole millimetres")
+    mocap_noise_m: float = Field(default=0.0002, ge=0, description="sigma of a mocap marker, m per axis")
+
+    hold_s: float = Field(default=2.0, ge=1, le=60, description="how long each pose is held, s")
+    move_s: float = Field(default=2.5, ge=1, le=60, description="from one pose to the next, s")
+    sway_deg: float = Field(default=0.05, ge=0, description="rms of the hand's sway in a hold, degrees")
+    camera_tilt_deg: float = Field(
+        default=0.0,
+        ge=0,
+        le=60,
+        description="the camera and its base IMU are tilted anew for each pose, up to",
+    )
+    imu_mounting_deg: float = Field(
+        default=3.0, ge=0, le=180, description="the panel's IMU sits off the panel's axes, degrees"
+    )
+    imu_rate_hz: float = Field(default=100.0, ge=20, le=1000, description="IMU samples per second")
+    accelerometer_noise: float = Field(default=0.002, ge=0, description="density, m/s^2/sqrt(Hz)")
+    gyroscope_noise: float = Field(default=0.0002, ge=0, description="density, rad/s/sqrt(Hz)")
+    accelerometer_bias: float = Field(default=0.02, ge=0, description="sigma of the bias, m/s^2 per axis")
+    gyroscope_bias: float = Field(default=0.005, ge=0, description="sigma of the bias, rad/s per axis")
+    imu_scale: float = Field(default=0.001, ge=0, description="sigma of each axis' scale error")
+    magnetometer: bool = Field(default=False, description="both IMUs have a magnetometer")
+    magnetometer_noise: float = Field(default=0.4, ge=0, description="sigma of a sample, uT per axis")
+    magnetometer_bias: float = Field(default=0.5, ge=0, description="sigma of what iron adds, uT per axis")
+
+    @classmethod
+    def ideal(cls, **changes: Any) -> Self:
+        """No error at all and no person in the picture: for tests of the geometry."""
+        ends = ("_noise", "_noise_m", "_bias", "halo_m", "flying", "sway_deg", "imu_scale")
+        none = {name: 0.0 for name in cls.model_fields if name.endswith(ends)}
+        return cls(**{**none, "hand": False, **changes})
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Self:
+        (x0, y0), (x1, y1) = self.extent
+        if x0 >= x1 or y0 >= y1:
+            raise ValueError("extent must go from the lower to the upper corner")
+        if not all(x0 <= x <= x1 and y0 <= y <= y1 for x, y in self.markers + self.extra_markers):
+            raise ValueError("a marker lies outside the panel's extent")
+        for name in ("distance_m", "tilt_deg", "roll_deg"):
+            low, high = getattr(self, name)
+            if low > high:
+                raise ValueError(f"{name} must go from the smaller to the larger value")
+        if self.distance_m[0] < 0.3 or self.distance_m[1] > 6:
+            raise ValueError("distance_m must lie within 0.3 and 6")
+        if self.tilt_deg[0] < 0 or self.tilt_deg[1] > 89:
+            raise ValueError("tilt_deg must lie within 0 and 89")
+        if any(not 0 <= index < len(self.markers) for index in self.hidden_markers):
+            raise ValueError("hidden_markers names a marker that is not there")
+        return self
+
+
+class RenderLens(Intrinsics):
+    """The lens of the depth and infrared camera; its distortion is computed here, without OpenCV."""
+
+    def to_toml(self) -> dict[str, Any]:
+        """Plain values under the names that `intrinsics.toml` has."""
+        return asdict(self) | {"distortion": list(self.distortion)}
+
+    def project(self, points_K: FloatArray) -> FloatArray:
+        """Pixels (N, 2) of points (N, 3) in {K} in front of the camera (Brown 1971, as in OpenCV)."""
+        x, y = (points_K[:, :2] / points_K[:, 2:]).T
+        k1, k2, p1, p2, k3 = self.distortion
+        r2 = x * x + y * y
+        radial = 1 + r2 * (k1 + r2 * (k2 + r2 * k3))
+        xd = x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x * x)
+        yd = y * radial + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y
+        return np.column_stack([self.fx * xd + self.cx, self.fy * yd + self.cy])
+
+    def all_rays(self) -> FloatArray:
+        """Directions (height, width, 2): x and y of the ray with z = 1 through every pixel's centre."""
+        return _rays(self)
+
+
+@lru_cache(maxsize=4)
+def _rays(lens: RenderLens) -> FloatArray:
+    """By Newton's method on the distortion; good to 1e-10."""
+    u, v = np.meshgrid(np.arange(lens.width, dtype=float), np.arange(lens.height, dtype=float))
+    target = np.column_stack([u.ravel(), v.ravel()])
+    ray = (target - [lens.cx, lens.cy]) / [lens.fx, lens.fy]
+    step = 1e-6
+    right, down = np.array([step, 0.0]), np.array([0.0, step])
+    for _ in range(20):
+        one = np.ones((len(ray), 1))
+        at = lens.project(np.hstack([ray, one]))
+        miss = target - at
+        if np.abs(miss).max() < 1e-9:
+            break
+        du = (lens.project(np.hstack([ray + right, one])) - at) / step
+        dv = (lens.project(np.hstack([ray + down, one])) - at) / step
+        jacobian = np.stack([du, dv], axis=2)
+        ray = ray + np.linalg.solve(jacobian, miss[:, :, None])[:, :, 0]
+    else:
+        raise ValueError("this distortion cannot be undone over the whole image; make it smaller")
+    rays = ray.reshape(lens.height, lens.width, 2)
+    rays.flags.writeable = False
+    return rays
+
+
+#: The whole panel is at least this far inside the image, pixels.
+MARGIN_PX = 6.0
+#: Height of the floor, the camera at 0, m.
+FLOOR_M = -1.1
+#: Tries before a range of poses is given up.
+_TRIES = 2000
+
+
+def panel_corners(config: PanelSimulation) -> FloatArray:
+    """Corners of the panel, (4, 3) m in {P}, around its rim."""
+    (x0, y0), (x1, y1) = config.extent
+    return np.array([[x0, y0, 0], [x1, y0, 0], [x1, y1, 0], [x0, y1, 0]])
+
+
+def place_panel(
+    config: PanelSimulation,
+    lens: RenderLens,
+    R_W_K: FloatArray,
+    rng: np.random.Generator,  # R_W_K (3, 3)
+) -> tuple[FloatArray, FloatArray]:  # R_K_P (3, 3), p_K_P (3,) m
+    """A pose of the panel above the floor in which the camera sees all of it."""
+    corners, rays = panel_corners(config), lens.all_rays()
+    middle = corners.mean(axis=0)
+    for _ in range(_TRIES):
+        distance, tilt, roll = (
+            rng.uniform(*r) for r in (config.distance_m, config.tilt_deg, config.roll_deg)
+        )
+        row, column = rng.integers(lens.height), rng.integers(lens.width)
+        ray = unit(np.append(rays[row, column], 1.0))
+        R_K_P = facing(ray, np.radians(tilt), rng.uniform(0, 2 * np.pi), np.radians(roll))
+        p_K_P = distance * ray - R_K_P @ middle
+        seen = corners @ R_K_P.T + p_K_P
+        if seen[:, 2].min() > 0.2 and (seen @ R_W_K[2]).min() > FLOOR_M + 0.05:
+            pixel = lens.project(seen)
+            if (pixel > MARGIN_PX).all() and (
+                pixel < np.array([lens.width, lens.height]) - 1 - MARGIN_PX
+            ).all():
+                return R_K_P, p_K_P
+    raise ValueError(
+        "the panel does not fit into the image at these distances and tilts; hold it farther away, or take a "
+        "smaller panel or a shorter focal length"
+    )
+
+
+def facing(ray: FloatArray, tilt: float, towards: float, roll: float) -> FloatArray:
+    """R_K_P of a panel on a ray (unit vector) whose z axis is `tilt` off the way back to the camera."""
+    right = unit(np.cross(ray, [0.0, -1.0, 0.0]))
+    down = np.cross(ray, right)
+    facing_back = np.column_stack([right, -down, -ray])  # z to the camera, x right, y up in the image
+    axis = np.array([np.cos(towards), np.sin(towards), 0.0])
+    tilted = Rotation.from_matrix(facing_back) * Rotation.from_rotvec(tilt * axis)
+    return np.asarray((tilted * Rotation.from_euler("z", roll)).as_matrix())
+
+
+def place_camera(rng: np.random.Generator) -> FloatArray:
+    """R_W_K (3, 3) of a camera on a tripod: any heading, some degrees off level. {W}: z up."""
+    level = np.array([[1.0, 0, 0], [0, 0, 1.0], [0, -1.0, 0]])  # optical axes: z forward is y of {W}
+    heading = Rotation.from_euler("z", rng.uniform(0, 2 * np.pi))
+    off = Rotation.from_rotvec(np.radians([rng.uniform(-12, 3), 0, 0]))  # about K's x: looks down
+    lean = Rotation.from_rotvec(np.radians([0, 0, rng.normal(0, 1.5)]))
+    return np.asarray((heading * Rotation.from_matrix(level) * off * lean).as_matrix())
+
+
+def tilt_camera(R_W_K: FloatArray, most_deg: float, rng: np.random.Generator) -> FloatArray:
+    """R_W_K after a turn of the tripod's head: by up to `most_deg` about each of the camera's axes."""
+    turn = Rotation.from_rotvec(np.radians(rng.uniform(-most_deg, most_deg, 3)))
+    return np.asarray(R_W_K @ turn.as_matrix())
+
+
+def place_base(rng: np.random.Generator) -> FloatArray:
+    """R_K_B (3, 3) of an IMU on top of the camera: any side up, some degrees off."""
+    side = Rotation.create_group("O")[int(rng.integers(24))]
+    off = Rotation.from_rotvec(np.radians(rng.normal(0, 3, 3)))
+    return np.asarray((off * side).as_matrix())
+
+
+def place_imu(off_deg: float, rng: np.random.Generator) -> FloatArray:
+    """R_P_I (3, 3) of an IMU that was lined up with the panel by eye: off by `off_deg` about some axis."""
+    axis = unit(rng.normal(size=3))
+    return np.asarray(Rotation.from_rotvec(np.radians(off_deg) * axis).as_matrix())
+
+
+def place_mocap(R_W_K: FloatArray, rng: np.random.Generator) -> tuple[FloatArray, FloatArray]:
+    """R_K_E (3, 3) and the mocap's origin in {K} (3,), m: on the floor, z up to a degree, any heading."""
+    R_W_E = Rotation.from_rotvec(np.radians([rng.normal(0, 0.5), rng.normal(0, 0.5), 0]))
+    R_W_E = Rotation.from_euler("z", rng.uniform(0, 2 * np.pi)) * R_W_E
+    p_W = R_W_K @ np.array([rng.uniform(-1, 1), 0, rng.uniform(1, 3)])
+    p_W[2] = FLOOR_M
+    return R_W_K.T @ R_W_E.as_matrix(), R_W_K.T @ p_W
+
+
+_ALBEDO = {"board": 0.55, "marker": 0.0, "hand": 0.7, "clothes": 0.35, "wall": 0.5, "floor": 0.3}
+_BOARD_M = 0.006  # thickness
+_WALL_M = 3.2
+#: A hand keeps this far from every marker, m.
+_HAND_FROM_MARKER_M = 0.09
+
+
+@dataclass(frozen=True)
+class Hits:
+    """What rays met."""
+
+    z: FloatArray  # (N,) m: depth along the optical axis; inf where there is nothing
+    surface: NDArray[np.int64]  # (N,): number of the mesh; -1 where there is nothing
+    cosine: FloatArray  # (N,): between the surface's normal and the ray
+    albedo: FloatArray  # (N,): diffuse reflectance
+    marker: BoolArray  # (N,): True on a retroreflector
+
+
+@dataclass
+class PanelScene:
+    """A panel in a room, to cast rays at from the camera's centre."""
+
+    config: PanelSimulation
+    R_K_P: FloatArray
+    p_K_P: FloatArray
+    _caster: Any = None
+    _kinds: list[str] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        self._caster = load_open3d().t.geometry.RaycastingScene()
+
+    def add(self, kind: str, mesh: Any) -> None:
+        """Add a mesh in {K}; `kind` is a key of the table of reflectances."""
+        vertices = np.asarray(mesh.vertices, np.float32)
+        self._caster.add_triangles(vertices, np.asarray(mesh.triangles, np.uint32))
+        self._kinds.append(kind)
+
+    def cast(self, rays: FloatArray) -> Hits:
+        """Cast rays (N, 2), x and y where z is 1, and return what they meet."""
+        directions = np.ones((len(rays), 6), np.float32)
+        directions[:, :3] = 0.0
+        directions[:, 3:5] = rays
+        answer = self._caster.cast_rays(load_open3d().core.Tensor(directions))
+        z = answer["t_hit"].numpy().astype(float)
+        surface = answer["geometry_ids"].numpy().astype(np.int64)
+        nothing = ~np.isfinite(z)
+        surface[nothing] = -1
+        normal = answer["primitive_normals"].numpy().astype(float)
+        along = directions[:, 3:].astype(float)
+        cosine = np.abs((normal * along).sum(axis=1)) / np.linalg.norm(along, axis=1)
+        albedo = np.array([*(_ALBEDO[kind] for kind in self._kinds), 0.0])[surface]
+        marker = np.array([*(kind == "marker" for kind in self._kinds), False])[surface]
+        board = surface == self._kinds.index("board")
+        marker[board] |= self._on_a_disc(rays[board], z[board])
+        return Hits(z, surface, cosine, albedo, marker)
+
+    def _on_a_disc(self, rays: FloatArray, z: FloatArray) -> BoolArray:
+        """Which hits on the board are on a flat marker: exact circles, not triangles."""
+        discs = _shown(self.config) if self.config.marker_shape == "disc" else []
+        spots = [*(self.config.markers[i] for i in discs), *self.config.extra_markers]
+        on_board = (np.column_stack([rays * z[:, None], z]) - self.p_K_P) @ self.R_K_P
+        on_a_disc = np.zeros(len(z), bool)
+        for spot in spots:
+            away = on_board[:, :2] - spot
+            on_a_disc |= (away**2).sum(axis=1) <= (self.config.marker_diameter_m / 2) ** 2
+        return on_a_disc & (np.abs(on_board[:, 2]) < 1e-4)
+
+
+def build_scene(
+    config: PanelSimulation,
+    R_K_P: FloatArray,
+    p_K_P: FloatArray,
+    R_K_W: FloatArray,
+    rng: np.random.Generator,
+) -> PanelScene:
+    """The panel, who holds it, and the room; without distractors."""
+    scene = PanelScene(config, R_K_P, p_K_P)
+    scene.add("board", _in_camera(scene, _board(config)))
+    if config.marker_shape == "sphere":
+        for index in _shown(config):
+            ball = _sphere(
+                config.marker_diameter_m / 2, np.append(config.markers[index], config.marker_height_m), 40
+            )
+            scene.add("marker", _in_camera(scene, ball))
+    scene.add("floor", _plane(R_K_W @ [0, 0, 1.0], R_K_W @ [0, 0, FLOOR_M]))
+    towards = R_K_W.T @ [0, 0, 1.0]
+    wall = R_K_W @ np.array([towards[0], towards[1], 0.0])
+    scene.add("wall", _plane(-unit(wall), np.array([0, 0, _WALL_M])))
+    if config.hand:
+        _add_person(scene, R_K_W, rng)
+    return scene
+
+
+def add_distractor(scene: PanelScene, ray: FloatArray, z: float) -> None:
+    """A small retroreflective ball on a ray (2,) at depth z, m; it looks as large and bright as a marker."""
+    scene.add("marker", _sphere(0.006 * max(z, 1.2), np.append(ray, 1.0) * z, 12))
+
+
+def _shown(config: PanelSimulation) -> list[int]:
+    return [i for i in range(len(config.markers)) if i not in config.hidden_markers]
+
+
+def _board(config: PanelSimulation) -> Any:
+    """A flat box whose front face is the plane z = 0 of {P}."""
+    x0, y0, _ = panel_corners(config)[0]
+    x1, y1, _ = panel_corners(config)[2]
+    box = load_open3d().geometry.TriangleMesh.create_box(x1 - x0, y1 - y0, _BOARD_M)
+    return box.translate([x0, y0, -_BOARD_M])
+
+
+def _add_person(scene: PanelScene, R_K_W: FloatArray, rng: np.random.Generator) -> None:
+    """A hand on the rim, away from the markers; its arm, and a body behind the panel."""
+    rim, inward = _grip(scene.config, rng)
+    side = np.cross([0, 0, 1.0], inward)
+    for step in (-1.5, -0.5, 0.5, 1.5):
+        base = rim + 0.018 * step * side + [0, 0, 0.009]
+        scene.add("hand", _in_camera(scene, _rod(base - 0.03 * inward, base + 0.045 * inward, 0.008)))
+    palm = rim - 0.045 * inward - [0, 0, 0.01]
+    scene.add("hand", _in_camera(scene, _sphere(0.04, palm, 16)))
+    elbow = palm - 0.25 * inward - [0, 0, 0.15]
+    scene.add("clothes", _in_camera(scene, _rod(palm, elbow, 0.035)))
+    # The body stands upright behind the panel.
+    corners = panel_corners(scene.config) @ scene.R_K_P.T + scene.p_K_P
+    middle, up = corners.mean(axis=0), R_K_W @ [0, 0, 1.0]
+    back = unit(middle - up * (up @ middle))
+    chest = middle + back * (((corners - middle) @ back).max() + 0.17 + rng.uniform(0.08, 0.25))
+    scene.add("clothes", _rod(chest - 0.9 * up, chest + 0.25 * up, 0.17))
+    scene.add("hand", _sphere(0.11, chest + 0.42 * up, 20))
+
+
+def _grip(config: PanelSimulation, rng: np.random.Generator) -> tuple[FloatArray, FloatArray]:
+    """A point on the rim far enough from the markers, and the way inwards; both (3,) in {P}."""
+    corners = panel_corners(config)
+    spots = np.array([*config.markers, *config.extra_markers])
+    best, farthest = (corners[2], np.array([-1.0, 0, 0])), -1.0
+    for _ in range(50):
+        i = rng.integers(4)
+        edge = corners[(i + 1) % 4] - corners[i]
+        rim = corners[i] + rng.uniform(0.15, 0.85) * edge
+        inward = np.cross([0, 0, 1.0], unit(edge))
+        away = np.linalg.norm(spots - (rim + 0.02 * inward)[:2], axis=1).min()
+        if away > farthest:
+            best, farthest = (rim, inward), away
+        if away > _HAND_FROM_MARKER_M:
+            break
+    return best
+
+
+def _in_camera(scene: PanelScene, mesh: Any) -> Any:
+    """A mesh in {P} brought to {K}."""
+    T_K_P = np.eye(4)
+    T_K_P[:3, :3], T_K_P[:3, 3] = scene.R_K_P, scene.p_K_P
+    return mesh.transform(T_K_P)
+
+
+def _sphere(radius: float, centre: FloatArray, resolution: int) -> Any:
+    return load_open3d().geometry.TriangleMesh.create_sphere(radius, resolution).translate(centre)
+
+
+def _rod(start: FloatArray, stop: FloatArray, radius: float) -> Any:
+    """A cylinder with round ends."""
+    o3d = load_open3d()
+    along = stop - start
+    length = float(np.linalg.norm(along))
+    z = along / length
+    x = unit(np.cross(z, [1.0, 0, 0] if abs(z[0]) < 0.7 else [0, 1.0, 0]))
+    T = np.eye(4)
+    T[:3, :3], T[:3, 3] = np.column_stack([x, np.cross(z, x), z]), (start + stop) / 2
+    rod = o3d.geometry.TriangleMesh.create_cylinder(radius, length, resolution=24, split=1).transform(T)
+    return rod + _sphere(radius, start, 10) + _sphere(radius, stop, 10)
+
+
+def _plane(normal: FloatArray, through: FloatArray, size: float = 30.0) -> Any:
+    """Two triangles, wide enough to fill every image."""
+    o3d = load_open3d()
+    x = unit(np.cross(normal, [1.0, 0, 0] if abs(normal[0]) < 0.7 else [0, 1.0, 0]))
+    y = np.cross(normal, x)
+    corners = np.array([through + size * (a * x + b * y) for a, b in ((-1, -1), (1, -1), (1, 1), (-1, 1))])
+    return o3d.geometry.TriangleMesh(
+        o3d.utility.Vector3dVector(corners), o3d.utility.Vector3iVector([[0, 1, 2], [0, 2, 3]])
+    )
+
+
+#: Rays per axis in a pixel where surfaces meet.
+FINE = 10
+#: A white surface at 1.5 m shows this fraction of the infrared image's full scale.
+_DIFFUSE = 0.1
+_REFERENCE_M = 1.5
+
+
+@dataclass(frozen=True)
+class IdealImages:
+    """What a perfect sensor would measure; all of shape (height, width)."""
+
+    z: FloatArray  # m: depth; inf where nothing reflects
+    spread: FloatArray  # m: standard deviation of the depths that meet in a pixel
+    infrared: FloatArray  # In full scales of the sensor; beyond 1 where it saturates
+    cosine: FloatArray  # Between normal and ray
+    marker: FloatArray  # Share of the pixel that a marker fills
+
+
+def render(scene: PanelScene, lens: RenderLens) -> IdealImages:
+    """Cast a ray through every pixel, and many through those where surfaces meet."""
+    rays = lens.all_rays()
+    hits = scene.cast(rays.reshape(-1, 2))
+    z, infrared = hits.z.copy(), _shade(scene, rays.reshape(-1, 2), hits)
+    spread, marker = np.zeros(len(z)), hits.marker.astype(float)
+    mixed = np.flatnonzero(_mixed(scene, lens, hits))
+    inside = _fine_rays(rays, mixed)
+    fine = scene.cast(inside.reshape(-1, 2))
+    bright = _shade(scene, inside.reshape(-1, 2), fine).reshape(len(mixed), -1)
+    infrared[mixed] = bright.mean(axis=1)
+    marker[mixed] = fine.marker.reshape(len(mixed), -1).mean(axis=1)
+    # What is brighter counts for more in the mixture; a marker's own glare is held down by the sensor.
+    weight = np.minimum(bright, 1.0) + 1e-9
+    depth = np.minimum(fine.z, 50.0).reshape(len(mixed), -1)
+    mean = (weight * depth).sum(axis=1) / weight.sum(axis=1)
+    z[mixed] = np.where(mean < 49, mean, np.inf)
+    spread[mixed] = np.sqrt((weight * (depth - mean[:, None]) ** 2).sum(axis=1) / weight.sum(axis=1))
+    shape = (lens.height, lens.width)
+    return IdealImages(*(part.reshape(shape) for part in (z, spread, infrared, hits.cosine, marker)))
+
+
+def _shade(scene: PanelScene, rays: FloatArray, hits: Hits) -> FloatArray:
+    """Infrared brightness (N,) in full scales; the lamp sits at the camera."""
+    secant2 = 1 + (rays**2).sum(axis=1)
+    fading = (_REFERENCE_M / np.where(np.isfinite(hits.z), hits.z, np.inf)) ** 2 / secant2
+    vignette = 1 / secant2
+    diffuse = _DIFFUSE * hits.albedo * hits.cosine
+    return fading * vignette * np.where(hits.marker, scene.config.marker_gain, diffuse)
+
+
+def _mixed(scene: PanelScene, lens: RenderLens, hits: Hits) -> BoolArray:
+    """Pixels (N,) that may hold more than one surface, or an edge of a marker."""
+    import cv2
+
+    shape = (lens.height, lens.width)
+    kinds = hits.surface.reshape(shape).astype(np.float32) + 1
+    around = np.ones((3, 3), np.uint8)
+    edges = cv2.dilate(kinds, around) != cv2.erode(kinds, around)
+    size = scene.config.marker_diameter_m
+    spots = np.array([*scene.config.markers, *scene.config.extra_markers])
+    centres = np.column_stack([spots, np.zeros(len(spots))]) @ scene.R_K_P.T + scene.p_K_P
+    near = hits.marker.reshape(shape).astype(np.uint8)
+    for (u, v), z in zip(lens.project(centres), centres[:, 2], strict=True):
+        reach = int(np.ceil(0.6 * size * max(lens.fx, lens.fy) / z)) + 2
+        row, column = round(v), round(u)
+        near[max(row - reach, 0) : row + reach + 1, max(column - reach, 0) : column + reach + 1] = 1
+    return np.asarray((edges | (cv2.dilate(near, around) > 0)).ravel())
+
+
+def _fine_rays(rays: FloatArray, pixels: np.ndarray) -> FloatArray:
+    """Rays (n, FINE^2, 2) on a grid in each pixel, by the first derivatives of the lens' rays."""
+    width = rays.shape[1]
+    row, column = np.divmod(pixels, width)
+    by_row, by_column = np.gradient(rays, axis=0), np.gradient(rays, axis=1)
+    offset = (np.arange(FINE) + 0.5) / FINE - 0.5
+    v, u = (grid.ravel()[None, :, None] for grid in np.meshgrid(offset, offset, indexing="ij"))
+    centre = rays[row, column][:, None, :]
+    return np.asarray(centre + v * by_row[row, column][:, None, :] + u * by_column[row, column][:, None, :])
+
+
+FULL_SCALE = 65535
+#: Depths are had from here to there, m.
+RANGE_M = (0.4, 4.5)
+#: Depths farther apart than this in one pixel make it a rim, m.
+_RIM_M = 0.008
+_FADES_PX = 1.5  # of the depth error beside a marker
+_DARK = 0.0008  # noise of a dark pixel, full scales
+
+
+def infrared_image(
+    ideal: IdealImages, config: PanelSimulation, rng: np.random.Generator
+) -> NDArray[np.uint16]:
+    """The infrared image: blurred by the lens, clipped at full scale."""
+    light = _blurred(ideal.infrared, config.blur_px)
+    noise = rng.normal(size=light.shape)
+    if config.infrared_noise > 0:
+        light = light + noise * (config.infrared_noise * np.minimum(light, 1.0) + _DARK)
+    return np.rint(np.clip(light, 0, 1) * FULL_SCALE).astype(np.uint16)
+
+
+def depth_image(
+    ideal: IdealImages, config: PanelSimulation, rng: np.random.Generator
+) -> NDArray[np.uint16] | FloatArray:
+    """The depth image, mm, 0 where there is none (float where the simulation does not quantise)."""
+    noise, luck = rng.normal(size=ideal.z.shape), rng.random(ideal.z.shape)
+    seen = np.isfinite(ideal.z)
+    z = np.where(seen, ideal.z, 0.0)
+    sigma = config.depth_noise_m * (z / _REFERENCE_M) ** 2 / np.maximum(ideal.cosine, 0.15)
+    rim = ideal.spread > _RIM_M
+    valid = seen & ~(rim & (luck > config.flying))
+    glare = _blurred(ideal.infrared, config.blur_px)
+    no_depth, beside = _around_markers(glare, ideal.marker)
+    if config.halo_m > 0:
+        z = z + config.halo_m * beside
+        no_depth |= (beside > 0.6) & (luck < 0.5)
+    z = z + sigma * noise + config.depth_offset_m
+    valid &= ~no_depth & (z > RANGE_M[0]) & (z < RANGE_M[1])
+    millimetres = np.where(valid, z * 1000, 0.0)
+    return np.rint(millimetres).astype(np.uint16) if config.quantised else millimetres
+
+
+def _around_markers(glare: FloatArray, marker: FloatArray) -> tuple[NDArray[np.bool_], FloatArray]:
+    """Pixels without depth, and how near (1 to 0) the others are to a marker."""
+    import cv2
+
+    no_depth = (glare >= 1.0) | (marker > 0.02)
+    away = cv2.distanceTransform((~no_depth).astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
+    return no_depth, np.where(no_depth, 0.0, np.exp(-(away - 1.0) / _FADES_PX))
+
+
+def _blurred(image: FloatArray, sigma_px: float) -> FloatArray:
+    import cv2
+
+    return np.asarray(cv2.GaussianBlur(image, (0, 0), sigma_px)) if sigma_px > 0 else image
+
+
+#: The earth's field in {W}, uT: 60 degrees below the horizon, x to the north.
+FIELD_W = np.array([24.0, 0.0, -41.6])
+_SWAY_HZ = (0.5, 3.0)
+_SWAY_M_A_DEG = 0.005  # a hand that sways by a degree also moves by this
+
+
+@dataclass(frozen=True)
+class Held:
+    """A body that is held in one pose after the other, and sways a little."""
+
+    R_W: FloatArray  # (n, 3, 3): orientation in each pose, body to world
+    p_W: FloatArray  # (n, 3) m
+    hold_s: float  # Time in a pose, and from one to the next
+    move_s: float  # Time in a pose, and from one to the next
+    sway_deg: float = 0.0  # Rms of the sway
+    seed: int = 0  # Of the sway
+
+    def middle_s(self) -> FloatArray:
+        """Times (n,) in the middle of the holds."""
+        return (np.arange(len(self.R_W)) + 0.5) * self.hold_s + np.arange(len(self.R_W)) * self.move_s
+
+    @property
+    def duration_s(self) -> float:
+        """From the start of the first hold to the end of the last."""
+        return len(self.R_W) * self.hold_s + (len(self.R_W) - 1) * self.move_s
+
+    def imu_pose(self, t_s: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Orientation (N, 3, 3) and position (N, 3) m in {W}: minimum jerk between the poses."""
+        poses = Rotation.from_matrix(self.R_W)
+        step = (poses[:-1].inv() * poses[1:]).as_rotvec()
+        R = np.tile(self.R_W[0], (len(t_s), 1, 1))
+        p = np.tile(self.p_W[0], (len(t_s), 1))
+        for i, begin in enumerate(self.middle_s()[:-1] + self.hold_s / 2):
+            now = t_s >= begin
+            share = ramp(t_s[now], begin, self.move_s)[:, None]
+            R[now] = (poses[i] * Rotation.from_rotvec(share * step[i])).as_matrix()
+            p[now] = self.p_W[i] + share * (self.p_W[i + 1] - self.p_W[i])
+        if self.sway_deg > 0:
+            sway = self.sway_deg * band_noise(t_s, *_SWAY_HZ, 6, np.random.default_rng(self.seed))
+            R = R @ Rotation.from_rotvec(np.radians(sway[:, :3]) / np.sqrt(3)).as_matrix()
+            p = p + _SWAY_M_A_DEG * sway[:, 3:]
+        return R, p
+
+
+def imu_stream(
+    name: str, body: Held, R_body_imu: FloatArray, config: PanelSimulation, rng: np.random.Generator
+) -> ImuStream:
+    """Samples of an IMU on a body, in the IMU's axes, over the whole session."""
+    on_body = replace(body, R_W=body.R_W @ R_body_imu)
+    ideal = ideal_imu(on_body.imu_pose, body.duration_s, config.imu_rate_hz, np.array([0, 0, -GRAVITY]))
+    errors = SensorErrors.preset(
+        "clean",
+        imu_rate_hz=config.imu_rate_hz,
+        accelerometer_noise=config.accelerometer_noise,
+        gyroscope_noise=config.gyroscope_noise,
+        accelerometer_bias=config.accelerometer_bias,
+        gyroscope_bias=config.gyroscope_bias,
+        imu_scale=config.imu_scale,
+    )
+    stream, _ = measure(ideal, errors, rng)
+    mag = None
+    if config.magnetometer:
+        R, _ = on_body.imu_pose(ideal.t_s)
+        mag = np.einsum("nji,j->ni", R, FIELD_W) + config.magnetometer_bias * rng.normal(size=3)
+        mag = mag + config.magnetometer_noise * rng.normal(size=mag.shape)
+    return ImuStream(name, stream.t_s, stream.acc, stream.gyro, mag)
+
+
+#: A distractor stays at least this far from the panel's outline, pixels.
+_DISTRACTOR_FROM_PANEL_PX = 15.0
+
+
+@dataclass(frozen=True)
+class PanelPose:
+    """What camera and mocap see of the panel in one pose, and where it truly is."""
+
+    t_s: float  # Time of the images, in the middle of the hold; the clock is the IMUs'
+    # (height, width) mm: Along the optical axis, 0 = none (float where not quantised)
+    depth: NDArray[np.uint16] | FloatArray
+    infrared: NDArray[np.uint16]  # (height, width)
+    marker_names: tuple[str, ...]  # Of the mocap markers, in the order they come in
+    markers: FloatArray  # (n, 3) m: in {E}, with the mocap's noise, shuffled
+    marker_order: NDArray[np.int64]  # (n,): which marker of the panel's definition each of them is
+    R_K_P: FloatArray  # (3, 3) and (3,) m: the panel in the camera
+    p_K_P: FloatArray  # (3, 3) and (3,) m: the panel in the camera
+    # (n, 2) pixels: Exact pixels of the markers' centres, in the order of the definition
+    marker_pixels: FloatArray
+    R_W_K: FloatArray  # (3, 3): the camera in the world, z up
+
+
+@dataclass(frozen=True)
+class SimulatedPanel:
+    """Poses of one panel before one camera, and the answer."""
+
+    config: PanelSimulation
+    seed: int
+    lens: RenderLens  # The camera's intrinsics
+    poses: tuple[PanelPose, ...]
+    imu_panel: ImuStream  # The IMU on the panel and the one on the camera, over the whole session
+    imu_base: ImuStream  # The IMU on the panel and the one on the camera, over the whole session
+    R_K_E: FloatArray  # (3, 3) and (3,) m: the answer of `calibrate panel`, camera from mocap
+    t_K_E: FloatArray  # (3, 3) and (3,) m: the answer of `calibrate panel`, camera from mocap
+    R_K_B: FloatArray  # (3, 3): the answer of `calibrate world`: camera from base IMU, panel from its IMU
+    R_P_I: FloatArray  # (3, 3): the answer of `calibrate world`: camera from base IMU, panel from its IMU
+
+
+def simulate_panel(config: PanelSimulation, seed: int = 0) -> SimulatedPanel:
+    """Hold a panel before a depth camera, in as many poses as the settings say."""
+    streams = np.random.SeedSequence(seed).spawn(config.poses + 2)
+    rng = np.random.default_rng(streams[0])
+    lens = make_lens(config)
+    R_W_K = place_camera(rng)
+    R_K_E, t_K_E = place_mocap(R_W_K, rng)
+    mocap_W = (R_W_K @ R_K_E, R_W_K @ t_K_E)
+    poses = []
+    for number, stream in enumerate(streams[1:-1]):
+        own = np.random.default_rng(stream)
+        tilted = tilt_camera(R_W_K, config.camera_tilt_deg, own) if number else R_W_K
+        poses.append(_pose(config, lens, number, tilted, mocap_W, own))
+    rng = np.random.default_rng(streams[-1])
+    R_K_B, R_P_I = place_base(rng), place_imu(config.imu_mounting_deg, rng)
+    panel, camera = _bodies(config, poses, seed)
+    imu_panel = imu_stream("panel", panel, R_P_I, config, rng)
+    imu_base = imu_stream("base", camera, R_K_B, config, rng)
+    return SimulatedPanel(config, seed, lens, tuple(poses), imu_panel, imu_base, R_K_E, t_K_E, R_K_B, R_P_I)
+
+
+def make_lens(config: PanelSimulation) -> RenderLens:
+    """The camera's intrinsics: the principal point lies some pixels off the middle."""
+    return RenderLens(
+        config.width,
+        config.height,
+        fx=config.focal_px,
+        fy=config.focal_px * 1.0008,
+        cx=config.width / 2 + 2.3,
+        cy=config.height / 2 - 4.1,
+        distortion=config.distortion,
+    )
+
+
+def marker_points(config: PanelSimulation) -> FloatArray:
+    """Centres of the markers (n, 3), m in {P}."""
+    height = config.marker_height_m if config.marker_shape == "sphere" else 0.0
+    return np.column_stack([config.markers, np.full(len(config.markers), height)])
+
+
+def _pose(
+    config: PanelSimulation,
+    lens: RenderLens,
+    number: int,
+    R_W_K: FloatArray,
+    mocap_W: tuple[FloatArray, FloatArray],
+    rng: np.random.Generator,
+) -> PanelPose:
+    R_K_P, p_K_P = place_panel(config, lens, R_W_K, rng)
+    scene = build_scene(config, R_K_P, p_K_P, R_W_K.T, rng)
+    _distract(scene, lens, config.distractors, rng)
+    ideal = render(scene, lens)
+    infrared = infrared_image(ideal, config, rng)
+    depth = depth_image(ideal, config, rng)
+    true_K = marker_points(config) @ R_K_P.T + p_K_P
+    order = rng.permutation(len(true_K))
+    noise = config.mocap_noise_m * rng.normal(size=true_K.shape)
+    R_W_E, t_W_E = mocap_W
+    markers = ((true_K @ R_W_K.T - t_W_E) @ R_W_E + noise)[order]
+    names = tuple(f"M{number:02d}" for number in rng.permutation(np.arange(1, 1 + len(true_K))))
+    t_s = (number + 0.5) * config.hold_s + number * config.move_s
+    pixels = lens.project(true_K)
+    return PanelPose(t_s, depth, infrared, names, markers, order, R_K_P, p_K_P, pixels, R_W_K)
+
+
+def _bodies(config: PanelSimulation, poses: list[PanelPose], seed: int) -> tuple[Held, Held]:
+    """The panel (a point near its middle) and the camera, from pose to pose."""
+    R_W_K = np.array([pose.R_W_K for pose in poses])
+    R_K_P = np.array([pose.R_K_P for pose in poses])
+    middle = panel_corners(config).mean(axis=0) + np.array([0.05, 0.03, -0.01])
+    p_K = np.array([pose.R_K_P @ middle + pose.p_K_P for pose in poses])
+    p_W = np.einsum("nij,nj->ni", R_W_K, p_K)
+    times = (config.hold_s, config.move_s)
+    panel = Held(R_W_K @ R_K_P, p_W, *times, config.sway_deg, seed)
+    return panel, Held(R_W_K, np.zeros((len(poses), 3)), *times)
+
+
+def _distract(scene: PanelScene, lens: RenderLens, count: int, rng: np.random.Generator) -> None:
+    """Put bright balls beside the panel, wherever there is room in the image."""
+    import cv2
+
+    outline = lens.project(panel_corners(scene.config) @ scene.R_K_P.T + scene.p_K_P).astype(np.float32)
+    rays = lens.all_rays()
+    placed = 0
+    for _ in range(1000 * bool(count)):
+        row, column = rng.integers(10, lens.height - 10), rng.integers(10, lens.width - 10)
+        if cv2.pointPolygonTest(outline, (float(column), float(row)), True) > -_DISTRACTOR_FROM_PANEL_PX:
+            continue
+        z = float(scene.cast(rays[row, column][None]).z[0])
+        if np.isfinite(z):
+            add_distractor(scene, rays[row, column], rng.uniform(1.0, min(z - 0.05, 2.0)))
+            placed += 1
+        if placed == count:
+            return
