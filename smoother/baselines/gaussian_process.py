@@ -59,12 +59,8 @@ class Posterior:
 def _to_measurements(
     kernel: Kernel, at: FloatArray, rows: tuple[tuple[float, float], ...], data: Measurements
 ) -> FloatArray:
-    return np.hstack(
-        [
-            mapped_covariance(kernel, at, rows, data.frame_t, VALUE),
-            mapped_covariance(kernel, at, rows, data.acc_t, SECOND) * STEP_S**-2,
-        ]
-    )
+    positions = mapped_covariance(kernel, at, rows, data.frame_t, VALUE)
+    return np.hstack([positions, mapped_covariance(kernel, at, rows, data.acc_t, SECOND) * STEP_S**-2])
 
 
 def predict(
@@ -118,7 +114,8 @@ def gaussian_process(scene: Scene, kernel: Kernel | None = None) -> Path:
     for start_s, end_s in pairwise(borders(scene)):
         rows = np.flatnonzero((scene.t >= start_s) & (scene.t <= end_s))
         near = data.between(start_s - MARGIN_S, end_s + MARGIN_S)
-        level = near.position.mean(axis=0) if len(near.frame_t) else _nearest(data, 0.5 * (start_s + end_s))
+        nearest = data.position[np.argmin(np.abs(data.frame_t - 0.5 * (start_s + end_s)))]
+        level = near.position.mean(axis=0) if len(near.frame_t) else nearest
         near = replace(near, position=near.position - level)
         posterior, t = Posterior(kernel, near), scene.t[rows]
         position[rows], velocity[rows] = level + posterior.position(t), posterior.velocity(t)
@@ -143,10 +140,6 @@ def _averaged(t: FloatArray, values: FloatArray, size: int) -> tuple[FloatArray,
         t[: count * size].reshape(count, size).mean(axis=1),
         values[: count * size].reshape(count, size, -1).mean(axis=1),
     )
-
-
-def _nearest(data: Measurements, time_s: float) -> FloatArray:
-    return np.asarray(data.position[int(np.argmin(np.abs(data.frame_t - time_s)))])
 
 
 def borders(scene: Scene) -> list[float]:

@@ -101,7 +101,8 @@ def kalman(scene: Scene) -> Path:
         return no_answer(scene)
     position = np.full((len(scene.t), 3), np.nan)
     velocity, covariance = position.copy(), np.full((len(scene.t), 3, 3), np.nan)
-    acceleration = low_pass_acceleration(scene)
+    force = low_pass(scene.imu.acc, scene.imu.rate_hz, ACCELEROMETER_HZ)
+    acceleration = np.einsum("nij,nj->ni", scene.R_K_A, force) + scene.gravity  # (5-9)
     camera = camera_at_samples(scene.t, frame_t, point)
     sigma_m, sigma_acc = deviations_at_rest(camera, acceleration, scene.point_sigma_m)
     sigma_acc = np.hypot(sigma_acc, scene.attitude_sigma_rad * np.linalg.norm(scene.gravity))
@@ -110,12 +111,6 @@ def kalman(scene: Scene) -> Path:
     position[first:], velocity[first:] = filtered.mean[..., 0, 0], filtered.mean[..., 1, 0]
     covariance[first:] = np.einsum("na,ab->nab", filtered.covariance[..., 0, 0], np.eye(3))
     return Path(position, velocity, covariance)
-
-
-def low_pass_acceleration(scene: Scene) -> FloatArray:
-    """Acceleration (n, 3) m/s^2 in {K} from the low-passed accelerometer (5-9, in the scene's frames)."""
-    force = low_pass(scene.imu.acc, scene.imu.rate_hz, ACCELEROMETER_HZ)
-    return np.einsum("nij,nj->ni", scene.R_K_A, force) + scene.gravity
 
 
 def low_pass(values: FloatArray, rate_hz: float, cutoff_hz: float) -> FloatArray:

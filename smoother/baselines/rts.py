@@ -27,7 +27,7 @@ from ..window.prepare import states_from_camera
 from ..window.problem import States
 from ..window.solution import SegmentSolution
 from ..window.trajectory import at_times
-from .kalman import Chain, FilterEstimates, rts_smoother
+from .kalman import Chain, rts_smoother
 from .scene import Path, Scene, no_answer
 
 #: Rows of the error state.
@@ -174,13 +174,6 @@ def process_noise(
     return Q
 
 
-def at_samples(states: InertialTrajectory, signal: InertialSignal, t: FloatArray) -> States:
-    """Pose and velocity at times (k,) s between the nodes, by the IMU (`window.trajectory.at_times`)."""
-    at_nodes = States(states.R, states.p, states.v)
-    motion = SegmentSolution(FOREARM.name, states.t, at_nodes, states.bias, states.gravity)
-    return at_times(motion, signal, t)
-
-
 #: Rounds end when no node moved more than this, m, and at the latest after this many.
 SETTLED_M = 0.0005
 MOST_ROUNDS = 6
@@ -227,7 +220,16 @@ def rts(scene: Scene) -> Path:
             camera = with_noise_of(camera, states, scene)
         elif np.abs(error.mean[:, P, 0]).max() < SETTLED_M:
             break
-    return _path(scene, states, signal, error)
+    answered = States(states.R, states.p, states.v)
+    solution = SegmentSolution(FOREARM.name, states.t, answered, states.bias, states.gravity)
+    answer = at_times(solution, signal, scene.t)
+    return Path(
+        position=answer.p,
+        velocity=answer.v,
+        covariance=interpolate(states.t, error.covariance[:, P, P], scene.t),
+        R_K_A=answer.R,
+        attitude_covariance=interpolate(states.t, error.covariance[:, TURN, TURN], scene.t),
+    )
 
 
 def start(scene: Scene, levers: dict[str, FloatArray]) -> tuple[InertialTrajectory, CameraAtNodes]:
@@ -379,15 +381,3 @@ def _measured(states: InertialTrajectory, camera: CameraAtNodes) -> tuple[FloatA
         share = np.minimum(np.gradient(states.t) / RANGE_EVERY_S, 1.0)
         add(H, (camera.upper_arm_m - length)[:, None], share / camera.upper_arm_sigma_m**2)
     return information, vector
-
-
-def _path(scene: Scene, states: InertialTrajectory, signal: InertialSignal, error: FilterEstimates) -> Path:
-    """The answer at the IMU's samples."""
-    answer = at_samples(states, signal, scene.t)
-    return Path(
-        position=answer.p,
-        velocity=answer.v,
-        covariance=interpolate(states.t, error.covariance[:, P, P], scene.t),
-        R_K_A=answer.R,
-        attitude_covariance=interpolate(states.t, error.covariance[:, TURN, TURN], scene.t),
-    )

@@ -161,18 +161,22 @@ def scenes_of(recording: Recording, graph: Recovery, orientation: str = "vqf") -
 def _scene(recording: Recording, graph: Recovery, orientation: str, samples: slice, rows: slice) -> Scene:
     """One segment; the filter goes from pause to pause, the scene has the rows with an answer."""
     assert graph.residuals is not None
-    calibration = graph.calibration or ArmCalibration(side=recording.side)
-    whole = _unbiased(recording.imu.select(samples), calibration)
-    inside = slice(rows.start - samples.start, rows.stop - samples.start)
-    imu = whole.select(inside)
+    calibration, arm = graph.calibration or ArmCalibration(side=recording.side), recording.arm
+    whole = recording.imu.select(samples)
+    acc_bias, gyro_bias = (
+        np.zeros(3) if bias is None else bias
+        for bias in (calibration.accelerometer_bias, calibration.gyroscope_bias)
+    )
+    whole = replace(whole, t_s=dejitter(whole.t_s), acc=whole.acc - acc_bias, gyro=whole.gyro - gyro_bias)
+    imu = whole.select(slice(rows.start - samples.start, rows.stop - samples.start))
     frames = (graph.arm.t_s >= imu.t_s[0]) & (graph.arm.t_s <= imu.t_s[-1])
     frame_t, used = graph.arm.t_s[frames], graph.residuals.used[frames]
-    camera_joints = np.where(
-        (recording.arm.state[frames] != JointState.NOT_TRACKED)[:, :, None],
-        recording.arm.position[frames],
-        np.nan,
-    )
-    joints = np.where(used[:, :, None], camera_joints - _joint_bias(graph), np.nan)
+    stated = arm.state[frames] != JointState.NOT_TRACKED
+    camera_joints = np.where(stated[:, :, None], arm.position[frames], np.nan)
+    # the camera's constant errors, that the lever arms go with
+    errors = graph.estimates.joint_bias_m or {}
+    joint_bias = np.array([errors.get(joint, np.zeros(3)) for joint in JOINTS])
+    joints = np.where(used[:, :, None], camera_joints - joint_bias, np.nan)
     segment = _segment(recording, graph, whole, orientation, frame_t, joints, used)
     alignment = _aligned(segment, calibration, graph.gravity_direction)
     R_K_A = (alignment.at(imu.t_s) * segment.attitude.at(imu.t_s)).as_matrix()
@@ -196,24 +200,6 @@ def _scene(recording: Recording, graph: Recovery, orientation: str, samples: sli
         point_effective_sigma_m=_point_sigma(graph.estimates.camera_effective_sigma_m, used),
         rows=rows,
     )
-
-
-def _unbiased(imu: ImuStream, calibration: ArmCalibration) -> ImuStream:
-    """The samples on dejittered times, minus the calibration's biases."""
-    acc, gyro = imu.acc, imu.gyro
-    if calibration.accelerometer_bias is not None:
-        acc = acc - calibration.accelerometer_bias
-    if calibration.gyroscope_bias is not None:
-        gyro = gyro - calibration.gyroscope_bias
-    return replace(imu, t_s=dejitter(imu.t_s), acc=acc, gyro=gyro)
-
-
-def _joint_bias(graph: Recovery) -> FloatArray:
-    """The camera's constant errors (5, 3) m in {K} that the lever arms go with."""
-    bias = np.zeros((len(JOINTS), 3))
-    for joint, value in (graph.estimates.joint_bias_m or {}).items():
-        bias[JOINTS.index(joint)] = value
-    return bias
 
 
 def _segment(

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import chdtr
 
-from ..array_types import FloatArray, IntArray
+from ..array_types import FloatArray
 from ..recording import JOINTS
 from ..result import Recovery
 from .metrics import squared_sigmas
@@ -72,7 +72,8 @@ def camera_residuals(recovery: Recovery) -> dict[str, StatedAndActual]:
         if spread is None:
             continue
         column = JOINTS.index(joint)
-        used = _evenly(np.flatnonzero(residuals.used[:, column]), MOST)
+        used = np.flatnonzero(residuals.used[:, column])
+        used = used[np.linspace(0, len(used) - 1, min(len(used), MOST)).round().astype(int)]
         off = np.array(bias.get(joint, np.zeros(3)))
         nearest = np.clip(np.searchsorted(recovery.t_s, residuals.t_s[used]), 0, len(recovery) - 1)
         own = spread[nearest]
@@ -82,8 +83,3 @@ def camera_residuals(recovery: Recovery) -> dict[str, StatedAndActual]:
         covariance = own * (1.0 - shared / variance)[:, None, None] + float(sigma_m) ** 2 * np.eye(3)
         by_joint[joint] = stated_and_actual(residuals.residual[:, column][used] - off, covariance)
     return {joint: each for joint, each in by_joint.items() if len(each.squared)}
-
-
-def _evenly(index: IntArray, most: int) -> IntArray:
-    """At most this many of some rows."""
-    return index if len(index) <= most else index[np.linspace(0, len(index) - 1, most).round().astype(int)]

@@ -269,15 +269,15 @@ def _growth(rows: Sequence[GapRow], turning: FloatArray) -> float | None:
     if good.sum() < FEWEST_GAPS:
         return None
     length = np.array([row.length_s for row in rows])[good]
-    design = np.column_stack(
-        [np.log(turning[good]), *[(length == each).astype(float) for each in np.unique(length)]]
+    own = np.unique(length, return_inverse=True)[1]
+    x, y = (
+        each - (np.bincount(own, each) / np.bincount(own))[own]
+        for each in (np.log(turning[good]), np.log(error[good]))
     )
-    solution, *_ = np.linalg.lstsq(design, np.log(error[good]), rcond=None)
-    left = np.log(error[good]) - design @ solution
-    variance = left @ left / max(len(left) - design.shape[1], 1)
-    sigma = float(np.sqrt(variance * np.linalg.pinv(design.T @ design)[0, 0]))
-    power = float(solution[0])
-    return min(power, STEEPEST) if power > FIRM_SIGMAS * sigma else None
+    power = float(x @ y / (x @ x)) if x @ x > 0 else 0.0
+    left = y - power * x
+    variance = left @ left / max(len(left) - own.max() - 2, 1)
+    return min(power, STEEPEST) if power > FIRM_SIGMAS * np.sqrt(variance / max(x @ x, 1e-300)) else None
 
 
 #: Borders of the times, s; a gap's last part may be shorter.

@@ -110,53 +110,47 @@ WITHIN_M = 0.02
 
 @dataclass(frozen=True)
 class TriedGaps:
-    """How uncertain hidden gaps are by their length."""
+    """How uncertain hidden gaps are."""
 
-    length_s: tuple[float, ...]  # Of the gaps that could be hidden
-    sigma_m: tuple[float, ...]  # Theirs
+    sigma_m: dict[float, float]  # By length, s, of the gaps that could be hidden
     not_determined: tuple[str, ...] = ()  # What the motion left open
 
     @property
-    def longest_s(self) -> float:
-        """Gaps up to about this are within `WITHIN_M`; 0 where none is, nan where none could be hidden."""
-        if not self.length_s:
-            return float("nan")
-        sigma = np.maximum.accumulate(self.sigma_m)
+    def longest_s(self) -> float | None:
+        """Gaps up to about this are within `WITHIN_M`; 0 where none is, None where none could be hidden."""
+        if not self.sigma_m:
+            return None
+        lengths, sigma = list(self.sigma_m), np.maximum.accumulate(list(self.sigma_m.values()))
         if sigma[0] > WITHIN_M:
             return 0.0
         if sigma[-1] <= WITHIN_M:
-            return self.length_s[-1]
-        return float(np.exp(np.interp(np.log(WITHIN_M), np.log(sigma), np.log(self.length_s))))
-
-    @property
-    def sentence(self) -> str:
-        """What is allowed, and what is not determined."""
-        return "; ".join(self.sentences)
+            return lengths[-1]
+        return float(np.exp(np.interp(np.log(WITHIN_M), np.log(sigma), np.log(lengths))))
 
     @property
     def sentences(self) -> tuple[str, ...]:
         """What is allowed, then what is not determined, one each."""
-        within = f"within {100 * WITHIN_M:.0f} cm"
-        longest_s = self.longest_s
-        if np.isnan(longest_s):
-            allowed = "the forearm was never visible for long enough to try a gap"
-        elif longest_s == 0.0:
-            shortest = f"{self.length_s[0]:g} s are known to {100 * self.sigma_m[0]:.0f} cm"
-            allowed = f"no gap is recovered {within}; gaps of {shortest}"
+        within, longest_s = f"within {100 * WITHIN_M:.0f} cm", self.longest_s
+        if longest_s is None:
+            return "the forearm was never visible for long enough to try a gap", *self.not_determined
+        if longest_s == 0.0:
+            length_s, sigma_m = next(iter(self.sigma_m.items()))
+            allowed = (
+                f"no gap is recovered {within}; gaps of {length_s:g} s are known to {100 * sigma_m:.0f} cm"
+            )
         else:
-            up_to = "at least" if longest_s == self.length_s[-1] else "about"
+            up_to = "at least" if longest_s == max(self.sigma_m) else "about"
             allowed = f"gaps up to {up_to} {longest_s:.2g} s are recovered {within}"
         return (allowed, *self.not_determined)
 
     def to_dict(self) -> dict[str, object]:
         """Plain values by name."""
         return {
-            "sentence": self.sentence,
-            "longest_gap_s": None if np.isnan(self.longest_s) else self.longest_s,
+            "sentence": "; ".join(self.sentences),
+            "longest_gap_s": self.longest_s,
             "within_m": WITHIN_M,
             "gaps": [
-                {"length_s": length_s, "sigma_m": sigma_m}
-                for length_s, sigma_m in zip(self.length_s, self.sigma_m, strict=True)
+                {"length_s": length_s, "sigma_m": sigma_m} for length_s, sigma_m in self.sigma_m.items()
             ],
             "not_determined": list(self.not_determined),
         }
@@ -170,22 +164,20 @@ def try_gaps(
     processes: int = 1,
 ) -> TriedGaps:
     """Hide visible seconds and see how uncertain they become."""
-    methods = {"graph": recover}
     try:
         table = evaluate_gaps(
-            recording, LENGTHS_S, methods, gaps_per_run=GAPS, progress=progress, processes=processes
+            *(recording, LENGTHS_S, {"graph": recover}),
+            gaps_per_run=GAPS,
+            progress=progress,
+            processes=processes,
         )
     except RecordingError:  # never visible for long enough
         table = GapTable(())
-    sigmas = {length_s: _sigma_m(table, length_s) for length_s in table.lengths}
-    known = {length_s: sigma_m for length_s, sigma_m in sigmas.items() if np.isfinite(sigma_m)}
-    return TriedGaps(tuple(known), tuple(known.values()), tuple(not_determined))
-
-
-def _sigma_m(table: GapTable, length_s: float) -> float:
-    """Median over the gaps of a length, widened where errors exceed what is stated; nan without any."""
-    own = [row.errors.sigma_max_m for row in table.rows if row.length_s == length_s]
-    sigmas = [sigma_m for sigma_m in own if sigma_m is not None]
-    nees = table.lengths[length_s]["graph"].figures.nees
-    widened = float(np.sqrt(max(nees, 1.0))) if nees is not None and np.isfinite(nees) else 1.0
-    return widened * float(np.median(sigmas)) if sigmas else float("nan")
+    sigmas = {}
+    for length_s, methods in table.lengths.items():
+        own = [row.errors.sigma_max_m for row in table.rows if row.length_s == length_s]
+        stated = [sigma_m for sigma_m in own if sigma_m is not None]
+        if stated:  # widened where errors exceed what is stated
+            nees = methods["graph"].figures.nees
+            sigmas[length_s] = float(np.median(stated) * np.sqrt(np.fmax(nees or 1.0, 1.0)))
+    return TriedGaps(sigmas, tuple(not_determined))

@@ -63,15 +63,10 @@ def visible_runs(recording: Recording) -> list[tuple[float, float]]:
     pauses = np.flatnonzero(np.diff(imu) > max(IMU_PAUSE_S, 5.0 / recording.imu.rate_hz))
     barred = [(float(imu[i]) - CLOCK_S, float(imu[i + 1]) + CLOCK_S) for i in pauses]
     barred += [(-np.inf, float(imu[0])), (float(imu[-1]), np.inf)]
-    for start, end in barred:
-        runs = [rest for run in runs for rest in _without(run, start, end)]
+    for first, last in barred:
+        parts = [part for start, end in runs for part in ((start, min(end, first)), (max(start, last), end))]
+        runs = [(start, end) for start, end in parts if end > start]
     return runs
-
-
-def _without(run: tuple[float, float], start: float, end: float) -> list[tuple[float, float]]:
-    """A run less the interval (start, end)."""
-    before, after = (run[0], min(run[1], start)), (max(run[0], end), run[1])
-    return [rest for rest in (before, after) if rest[1] > rest[0]]
 
 
 def place_gaps(
@@ -84,30 +79,21 @@ def place_gaps(
 ) -> list[HiddenGap]:
     """Draw gaps of one length at random."""
     runs, visible_s = visible_runs(recording), visible_times(recording)
-    open_starts = _starts(visible_s, runs, length_s, margin_s)
-    chosen: list[HiddenGap] = []
-    while len(open_starts) and len(chosen) < count:
-        start = float(rng.choice(open_starts))
-        gap = _snapped(visible_s, start, length_s)
-        reach = length_s + 2.0 * margin_s
-        if gap is None or not _worth_scoring(recording, gap):
-            open_starts = open_starts[open_starts != start]
-            continue
-        chosen.append(gap)
-        open_starts = open_starts[np.abs(open_starts - gap.start_s) > reach]
-    if not chosen and runs:
-        chosen = _middle(recording, visible_s, runs, length_s)
-    return sorted(chosen, key=lambda gap: gap.start_s)
-
-
-def _starts(
-    visible_s: FloatArray, runs: list[tuple[float, float]], length_s: float, margin_s: float
-) -> FloatArray:
-    """Of the visible frames those at which a gap may start, s."""
     fits = np.zeros(len(visible_s), dtype=bool)
     for start, end in runs:
         fits |= (visible_s >= start + margin_s) & (visible_s + length_s + margin_s <= end)
-    return visible_s[fits]
+    open_starts, chosen = visible_s[fits], list[HiddenGap]()
+    while len(open_starts) and len(chosen) < count:
+        start_s = float(rng.choice(open_starts))
+        gap = _snapped(visible_s, start_s, length_s)
+        if gap is None or not _worth_scoring(recording, gap):
+            open_starts = open_starts[open_starts != start_s]
+            continue
+        chosen.append(gap)
+        open_starts = open_starts[np.abs(open_starts - gap.start_s) > length_s + 2.0 * margin_s]
+    if not chosen and runs:
+        chosen = _middle(recording, visible_s, runs, length_s)
+    return sorted(chosen, key=lambda gap: gap.start_s)
 
 
 def _snapped(visible_s: FloatArray, start_s: float, length_s: float) -> HiddenGap | None:

@@ -9,7 +9,7 @@ from typing import Any, Literal
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from ..array_types import FloatArray, IntArray
+from ..array_types import FloatArray
 from ..errors import RecordingError
 from ..recording import CameraFrame, Truth
 from ..result import Recovery
@@ -148,9 +148,8 @@ def align_reference(
         solved = CENTRED_M <= away_m <= LARGEST_PLATE_M
         motion = replace(motion, p_A_P=p_A_P if solved else np.zeros(3))
         notes.append(_place_words(away_m, solved))
-    return _truth(motion, clock, frame, recovery), ReferenceAlignment(
-        kind, clock, frame, _landmarks(motion, clock, frame, recovery), tuple(notes)
-    )
+    truth, landmarks = _aligned(motion, clock, frame, recovery)
+    return truth, ReferenceAlignment(kind, clock, frame, landmarks, tuple(notes))
 
 
 def _place_words(away_m: float, solved: bool) -> str:
@@ -167,37 +166,25 @@ def _place_words(away_m: float, solved: bool) -> str:
     )
 
 
-def _near(motion: MocapMotion, clock: MocapClock, recovery: Recovery) -> IntArray:
+def _aligned(
+    motion: MocapMotion, clock: MocapClock, frame: CameraFromMocap, recovery: Recovery
+) -> tuple[Truth, dict[str, FloatArray]]:
+    """The motion near the recovery as a truth, and its landmarks."""
     t_s = clock.to_imu(motion.t_s)
-    return np.flatnonzero((t_s >= recovery.t_s[0] - MARGIN_S) & (t_s <= recovery.t_s[-1] + MARGIN_S))
-
-
-def _truth(motion: MocapMotion, clock: MocapClock, frame: CameraFromMocap, recovery: Recovery) -> Truth:
-    rows = _near(motion, clock, recovery)
-    position = np.full((len(rows), 3), np.nan)
-    quaternion = np.full((len(rows), 4), np.nan)
+    rows = np.flatnonzero((t_s >= recovery.t_s[0] - MARGIN_S) & (t_s <= recovery.t_s[-1] + MARGIN_S))
     imu = imu_in_mocap(motion)
-    if imu is not None:
-        position = frame.place(imu[rows])
+    position = np.full((len(rows), 3), np.nan) if imu is None else frame.place(imu[rows])
+    quaternion = np.full((len(rows), 4), np.nan)
     if motion.R_E_P is not None and motion.R_A_P is not None:
         R_E_P = motion.R_E_P[rows]
         known = np.isfinite(R_E_P).all(axis=(1, 2))
         R_K_A = frame.R_K_E @ R_E_P[known] @ motion.R_A_P.T
         quaternion[known] = Rotation.from_matrix(R_K_A).as_quat(scalar_first=True)
-    return Truth(
-        clock.to_imu(motion.t_s[rows]),
-        position,
-        quaternion,
-        np.ones(len(rows), dtype=bool),
-        {name: frame.place(value[rows]) for name, value in motion.joints.items()},
+    joints, landmarks = (
+        {name: frame.place(value[rows]) for name, value in places.items()}
+        for places in (motion.joints, motion.landmarks)
     )
-
-
-def _landmarks(
-    motion: MocapMotion, clock: MocapClock, frame: CameraFromMocap, recovery: Recovery
-) -> dict[str, FloatArray]:
-    rows = _near(motion, clock, recovery)
-    return {name: frame.place(value[rows]) for name, value in motion.landmarks.items()}
+    return Truth(t_s[rows], position, quaternion, np.ones(len(rows), dtype=bool), joints), landmarks
 
 
 def likely_frame(recovery: Recovery) -> CameraFrame | None:

@@ -9,18 +9,11 @@ import pytest
 from simulated_scenes import NO_GAPS, arm, errors, rms, scene_of, turned_off
 
 from smoother.baselines import rts as es
-from smoother.baselines.kalman import Chain, kalman_filter
 from smoother.baselines.rts import linearised, residuals, rts, start
 from smoother.baselines.scene import Baseline
 from smoother.baselines.ukf import (
-    ACC_DENSITY,
-    GYRO_DENSITY,
-    NavigationState,
-    predicted,
     ukf,
-    updated,
 )
-from smoother.linalg import skew
 from smoother.measurements.inertial import InertialSignal, integrate
 from smoother.recording import JOINTS
 
@@ -78,57 +71,6 @@ def test_measurements_are_the_derivative_of_the_residuals():
     slope = loss(states.moved(error)) - loss(states.moved(-error))
     expected = -2.0 * np.einsum("ni,ni->n", chain.vector[..., 0], error)
     np.testing.assert_allclose(slope, expected, rtol=0.01, atol=0.01 * np.abs(expected).max())
-
-
-def test_ukf_is_the_error_state_filter_where_errors_are_small():
-    rng = np.random.default_rng(4)
-    made = arm("white", 4, occlusion_lengths_s=NO_GAPS, duration_s=4.0)
-    scene = scene_of(made)
-    t = scene.t[40:80]
-    motion = integrate(InertialSignal(scene.imu), t, np.zeros(6))
-    arms = np.array([lever.position_m for lever in made.calibration.lever_arms.values()])
-    P0 = np.diag(np.repeat([1e-3, 1e-2, 1e-3], 3)) ** 2
-    state = NavigationState(scene.point[20], np.zeros(3), scene.R_K_A[40], P0)
-    noise, sigma = es.white_noise(motion.dt, ACC_DENSITY**2, GYRO_DENSITY**2, 9), 0.008
-    unscented = [state]
-    for k in range(len(t) - 1):
-        state = predicted(state, motion, k, scene.gravity, noise[k])
-        if k % 3 == 0:
-            joints = state.p + arms @ state.R.T + 1e-3 * rng.normal(size=arms.shape)
-            state = updated(state, joints, arms, sigma)
-        unscented.append(state)
-    # the same by the linear filter: transitions of the first nine errors, measurements as information
-    n = len(t)
-    track = es.InertialTrajectory(
-        t,
-        np.array([b.p for b in unscented]),
-        np.array([b.v for b in unscented]),
-        np.array([b.R for b in unscented]),
-        np.zeros((n, 6)),
-        np.tile(scene.gravity, (n, 1)),
-        np.zeros((n, 3)),
-    )
-    H = np.zeros((n, 3 * len(arms), 9))
-    for k in range(1, n):
-        if (k - 1) % 3 == 0:
-            for j, lever in enumerate(arms):
-                H[k, 3 * j : 3 * j + 3, :3] = np.eye(3)
-                H[k, 3 * j : 3 * j + 3, 6:] = -skew(track.R[k] @ lever)
-    information = np.swapaxes(H, 1, 2) @ H / sigma**2
-    chain = Chain(
-        es.transition(track, motion)[:, :9, :9],
-        noise,
-        np.zeros((n - 1, 9, 1)),
-        information,
-        np.zeros((n, 9, 1)),
-        np.zeros((9, 1)),
-        P0,
-    )
-    linear, _ = kalman_filter(chain)
-    for k in (10, n - 1):
-        np.testing.assert_allclose(
-            unscented[k].covariance, linear.covariance[k], rtol=0.01, atol=1e-3 * linear.covariance[k].max()
-        )
 
 
 @pytest.mark.parametrize("protocol", ["random", "behind"])

@@ -12,7 +12,6 @@ from smoother.baselines.kalman import (
     FilterNoise,
     deviations_at_rest,
     kalman_filter,
-    low_pass,
     merge,
     rts_smoother,
     state_model,
@@ -60,15 +59,6 @@ def test_kalman_is_the_published_recursion():
         states, covariances = plain_filter(t, camera[:, axis], acc[:, axis], sigma_m[axis], sigma_acc[axis])
         np.testing.assert_allclose(fast.mean[:, axis, :, 0], states, rtol=1e-7, atol=1e-9)
         np.testing.assert_allclose(fast.covariance[:, axis], covariances, rtol=1e-6, atol=1e-12)
-
-
-def test_low_pass_halves_at_its_cutoff_and_delays_nothing():
-    t = np.arange(3000) / 100.0
-    wave = np.sin(2 * np.pi * 6.0 * t)[:, None] * np.ones(3)
-    out = low_pass(wave, 100.0, 6.0)[500:-500, 0]
-    # forwards and backwards: -3 dB twice
-    assert np.abs(out).max() == pytest.approx(0.5, abs=0.01)
-    assert np.corrcoef(out, wave[500:-500, 0])[0, 1] > 0.999
 
 
 def test_deviations_come_from_the_samples_at_rest():

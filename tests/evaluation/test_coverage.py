@@ -18,7 +18,6 @@ from calib.sigma_factor import (
     needed_factors,
 )
 from smoother.array_types import FloatArray
-from smoother.evaluation import coverage
 from smoother.evaluation.coverage import LEVELS, StatedAndActual, camera_residuals, stated_and_actual
 from smoother.recording import JOINTS
 
@@ -126,15 +125,6 @@ def test_the_camera_s_residuals() -> None:
         np.testing.assert_allclose(each.squared, expected.squared)
         np.testing.assert_allclose(each.sigma_m, expected.sigma_m)
         np.testing.assert_allclose(each.error_m, expected.error_m)
-
-
-def test_of_many_samples_some(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(coverage, "MOST", 4)
-    answer = recovery()
-    rows = np.flatnonzero(answer.residuals.used[:, JOINTS.index("wrist")])
-    rows = rows[np.rint(np.linspace(0, len(rows) - 1, 4)).astype(int)].tolist()
-    expected = by_hand(answer, "wrist", answer.joint_covariance["wrist"], 0.008, rows)
-    np.testing.assert_allclose(camera_residuals(answer)["wrist"].squared, expected.squared)
 
 
 def test_what_has_no_residuals_has_no_shares() -> None:

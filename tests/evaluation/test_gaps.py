@@ -13,7 +13,7 @@ from calib.sigma_factor import LEVELS
 from smoother.calibration import LeverArm
 from smoother.errors import RecordingError, SolveError
 from smoother.evaluation.gap_table import GapRow, GapTable, pooled
-from smoother.evaluation.gaps import evaluate_gaps, hide
+from smoother.evaluation.gaps import evaluate_gaps
 from smoother.evaluation.hidden_gaps import (
     GapErrors,
     HiddenGap,
@@ -230,10 +230,6 @@ def test_no_room_is_a_sentence():
     assert any("20 s" in note for note in table.notes)
 
 
-def test_hide_takes_the_truth_away():
-    assert hide(make_recording(5.0), []).truth is None
-
-
 def errors(*metres: float) -> GapErrors:
     """Samples with these errors; nan where there is no answer."""
     distance = np.array(metres)
@@ -272,13 +268,6 @@ def test_samples_count_not_gaps() -> None:
     # what is not answered is counted, and spoils no figure
     assert both.lengths[2.0]["graph"].figures.unanswered == 1
     assert both.lengths[2.0]["graph"].figures.position_rms_m == pytest.approx(0.04)
-
-
-def test_rows_keep_their_recording_and_notes_stand_once() -> None:
-    both = pooled([FIRST, SECOND])
-    assert [one.recording for one in both.rows] == ["a", "a", "a", "b", "b"]
-    assert both.notes == ("once", "twice")
-    assert pooled([FIRST]).to_dict() == FIRST.to_dict()
 
 
 def test_a_failed_gap_is_counted() -> None:

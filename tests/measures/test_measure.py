@@ -117,29 +117,6 @@ def test_where_the_camera_stands_does_not_matter(answer: Recovery):
         assert two[key].value == pytest.approx(one[key].value, rel=1e-6)
 
 
-def test_the_rate_does_not_matter(answer: Recovery):
-    bare = replace(answer, draws=None)
-    half = bare.rows(np.arange(0, len(bare), 2))
-    one, two = measure(bare).by_key, measure(half).by_key
-    for key, off in (("elbow_flexion_range_deg", 0.2), ("hand_path_length_m", 0.02), ("sparc", 0.02)):
-        assert two[key].value == pytest.approx(one[key].value, abs=off)
-    assert two["movement_count"].value == one["movement_count"].value
-
-
-def test_wide_draws_make_wide_intervals():
-    t = np.arange(0.0, 5.0, 0.02)
-    swing = recovery_of(
-        t, {"wrist": np.stack([0.2 * np.sin(2 * t), 0.1 * np.cos(3 * t), 2.0 + 0 * t], axis=1)}
-    )
-    narrow, wide, still = (
-        measure(with_draws(swing, sigma_m=sigma)).by_key["hand_path_length_m"]
-        for sigma in (0.003, 0.012, 0.0)
-    )
-    # a path's noise grows with the errors' size, and where it is slow with their square
-    assert wide.sigma > 2.5 * narrow.sigma and wide.high - wide.low > 2.5 * (narrow.high - narrow.low)
-    assert still.low == pytest.approx(still.value) and still.high == pytest.approx(still.value)
-
-
 @pytest.mark.parametrize("what", ["mean", "middle of the extremes"])
 def test_intervals_hold_the_truth_where_errors_are_as_drawn(what: str):
     """200 answers that are the truth and an error, with draws that are the answer and such errors."""

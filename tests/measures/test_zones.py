@@ -61,12 +61,6 @@ def test_where_the_hand_is(place: tuple[float, float, float], reached: set[str],
         assert (rows[f"{key}_distance_m"].value == 0.0) == (key in reached)
 
 
-def test_how_near_the_hand_came():
-    away = np.add(MOUTH, (0.0, 0.0, -0.2))
-    # the zone ends 15 cm from the mouth
-    assert held(tuple(away))["hand_to_mouth_distance_m"].value == pytest.approx(0.05, abs=0.002)
-
-
 @pytest.mark.parametrize("side", ["right", "left"])
 def test_the_simulated_protocol_goes_behind_head_and_back(side: str):
     rows = measure(simulated(1, side)).by_key
@@ -105,15 +99,6 @@ def test_a_cube():
     assert figures["hand_reach_alpha_l"].value == pytest.approx(1000.0)
     # the ball through a cube's corners has half its diagonal as radius
     assert alpha_volume(corners, 0.99 * np.sqrt(3) / 2) == 0.0
-
-
-def test_alpha_shape_leaves_out_what_lies_between():
-    apart = np.array([2.0, 0.0, 0.0])
-    both = np.vstack([ball(0.5, 1500), ball(0.5, 1500, 1) + apart])
-    hull = reach_figures(both, np.zeros(len(both), bool), 1.0, 0.001, 0.3)
-    two = 2 * 4e3 / 3 * np.pi * 0.125
-    assert hull["hand_reach_alpha_l"].value == pytest.approx(two, rel=0.15)  # rough surface of 1500 points
-    assert hull["hand_reach_hull_l"].value > 1.8 * two
 
 
 def test_alpha_shape_is_open3d_s():

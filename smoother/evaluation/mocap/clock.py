@@ -8,7 +8,9 @@ speeds of the joint centres while the camera sees them serve instead.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -62,8 +64,7 @@ class MocapClock:
 def align_clock(recovery: Recovery, motion: MocapMotion) -> MocapClock:
     """Find the mocap's clock."""
     least_s = _least_overlap(recovery.t_s, motion.t_s)
-    turns = motion.R_E_P is not None and np.isfinite(recovery.quaternion).all(axis=1).any()
-    signals: _Turns | _Ways = _Turns(recovery, motion) if turns else _Ways(recovery, motion)
+    signals = _signals(recovery, motion)
     lag, correlation, rivals = _coarse(signals, recovery.t_s, motion.t_s, least_s)
     if not np.isfinite(correlation):
         raise RecordingError(
@@ -84,67 +85,54 @@ def align_clock(recovery: Recovery, motion: MocapMotion) -> MocapClock:
     return clock
 
 
-class _Turns:
-    """Rotation vectors over a step, in the body's own axes: of the answer, and of the plate."""
+@dataclass(frozen=True)
+class _Signals:
+    """What answer and truth do over a step, at any times."""
 
-    by = "angular velocity of IMU and plate"
-    #: Below this correlation the two do not show the same motion; another trial of a protocol reaches 0.7.
-    least_correlation = 0.8
+    by: str  # In words
+    answer: Callable[[FloatArray], FloatArray]
+    truth: Callable[[FloatArray], FloatArray]
+    least_correlation: float  # Below this the two do not show the same motion
+    is_turns: bool  # Rotation vectors in the body's own axes; lengths of ways else
+    mount: FloatArray | None = None  # The plate's rotation in the IMU where it is known
 
-    def __init__(self, recovery: Recovery, motion: MocapMotion) -> None:
-        self._answer = (recovery.t_s, recovery.quaternion)
-        self._plate = (motion.t_s, motion.quaternion)
-        self.mount = motion.R_A_P
-        self.solves_mount = motion.R_A_P is None
-
-    def answer(self, t: FloatArray) -> FloatArray:
-        return turns_rad(*self._answer, t)
-
-    def truth(self, t: FloatArray) -> FloatArray:
-        return turns_rad(*self._plate, t)
-
-    @staticmethod
-    def speed(values: FloatArray) -> FloatArray:
-        return np.asarray(np.linalg.norm(values, axis=1) / STEP_S)
+    def speed(self, values: FloatArray) -> FloatArray:
+        """Of the answer's or the truth's values."""
+        if self.is_turns:
+            return np.asarray(np.linalg.norm(values, axis=1) / STEP_S)
+        return np.asarray(values.mean(axis=1) / STEP_S)
 
 
-class _Ways:
-    """Lengths of the ways of joint centres over a step, while the camera sees the arm."""
+def _signals(recovery: Recovery, motion: MocapMotion) -> _Signals:
+    """Turns of IMU and plate; without them ways of joint centres while the camera sees the arm."""
+    if motion.R_E_P is not None and np.isfinite(recovery.quaternion).all(axis=1).any():
+        answer = partial(turns_rad, recovery.t_s, recovery.quaternion)
+        truth = partial(turns_rad, motion.t_s, motion.quaternion)
+        # another trial of a protocol reaches a correlation of 0.7
+        return _Signals("angular velocity of IMU and plate", answer, truth, 0.8, True, motion.R_A_P)
+    pairs = shared_places(recovery, motion)
+    if not pairs:
+        raise RecordingError(
+            f"{motion.source}: the answer has none of its joints"
+            f" ({', '.join(motion.joints) or 'none'}), so there is nothing to align its clock by"
+        )
+    visible = ~recovery.occluded[:, None]
+    seen = [np.where(visible, mine, np.nan) for mine, _ in pairs]
 
-    by = "speed of the joint centres"
-    #: The answer of a poor camera is noisy.
-    least_correlation = 0.7
-    mount: FloatArray | None = None
-    solves_mount = False
+    def ways(t_known: FloatArray, places: list[FloatArray], t: FloatArray) -> FloatArray:
+        return np.column_stack([way_m(t_known, place, t) for place in places])
 
-    def __init__(self, recovery: Recovery, motion: MocapMotion) -> None:
-        pairs = [
-            (recovery.joints[name], motion.joints[name]) for name in motion.joints if name in recovery.joints
-        ]
-        if motion.p_E_P is not None:
-            pairs.append((recovery.position, motion.p_E_P))
-            self.by = "speed of the IMU's position"
-        if not pairs:
-            raise RecordingError(
-                f"{motion.source}: the answer has none of its joints"
-                f" ({', '.join(motion.joints) or 'none'}), so there is nothing to align its clock by"
-            )
-        visible = ~recovery.occluded[:, None]
-        self._pairs = [
-            ((recovery.t_s, np.where(visible, mine, np.nan)), (motion.t_s, other)) for mine, other in pairs
-        ]
+    by = "speed of the joint centres" if motion.p_E_P is None else "speed of the IMU's position"
+    answer = partial(ways, recovery.t_s, seen)
+    truth = partial(ways, motion.t_s, [other for _, other in pairs])
+    return _Signals(by, answer, truth, 0.7, False)  # the answer of a poor camera is noisy
 
-    def answer(self, t: FloatArray) -> FloatArray:
-        return np.column_stack([way_m(*mine, t) for mine, _ in self._pairs])
 
-    def truth(self, t: FloatArray) -> FloatArray:
-        return np.column_stack([way_m(*other, t) for _, other in self._pairs])
-
-    @staticmethod
-    def speed(values: FloatArray) -> FloatArray:
-        known = np.isfinite(values)
-        total = np.where(known, values, 0.0).sum(axis=1) / np.maximum(known.sum(axis=1), 1)
-        return np.where(known.all(axis=1), total / STEP_S, np.nan)
+def shared_places(recovery: Recovery, motion: MocapMotion) -> list[tuple[FloatArray, FloatArray]]:
+    """Places that answer and mocap have, each at its own times: joints, and the IMU with its plate."""
+    names = [name for name in motion.joints if name in recovery.joints]
+    pairs = [(recovery.joints[name], motion.joints[name]) for name in names]
+    return pairs if motion.p_E_P is None else [*pairs, (recovery.position, motion.p_E_P)]
 
 
 def turns_rad(t_known: FloatArray, quaternion: FloatArray, t: FloatArray) -> FloatArray:
@@ -174,7 +162,7 @@ def _least_overlap(a: FloatArray, b: FloatArray) -> float:
 
 
 def _coarse(
-    signals: _Turns | _Ways, t_answer: FloatArray, t_truth: FloatArray, least_s: float
+    signals: _Signals, t_answer: FloatArray, t_truth: FloatArray, least_s: float
 ) -> tuple[float, float, list[float]]:
     """Offset on the grid, s, its correlation, and other offsets that do nearly as well."""
     grids = [np.arange(t[0], t[-1], 1.0 / GRID_HZ) for t in (t_answer, t_truth)]
@@ -197,7 +185,7 @@ def _coarse(
 
 
 def _refine(
-    signals: _Turns | _Ways, t_answer: FloatArray, t_truth: FloatArray, lag: float, correlation: float
+    signals: _Signals, t_answer: FloatArray, t_truth: FloatArray, lag: float, correlation: float
 ) -> MocapClock:
     """Least squares with Cauchy's loss over offset, skew and how the plate's turns show in the IMU."""
     t = t_answer[:: max(1, int(0.02 / max(np.median(np.diff(t_answer)), 1e-6)))]
@@ -207,7 +195,8 @@ def _refine(
     centre = float(np.mean(t - lag))  # on the mocap's clock: offset and skew hang together least there
     offset, skew = lag, 0.0
     mount = signals.mount
-    if isinstance(signals, _Turns) and mount is None:
+    solves_mount = signals.is_turns and mount is None
+    if solves_mount:
         mount = _first_mount(measured, signals.truth(t - lag))
 
     def mounted(values: FloatArray) -> FloatArray:
@@ -257,8 +246,8 @@ def _refine(
         skew_sigma=float(np.sqrt(max(covariance[1, 1], 0.0))),
         correlation=correlation,
         by=signals.by,
-        R_A_P=nearest_rotation(mount) if signals.solves_mount and mount is not None else None,
-        mount_sigma_rad=_turn_sigma(covariance[2:, 2:]) if signals.solves_mount else float("nan"),
+        R_A_P=nearest_rotation(mount) if solves_mount and mount is not None else None,
+        mount_sigma_rad=_turn_sigma(covariance[2:, 2:]) if solves_mount else float("nan"),
     )
 
 

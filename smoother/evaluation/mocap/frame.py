@@ -18,7 +18,7 @@ from ...linalg import nearest_rotation
 from ...recording import CameraFrame
 from ...result import Recovery
 from ..metrics import orientation_at, position_at
-from .clock import MocapClock, summed_covariance
+from .clock import MocapClock, shared_places, summed_covariance
 from .markers import numbers
 from .motion import MocapMotion
 
@@ -168,16 +168,12 @@ def far_off_m(recovery: Recovery, motion: MocapMotion, clock: MocapClock, frame:
     """Median distance, m, of the truth's joint centres from the visible answer's; nan without any."""
     rows = np.flatnonzero(~recovery.occluded)
     t = clock.to_mocap(recovery.t_s[rows])
-    pairs = [
-        (recovery.joints[name][rows], position_at(motion.t_s, frame.place(position), t))
-        for name, position in motion.joints.items()
-        if name in recovery.joints
+    away = [
+        np.linalg.norm(mine[rows] - position_at(motion.t_s, frame.place(other), t), axis=1)
+        for mine, other in shared_places(recovery, motion)
     ]
-    if motion.p_E_P is not None:
-        pairs.append((recovery.position[rows], position_at(motion.t_s, frame.place(motion.p_E_P), t)))
-    away = np.concatenate([np.linalg.norm(mine - other, axis=1) for mine, other in pairs] or [np.empty(0)])
-    away = away[np.isfinite(away)]
-    return float(np.median(away)) if len(away) else float("nan")
+    known = np.concatenate(away or [np.empty(0)])
+    return float(np.nanmedian(known)) if np.isfinite(known).any() else float("nan")
 
 
 def solve_plate_place(
