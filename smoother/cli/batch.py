@@ -30,24 +30,6 @@ if TYPE_CHECKING:
     from ..study.run import Tally
 
 
-def headline(tally: Tally) -> str:
-    """How far a study is, in a line."""
-    sentence = f"{tally.ended} of {tally.total}"
-    if tally.failed:
-        sentence += f", {tally.failed} failed"
-    worked = tally.computed + tally.failed
-    if worked and tally.seconds > 0:
-        left_s = (tally.total - tally.ended) * tally.seconds / worked
-        sentence += f"; {tally.recorded_s / tally.seconds:.0f} times real time, {_clock(left_s)} left"
-    return sentence
-
-
-def _clock(seconds: float) -> str:
-    minutes, seconds = divmod(round(seconds), 60)
-    hours, minutes = divmod(minutes, 60)
-    return f"{hours}:{minutes:02d}:{seconds:02d}"
-
-
 #: Rows of the tables that are printed at the end.
 MOST_WORST, MOST_FAILURES = 10, 25
 #: Rows that `--json` holds at most; all of them are among the results.
@@ -159,8 +141,9 @@ def batch(
         with progress_bar("recovering") as bar:
 
             def progress(tally: Tally, row: Row | None) -> None:
-                failed = "" if row is None or row["status"] != "failed" else f"; {row['recording']} failed"
-                bar(tally.ended / max(tally.total, 1), headline(tally) + failed)
+                now = "" if row is None or row["status"] != "failed" else f"; {row['recording']} failed"
+                text = f"{tally.ended} of {tally.total}, {tally.failed} failed{now}"
+                bar(tally.ended / max(tally.total, 1), text)
 
             tally, rows = run_study(entries, folder, settings, workers, progress, force)
     except KeyboardInterrupt:

@@ -5,8 +5,8 @@ from __future__ import annotations
 import signal
 import sys
 import threading
-from collections.abc import Iterator, Sequence
-from contextlib import ExitStack, contextmanager
+from collections.abc import Sequence
+from contextlib import ExitStack
 from functools import partial
 from pathlib import Path
 from types import FrameType
@@ -20,11 +20,9 @@ from .live_lines import Lines
 from .output import check_mcap, check_outputs, print_notes, say, say_command, say_written, write_json
 
 if TYPE_CHECKING:
-    from ..config import Config
     from ..streams.arrivals import Source, SourceInfo
     from ..streams.lsl_source import LslSource
-    from ..streams.session import LiveSession, Receiver, SessionCalibration
-    from ..streams.session_recording import Recorder
+    from ..streams.session import Receiver, SessionCalibration
 
 
 class StopRequest:
@@ -120,55 +118,10 @@ def receivers_of(
     return receivers
 
 
-def together(infos: Sequence[SourceInfo], figures: Sequence[dict[str, Any]]) -> dict[str, Any]:
-    """Figures of the session; of two arms the first one's, and `arms` with each."""
-    if len(figures) == 1:
-        return figures[0]
-    each = [{"side": info.side, **own} for info, own in zip(infos, figures, strict=True)]
-    return {**each[0], "arms": each}
-
-
-@contextmanager
-def engine_sessions(
-    sources: Sequence[Source],
-    calibrations: Sequence[SessionCalibration],
-    config: Config,
-    lag_s: float,
-    recording: Recorder | None,
-    receivers: Sequence[Sequence[Receiver]],
-) -> Iterator[list[LiveSession]]:
-    """A session for each arm; whatever ends them, their recording is whole."""
-    from ..live.calibrations import InlineCalibrator
-    from ..live.smoother import LiveSmoother
-    from ..streams.session import LiveSession
-
-    sessions = []
-    with ExitStack() as stack:
-        if recording is not None:
-            stack.callback(recording.close)
-        arms = zip(sources, calibrations, receivers, strict=True)
-        for number, (source, calibration, of_arm) in enumerate(arms):
-            info = source.info
-            engine = LiveSmoother(
-                info.side,
-                calibration.arm,
-                calibration.config(config),
-                lag_s,
-                info.gravity_hint,
-                info.camera_frame,
-                None if source.speed else InlineCalibrator(),  # the background may be waited for too
-                list(info.further),
-            )
-            stack.enter_context(engine)
-            sessions.append(LiveSession(source, engine, calibration, recording, of_arm, number))
-        yield sessions
-
-
-def print_source(source: Source, calibration: SessionCalibration) -> None:
+def print_source(info: SourceInfo, calibration: SessionCalibration) -> None:
     """Say what is used."""
     from ..body import SEGMENTS
 
-    info = source.info
     arm = f"{info.side} arm" if info.side else "arm"
     say(f"IMU {info.imu}, {arm} of {info.skeleton} ({', '.join(info.joints)})")
     for segment, name in info.further.items():
@@ -282,11 +235,19 @@ def live(
         recovered = record.with_name(f"{record.stem}_recovered.mcap")
     outputs = [record, recovered if then_smooth else None, json_file]
     check_outputs(force, outputs, [calibration, config_file, replay])
+    from ..live.calibrations import InlineCalibrator
+    from ..live.smoother import LiveSmoother
     from ..streams.foxglove import foxglove_module
     from ..streams.lsl import lsl_module
     from ..streams.lsl_source import LslSource
     from ..streams.replay import Replay
-    from ..streams.session import SessionCalibration, prefer_side, read_calibration_file, run_together
+    from ..streams.session import (
+        LiveSession,
+        SessionCalibration,
+        prefer_side,
+        read_calibration_file,
+        run_together,
+    )
     from ..streams.session_recording import Recorder, SessionRecording, check_recording
     from .config import read_config
 
@@ -319,23 +280,38 @@ def live(
         infos = [source.info for source in sources]
         check_arms(infos, replay)
         calibrations = [SessionCalibration.of(file, info) for info in infos]
-        for source, of_arm in zip(sources, calibrations, strict=True):
-            print_source(source, of_arm)
+        for info, of_arm in zip(infos, calibrations, strict=True):
+            print_source(info, of_arm)
         receivers = receivers_of(infos, foxglove, lsl_out, lsl_network, stack)
         recording = None
         if record is not None:
             growing = SessionRecording(record, infos[0], force, infos[1:])
             recording = Recorder(growing, patient=not sources[0].speed)
-        sessions = stack.enter_context(
-            engine_sessions(sources, calibrations, config, lag, recording, receivers)
-        )
+            stack.callback(recording.close)  # whatever ends the sessions, their recording is whole
+        sessions = []
+        for number, (source, known) in enumerate(zip(sources, calibrations, strict=True)):
+            info = source.info
+            engine = LiveSmoother(
+                info.side,
+                known.arm,
+                known.config(config),
+                lag,
+                info.gravity_hint,
+                info.camera_frame,
+                None if source.speed else InlineCalibrator(),  # the background may be waited for too
+                list(info.further),
+            )
+            stack.enter_context(engine)
+            sessions.append(LiveSession(source, engine, known, recording, receivers[number], number))
         if sys.stdout.isatty():
             say("Ctrl-C ends")
         with Lines() as lines:
             figures = [each.figures() for each in run_together(sessions, stop_request, lines.show)]
-    write_json(json_file, together(infos, figures), force)
-    for info, own in zip(infos, figures, strict=True):
-        print_session(own, f"{info.side} arm, " if len(sides) > 1 else "")
+    arm_figures = [{"side": info.side, **own} for info, own in zip(infos, figures, strict=True)]
+    several = {**arm_figures[0], "arms": arm_figures}
+    write_json(json_file, several if len(figures) > 1 else figures[0], force)
+    for own in arm_figures:
+        print_session(own, f"{own['side']} arm, " if len(sides) > 1 else "")
     has_recording = recording is not None and recording.has_samples
     say_written(record if has_recording else None, json_file)
     if record is None or not has_recording:

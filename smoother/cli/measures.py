@@ -18,7 +18,6 @@ from .output import (
     print_notes,
     progress_bar,
     say,
-    say_more,
     say_written,
     show,
     write_csv,
@@ -26,20 +25,8 @@ from .output import (
 )
 
 if TYPE_CHECKING:
-    from ..measures import BothArms, Measure, Measures, MeasureSettings, Movement, Scope
+    from ..measures import BothArms, Measure, Measures, MeasureSettings
     from ..result import Recovery
-
-
-#: What the table of movements and repetitions shows, and its heads; `--csv` and `--json` have all.
-HEADS = {
-    "elbow_flexion_range_deg": "elbow's range",
-    "hand_path_length_m": "path",
-    "hand_peak_speed_m_s": "peak speed",
-    "sparc": "SPARC",
-    "velocity_peaks": "peaks",
-}
-#: More movements than this are not printed.
-_MOST_ROWS = 30
 
 
 def print_session(one: Measures) -> None:
@@ -53,26 +40,6 @@ def print_session(one: Measures) -> None:
             reasons.setdefault(row.note, []).append(row.name.partition(",")[0])
     for reason, names in reasons.items():
         say(f"not measured: {', '.join(dict.fromkeys(names))}. {reason}")
-
-
-def print_places(title: str, places: Sequence[Movement], scope: Scope, one: Measures) -> None:
-    """A row for each movement or repetition."""
-    if not places:
-        return
-    some = [one.of(scope, number) for number in range(min(len(places), _MOST_ROWS))]
-    shown = [key for key in HEADS if any(key in row and row[key].is_known for row in some)]
-    rows = [
-        (
-            f"{number + 1}",
-            f"{place.start_s:.2f}",
-            f"{place.length_s:.2f}",
-            *[_value_text(row.get(key)) for key in shown],
-        )
-        for number, (place, row) in enumerate(zip(places, some, strict=False))
-    ]
-    columns = ("", "from, s", "length, s", *(HEADS[key] for key in shown))
-    show(Table(f"{title}: value (95 % interval)", columns, rows))
-    say_more(len(places), _MOST_ROWS, "more: --csv and --json have them all")
 
 
 def symmetry_table(both: BothArms) -> Table:
@@ -101,15 +68,6 @@ def _cells(row: Measure) -> tuple[str, ...]:
     if row.is_known and row.note:
         rests += f" ({percent(row.untrusted_share)} not trusted)"
     return row.name, _text(row, row.value), _interval_text(row) or "-", rests
-
-
-def _value_text(row: Measure | None) -> str:
-    """A value and its interval as one cell."""
-    if row is None or not row.is_known:
-        return "-"
-    between = _interval_text(row)
-    value = _text(row, row.value)
-    return f"{value} ({between})" if between and between != value else value
 
 
 def _interval_text(row: Measure) -> str:
@@ -209,6 +167,5 @@ def print_arm(one: Measures, damaged: list[str]) -> None:
     if one.trusted is False:
         say(f"{one.verdict} The measures below are those of an answer that is not to be trusted.")
     print_session(one)
-    print_places("Movements of the hand", one.movements, "movement", one)
-    print_places("Repetitions", one.repetitions, "repetition", one)
+    say(f"{len(one.movements)} movements, {len(one.repetitions)} repetitions: --csv, --json and the report")
     print_notes([*damaged, *one.notes])

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -63,6 +65,7 @@ def progress(
     """
     from ..evaluation.measure_files import read_detectable
     from ..evaluation.reliability import reliability_of
+    from ..report.progress import progress_page
     from ..study.progress import progress_of, read_rows, sessions_of
 
     if not study.is_dir():
@@ -72,9 +75,24 @@ def progress(
     rows = read_rows(study)
     attendances, left_out = sessions_of(study, rows, sessions)
     persons = progress_of(rows, attendances, detectable)
-    persons = [_narrowed(each, measure) for each in _chosen(persons, person)]
+    if person is not None:
+        has = ", ".join(each.person for each in persons[:20])
+        persons = [each for each in persons if each.person == person]
+        if not persons:
+            raise UnoccludeError(f"the study has no person {person}; it has: {has}")
+    known = {series.key for each in persons for series in each.series}
+    if unknown := ", ".join(sorted({*(measure or ())} - known)) if known else "":
+        examples = ", ".join(series.key for series in persons[0].main[:5])
+        raise UnoccludeError(f"the study has no measure {unknown}; measures are as {examples}")
+    if measure:
+        persons = [
+            replace(each, series=tuple(one for one in each.series if one.key in measure)) for each in persons
+        ]
     if report is not None:
-        _write_page(persons, report, force)
+        if len(persons) > 1:
+            names = ", ".join(each.person for each in persons[:20])
+            raise UnoccludeError(f"a page is of one person; choose one with --person: {names}")
+        progress_page(persons[0]).write(report, force)
     repeated = reliability_of(persons) if reliability else []
     figures: dict[str, object] = {"persons": [each.to_dict() for each in persons], "left_out": left_out}
     if reliability:
@@ -88,39 +106,6 @@ def progress(
     print_notes(left_out)
     say(NO_DIAGNOSIS)
     say_written(report, json_file, csv)
-
-
-def _chosen(persons: Sequence[PersonProgress], name: str | None) -> list[PersonProgress]:
-    if name is None:
-        return list(persons)
-    chosen = [each for each in persons if each.person == name]
-    if not chosen:
-        has = ", ".join(each.person for each in persons[:20])
-        raise UnoccludeError(f"the study has no person {name}; it has: {has}")
-    return chosen
-
-
-def _narrowed(progress: PersonProgress, keys: Sequence[str] | None) -> PersonProgress:
-    """Only the measures that were asked for."""
-    from dataclasses import replace
-
-    if not keys:
-        return progress
-    known = {each.key for each in progress.series}
-    for key in keys:
-        if known and key not in known:
-            examples = ", ".join(each.key for each in progress.main[:5])
-            raise UnoccludeError(f"{progress.person} has no measure {key}; measures are as {examples}")
-    return replace(progress, series=tuple(each for each in progress.series if each.key in keys))
-
-
-def _write_page(persons: Sequence[PersonProgress], report: Path, force: bool) -> None:
-    from ..report.progress import progress_page
-
-    if len(persons) > 1:
-        names = ", ".join(each.person for each in persons[:20])
-        raise UnoccludeError(f"a page is of one person; choose one with --person: {names}")
-    progress_page(persons[0]).write(report, force)
 
 
 def _print(progress: PersonProgress) -> None:
@@ -177,17 +162,10 @@ def _counted(progress: PersonProgress) -> str:
 
 
 def _limits(progress: PersonProgress) -> list[str]:
-    """What limits the statements: a sentence each, with the measures it is about."""
-    about: dict[str, list[str]] = {}
-    for each in progress.main:
-        for sentence in each.change.limits if each.change is not None else ():
-            about.setdefault(sentence, []).append(each.name)
-    return [
-        f"{sentence} ({', '.join(dict.fromkeys(names))})"
-        if len(names) <= 3
-        else f"{sentence} ({len(names)} measures)"
-        for sentence, names in about.items()
-    ]
+    """What limits the statements: a sentence each, and about how many measures it is."""
+    changes = [each.change for each in progress.main if each.change is not None]
+    counts = Counter(sentence for change in changes for sentence in change.limits)
+    return [f"{sentence} ({count} measure{'s' * (count != 1)})" for sentence, count in counts.items()]
 
 
 _COLUMNS = (

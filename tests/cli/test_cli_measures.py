@@ -48,7 +48,7 @@ def test_everything_is_written_and_printed(folder: Path, capsys: pytest.CaptureF
     arguments = ["measures", str(folder / "out.mcap"), "--csv", files[0], "--json", files[1]]
     done(*arguments, "--report", files[2])
     said = capsys.readouterr().out
-    assert "elbow flexion, range" in said and "Movements of the hand" in said and "--- left arm ---" in said
+    assert "elbow flexion, range" in said and "movements, " in said and "--- left arm ---" in said
     assert "not measured: forearm pronation. How the IMU is turned" in said
     assert "Right arm against left" in said
     figures = json.loads((folder / "m.json").read_text())

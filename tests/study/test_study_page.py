@@ -13,7 +13,6 @@ import numpy as np
 import pyarrow as pa
 import pytest
 
-from smoother.cli.batch import headline
 from smoother.cli.run import NOT_TRUSTED, run
 from smoother.errors import UnoccludeError
 from smoother.evaluation.group import LONG, group_measures
@@ -118,12 +117,6 @@ def test_the_end_of_batch_names_them_first(tmp_path, monkeypatch, capsys):
     assert end(rows[:1], "--strict")[0] == 0
     failed = row("c.mcap", status="failed", error="it is broken", output=None, sigma_max_m=None)
     assert end([*rows, failed], "--strict")[0] == 1, "what failed counts first"
-
-
-def test_the_line_while_it_runs():
-    tally = Tally(10, before=2, computed=3, failed=1, recorded_s=180.0)
-    tally.began -= 6.0
-    assert headline(tally).startswith("6 of 10, 1 failed; 30 times real time, 0:00:06 left")
 
 
 def measured(value: float | None, trusted: bool = True, key: str = "elbow_flexion_range_deg") -> list[dict]:
