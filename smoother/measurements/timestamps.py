@@ -157,7 +157,7 @@ def needs_counting(t_s: FloatArray) -> bool:
     dt = np.diff(t_s)
     if len(dt) < FEWEST:
         return bool((dt <= 0).any())
-    tick = _tick(t_s, np.arange(len(t_s)))
+    tick = _tick(t_s)
     if not tick > 0:
         return False
     late = dt > max(PAUSE_TICKS * tick, PAUSE_S)
@@ -170,7 +170,7 @@ def in_packets(t_s: FloatArray) -> bool:
     if len(t_s) < FEWEST:
         return False
     dt = np.diff(t_s)
-    short = (dt < SHORT_STEP * _tick(t_s, np.arange(len(t_s)))).mean() > IN_PACKETS
+    short = (dt < SHORT_STEP * _tick(t_s)).mean() > IN_PACKETS
     return bool(short and ((dt <= 0).mean() > FEW or (dt > PAUSE_S).mean() > FEW))
 
 
@@ -181,11 +181,10 @@ def even_times(
     """Times of an even sensor from bad stamps."""
     if len(t_s) < FEWEST:
         return None
-    is_counted = number is not None
-    number = np.arange(len(t_s)) if number is None else number
-    tick = _tick(t_s, number)
+    tick, is_counted = _tick(t_s, number), number is not None
     if not tick > 0:
         return None
+    number = np.arange(len(t_s)) if number is None else number
     departure = t_s - tick * number
     steps = [] if is_counted else _pauses(t_s, departure, tick)
     for row, step in steps:
@@ -207,12 +206,16 @@ def even_times(
     return EvenTimes(even, tick, len(pauses), len(steps) - len(pauses))
 
 
-def _tick(t_s: FloatArray, number: IntArray) -> float:
+def _tick(t_s: FloatArray, number: IntArray | None = None) -> float:
     """The period over intervals long enough that bursts do not count and pauses are rare."""
     apart = max(min(len(t_s) // 3, 500), 1)
-    ahead = number[apart:] - number[:-apart]
-    ticks = (t_s[apart:] - t_s[:-apart])[ahead > 0] / ahead[ahead > 0]
-    return float(np.median(ticks)) if len(ticks) else float("nan")
+    ticks = t_s[apart:] - t_s[:-apart]
+    if number is None:
+        ticks /= apart
+    else:
+        ahead = number[apart:] - number[:-apart]
+        ticks = ticks[ahead > 0] / ahead[ahead > 0]
+    return float(np.median(ticks, overwrite_input=True)) if len(ticks) else float("nan")
 
 
 def _pauses(t_s: FloatArray, departure: FloatArray, tick: float) -> list[tuple[int, float]]:

@@ -73,8 +73,8 @@ def direction_of(down: FloatArray, name: str) -> FloatArray:
 def check_imu(imu: ImuStream, whose: str, name: str) -> None:
     """Refuse an IMU whose arrays do not fit each other."""
     shape = (len(times_of(imu.t_s, f"{whose}t_s", name)), 3)
-    _rows(imu.acc, shape, f"{whose}acc", name, finite=True)
-    _rows(imu.gyro, shape, f"{whose}gyro", name, finite=True)
+    for what, values in (("acc", imu.acc), ("gyro", imu.gyro)):
+        _rows(values, shape, f"{whose}{what}", name, finite=True)
 
 
 def _rows(

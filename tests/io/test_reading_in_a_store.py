@@ -18,16 +18,14 @@ from mcap.writer import CompressionType, Writer
 from mcap_messages import every
 from private_memory import program_output
 
-from calib import world as apply
 from smoother.io import open_recording, read_recording, write_recording
 from smoother.io.mcap.container import Container
-from smoother.io.recording.decode import SIDES, UNREPORTED, JointRows
-from smoother.io.recording.read import read_arm
+from smoother.io.recording.decode import SIDES, JointRows
 from smoother.io.recording.streams import ArmFrames, RecordingFile
 from smoother.io.recording.write import as_file
-from smoother.recording import JOINTS, ImuStream, JointState
+from smoother.recording import JOINTS, JointState
 from smoother.runtime import store as store_module
-from smoother.runtime.store import Column, batches, sampled
+from smoother.runtime.store import Column
 
 ZERO = 1_700_000_000 * 10**9
 
@@ -140,16 +138,6 @@ def test_field_of_a_topic_of_its_own_and_markers(tmp_path: Path):
     assert not found.arm.tracked("wrist")[41:50].any()
 
 
-def test_without_truth_all_else_is_the_same(tmp_path: Path):
-    path = tmp_path / "a.mcap"
-    write_recording(make(), path)
-    found, whole = read_recording(path, truth=False), read_recording(path)
-    assert found.truth is None and whole.truth is not None
-    assert_equal(replace(found, truth=whole.truth), whole)
-    assert open_recording(path, truth=False).poses == []
-    assert_equal(read_arm(path, truth=False)[0], found)
-
-
 LONG = """
 import sys
 from pathlib import Path
@@ -228,18 +216,6 @@ def test_images_cost_no_memory(tmp_path: Path, compression: CompressionType):
     assert float(grown) < 40  # MB; a chunk packed and unpacked, and the unpacker's own: measured 13 to 24
 
 
-def test_a_base_imu_is_averaged_in_parts(monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr(apply, "_PART_S", 3)
-    rng = np.random.default_rng(0)
-    t = np.sort(rng.uniform(0, 60, 4000))
-    t = t[(t < 20) | (t > 31)]  # seconds, and whole parts, without samples
-    acc = rng.normal(size=(len(t), 3))
-    seconds = np.floor(t - t[0])
-    expected = [acc[seconds == second].mean(axis=0) for second in np.unique(seconds)]
-    found = apply._means(ImuStream("base", t, acc, acc))
-    np.testing.assert_allclose(found, expected, atol=1e-12)  # sums of 70 in another order
-
-
 @settings(max_examples=30, deadline=None)
 @given(st.lists(st.integers(0, 40), max_size=12), st.sampled_from([1, 400, 1 << 20]))
 def test_columns_are_their_parts_put_together(sizes: list[int], small: int):
@@ -254,17 +230,6 @@ def test_columns_are_their_parts_put_together(sizes: list[int], small: int):
         found = gathered.done()
     np.testing.assert_array_equal(found, np.concatenate([np.empty((0, 2)), *parts]))
     found += 1.0  # as any other array
-
-
-@settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
-@given(st.integers(0, 60), st.integers(1, 9))
-def test_samples_are_even(count: int, enough: int):
-    values = np.arange(count)
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(store_module, "BATCH_ROWS", 7)
-        patch.setattr(store_module, "_ENOUGH", enough)
-        np.testing.assert_array_equal(sampled(values), values[:: max(count // enough, 1)])
-        assert [i for part in batches(count) for i in values[part]] == values.tolist()
 
 
 def joint_events() -> st.SearchStrategy[list[tuple[int, int, int, int, int]]]:
@@ -314,7 +279,3 @@ def slow_arms(
                 at = frames.index(stamps[event[0]]), event[3]
                 states[at], positions[at] = event[4], place if event[4] else np.nan
         yield (body, SIDES[side]), (states, positions)
-
-
-def test_unsaid_is_no_state():
-    assert UNREPORTED not in set(JointState)

@@ -157,13 +157,6 @@ def test_the_sensor_moves_while_a_value_repeats(
     assert np.flatnonzero(_frozen(frozen, HAND)).tolist() == (list(range(30, 40)) if is_frozen else [])
 
 
-def test_a_gyroscope_s_bias_is_no_motion() -> None:
-    segment = turning_from(0.0, 9.0, 0.5)
-    biased = replace(segment.attitude, gyroscope_bias=np.array([0.0, 0.0, 0.5]))
-    frozen = with_position(segment, slice(30, 40), HAND, segment.position[29, HAND])
-    assert _frozen(frozen, HAND).any() and not _frozen(replace(frozen, attitude=biased), HAND).any()
-
-
 @pytest.mark.parametrize(("force", "is_frozen"), [(0.40, False), (0.60, True)])
 def test_the_sensor_is_shaken_while_a_value_repeats(force: float, is_frozen: bool) -> None:
     """Half a metre a second squared from the least to the largest, of the length: not of one axis."""
@@ -176,20 +169,6 @@ def test_the_sensor_is_shaken_while_a_value_repeats(force: float, is_frozen: boo
     assert _frozen(frozen, WRIST).sum() == (10 if is_frozen else 0)
 
 
-@pytest.mark.parametrize("repeats", [1, 2])
-def test_two_repeats_are_frozen(repeats: int) -> None:
-    segment = turning_from(0.0, 9.0, 0.5)
-    rows = slice(30, 30 + repeats)
-    frozen = with_position(segment, rows, HAND, segment.position[29, HAND])
-    assert np.flatnonzero(_frozen(frozen, HAND)).tolist() == ([30, 31] if repeats == 2 else [])
-    hidden = frozen.accepted.copy()
-    hidden[30, HAND] = False  # a repeat needs two samples that count
-    assert not _frozen(replace(frozen, accepted=hidden), HAND).any()
-    one_axis = frozen.position.copy()
-    one_axis[rows, HAND, 1] += 1e-6
-    assert not _frozen(replace(frozen, position=one_axis), HAND)[30]
-
-
 @pytest.mark.parametrize(("off_m", "is_jump"), [(0.148, False), (0.152, True)])
 def test_a_jump_is_fifteen_centimetres(off_m: float, is_jump: bool) -> None:
     segment = exact()
@@ -199,29 +178,6 @@ def test_a_jump_is_fifteen_centimetres(off_m: float, is_jump: bool) -> None:
     assert np.flatnonzero(_jumps(replace(segment, position=position), HAND)).tolist() == (
         [40] if is_jump else []
     )
-
-
-@pytest.mark.parametrize("frames", [6, 7, 8])
-def test_a_jump_needs_seven_samples(frames: int) -> None:
-    segment = exact()
-    accepted = np.zeros_like(segment.accepted)
-    accepted[10 : 10 + frames, HAND] = True
-    position = segment.position.copy()
-    position[13, HAND] += [0.0, 0.5, 0.0]
-    jumped = replace(segment, position=position, accepted=accepted)
-    assert np.flatnonzero(_jumps(jumped, HAND)).tolist() == ([13] if frames >= 7 else [])
-
-
-@pytest.mark.parametrize(("late_s", "is_jump"), [(0.13, True), (0.15, False)])
-def test_neighbours_beyond_a_gap_say_nothing(late_s: float, is_jump: bool) -> None:
-    """Six frames usually last 0.2 s; seven samples that are spread over 1.7 times that are no neighbours."""
-    segment = exact()
-    t = segment.frame_t_camera.copy()
-    t[41:] += late_s
-    position = segment.position.copy()
-    position[40, HAND] += [0.0, 0.5, 0.0]
-    jumped = replace(segment, position=position, frame_t_camera=t)
-    assert np.flatnonzero(_jumps(jumped, HAND)).tolist() == ([40] if is_jump else [])
 
 
 @pytest.mark.parametrize(("part", "wrong"), [(1.295, False), (1.305, True), (0.705, False), (0.695, True)])

@@ -274,23 +274,14 @@ def _keep(
     measured = finite.copy()
     for mask in unusable.values():
         measured &= ~mask
-    if measured.all():
-        keep = increasing(stamp_ns)
-    else:
-        keep = measured.copy()
-        keep[measured] = increasing(stamp_ns[measured])
+    keep = measured.copy()
+    keep[measured] = increasing(stamp_ns[measured])
     dropped, total = int((~keep).sum()), len(keep)
     if not dropped:
         return keep, []
-    not_numbers = int((~finite).sum())
-    causes = []
-    if not_numbers:
-        causes.append(f"{not_numbers} not finite")
-    for cause, mask in unusable.items():
-        if count := int((mask & finite).sum()):
-            causes.append(f"{count} {cause}")
-    if stamps := int((measured & ~keep).sum()):
-        causes.append(f"{stamps} with repeated or backward stamps")
+    masks = {"not finite": ~finite} | {cause: mask & finite for cause, mask in unusable.items()}
+    masks["with repeated or backward stamps"] = measured & ~keep
+    causes = [f"{count} {cause}" for cause, mask in masks.items() if (count := int(mask.sum()))]
     # a sensor that sent nothing for a while paused; what is around it counts
     paused = np.zeros(total, bool)
     for cause in (FROZEN, ZERO):
@@ -320,14 +311,13 @@ def _check_units(stream: ImuSamples, finite: BoolArray, source: str) -> None:
         return
     if unit := unit_of_rest(rest):
         others = " (or cm/s^2)" if unit == "mg" else ""
-        raise RecordingError(
-            f"{source}: the accelerometer of {stream.topic} reads {rest:.4g} at rest instead of 9.81, "
-            f'which looks like {unit}{others}; give accelerometer_unit = "{unit}" in a recording.toml.'
-        )
-    why = "gravity seems to have been taken out" if rest < 0.7 else "the unit is not known"
+        why = f'which looks like {unit}{others}; give accelerometer_unit = "{unit}" in a recording.toml'
+    else:
+        taken = "gravity seems to have been taken out" if rest < 0.7 else "the unit is not known"
+        why = f"{taken}; record the raw specific force in m/s^2"
     raise RecordingError(
-        f"{source}: the accelerometer of {stream.topic} reads {rest:.4g} at rest instead of 9.81 m/s^2 "
-        f"({why}); record the raw specific force in m/s^2."
+        f"{source}: the accelerometer of {stream.topic} reads {rest:.4g} at rest instead of 9.81 m/s^2,"
+        f" {why}."
     )
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from ...array_types import FloatArray
 from ...errors import RecordingError
 from ...measurements.timestamps import increasing
-from ...runtime.store import batches, sampled
+from ...runtime.store import batches, by_rows, sampled
 from ..mcap.messages import nanoseconds, seconds
 from ..tables.imu import WRONG_SCALE, ImuTable, turn_scale, with_halves_joined
 from ..tables.units import ACCELERATION, ANGULAR_VELOCITY, unit_of_rest
@@ -52,7 +52,7 @@ def settle_imus(file: RecordingFile) -> None:
 def _only_sensor(imu: ImuSamples) -> str:
     """The one sensor that was measured where the other reads zero (or nothing) throughout; "" for both."""
     silent = {
-        name: not any(np.nan_to_num(values[part]).any() for part in batches(len(values)))
+        name: not by_rows(lambda part: np.nan_to_num(part).any(axis=1), values).any()
         for name, values in (("gyroscope", imu.acc), ("accelerometer", imu.gyro))
     }
     if silent["gyroscope"] == silent["accelerometer"]:

@@ -28,19 +28,15 @@ BEYOND, OUTSIDE_SHARE = 0.05, 0.01
 
 def with_lenses(file: RecordingFile, topics: set[str]) -> None:
     """Give keypoints their lenses; those of a camera with an unknown lens are left out, with a note."""
-    kept = []
+    file.arms = [arm for arm in file.arms if arm.topic not in topics or arm.topic in file.lenses]
     for arm in file.arms:
         if arm.topic in topics:
-            if arm.topic not in file.lenses:
-                continue
             arm.lens, arm.camera_frame = file.lenses[arm.topic].lens, CameraFrame.OPTICAL
-        kept.append(arm)
     for topic in sorted(topics - file.lenses.keys()):
         file.notes.append(
             f"{topic}: the camera's lens is not known, so its keypoints were left out; import them again with"
             " --intrinsics."
         )
-    file.arms = kept
 
 
 def tracks_of(arm: ArmFrames, t_s: FloatArray) -> JointTracks:

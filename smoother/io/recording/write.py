@@ -267,16 +267,12 @@ def _poses(output: Output, poses: PoseSamples) -> list[OutputStream]:
 
     outgoing = [OutputStream(output.channel(poses.topic, "foxglove.PoseInFrame"), poses.stamp_ns, encode)]
     if poses.joints:
-        outgoing.append(arm_messages(output, _truth_joints(poses, poses.stamp_ns)))
-    return outgoing
-
-
-def _truth_joints(poses: PoseSamples, stamp: IntArray) -> ArmFrames:
-    position = np.full((len(stamp), len(JOINTS), 3), np.nan)
-    state = np.zeros((len(stamp), len(JOINTS)), np.int8)
-    for joint, values in poses.joints.items():
-        position[:, JOINTS.index(joint)] = values
-        state[:, JOINTS.index(joint)] = np.where(
-            np.isfinite(values).all(axis=1), JointState.TRACKED, JointState.NOT_TRACKED
+        position = np.full((len(poses.stamp_ns), len(JOINTS), 3), np.nan)
+        for joint, values in poses.joints.items():
+            position[:, JOINTS.index(joint)] = values
+        state = np.where(np.isfinite(position).all(axis=2), JointState.TRACKED, 0).astype(np.int8)
+        name, stamp_ns = f"{poses.topic}/joints", poses.stamp_ns
+        outgoing.append(
+            arm_messages(output, ArmFrames(name, poses.frame_id, 0, "", stamp_ns, position, state))
         )
-    return ArmFrames(f"{poses.topic}/joints", poses.frame_id, 0, "", stamp, position, state)
+    return outgoing

@@ -6,7 +6,6 @@ import os
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
-from itertools import islice
 from typing import Protocol
 
 import numpy as np
@@ -15,7 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from calib.intrinsics import Intrinsics, PlacedCamera
 
-from ...array_types import FloatArray, IntArray
+from ...array_types import FloatArray
 from ...errors import RecordingError
 from ...recording import Recording
 from ...runtime.outputs import writing
@@ -214,47 +213,30 @@ def write_strap_recording(
     stamp = nanoseconds(times, recording.origin_ns)
     later = stamp + round(1e9 * depth_later_s)
     colour, depth = cameras
+    beside = {"parent_frame_id": DEPTH, "child_frame_id": COLOUR, "rotation": {"w": 1.0}}
+    offset = dict(zip("xyz", (-colour.t_C_K).tolist(), strict=True))  # in the depth camera
+    frames = message_class(TRANSFORMS)(transforms=[{**beside, "translation": offset}])
+    once = {
+        (f"/{COLOUR}/calibration", CAMERA_CALIBRATION): lens_message(COLOUR, colour.lens, int(stamp[0])),
+        (f"/{DEPTH}/calibration", CAMERA_CALIBRATION): lens_message(DEPTH, depth.lens, int(stamp[0])),
+        ("/tf", TRANSFORMS): bytes(frames.SerializeToString(deterministic=True)),
+    }
+
+    def colour_images(rows: slice) -> list[bytes]:
+        pairs = zip(images[rows], stamp[rows].tolist(), strict=True)
+        return [jpeg_image(COLOUR, pair.grey, at) for pair, at in pairs]
+
+    def depth_images(rows: slice) -> list[bytes]:
+        pairs = zip(images[rows], later[rows].tolist(), strict=True)
+        return [raw_image(DEPTH, "16UC1", pair.depth_mm, at) for pair, at in pairs]
+
     with writing(path, force) as temporary, Output(temporary) as output:
         streams = recording_streams(output, as_file(recording))
-        for frame, camera in ((COLOUR, colour), (DEPTH, depth)):
-            channel = output.channel(f"/{frame}/calibration", CAMERA_CALIBRATION)
-            streams.append(_once(channel, stamp, lens_message(frame, camera.lens, int(stamp[0]))))
-        streams.append(_once(output.channel("/tf", TRANSFORMS), stamp, _beside(colour)))
+        for (topic, schema), data in once.items():  # they apply from the first image on
+            channel = output.channel(topic, schema)
+            streams.append(OutputStream(channel, stamp[:1], [data].__getitem__))
         channel = output.channel(f"/{COLOUR}/image", COMPRESSED_IMAGE)
-        streams.append(
-            OutputStream(
-                channel,
-                stamp,
-                lambda rows: [
-                    jpeg_image(COLOUR, pair.grey, int(at))
-                    for pair, at in zip(images[rows], stamp[rows], strict=True)
-                ],
-            )
-        )
+        streams.append(OutputStream(channel, stamp, colour_images))
         channel = output.channel(f"/{DEPTH}/image", RAW_IMAGE)
-        streams.append(
-            OutputStream(
-                channel,
-                later,
-                lambda rows: [
-                    raw_image(DEPTH, "16UC1", pair.depth_mm, int(at))
-                    for pair, at in zip(images[rows], later[rows], strict=True)
-                ],
-            )
-        )
+        streams.append(OutputStream(channel, later, depth_images))
         output.write(streams)
-
-
-def _once(channel: int, stamp: IntArray, data: bytes) -> OutputStream:
-    """A message that applies from the first image on."""
-    return OutputStream(channel, stamp[:1], lambda rows: list(islice([data], rows.start, rows.stop)))
-
-
-def _beside(colour: PlacedCamera) -> bytes:
-    """Where the colour camera is in the depth camera's image axes."""
-    offset = dict(zip("xyz", (-colour.t_C_K).tolist(), strict=True))
-    frames = {"parent_frame_id": DEPTH, "child_frame_id": COLOUR}
-    message = message_class(TRANSFORMS)(
-        transforms=[{**frames, "rotation": {"w": 1.0}, "translation": offset}]
-    )
-    return bytes(message.SerializeToString(deterministic=True))
