@@ -115,6 +115,20 @@ def runs(mask: BoolArray) -> list[slice]:
     return [slice(a, b) for a, b in zip(edges[::2], edges[1::2], strict=True)]
 
 
+def nearest(t: FloatArray, at: FloatArray) -> IntArray:
+    """Rows (k,) of the increasing times (n,) nearest to each time (k,)."""
+    after = np.clip(np.searchsorted(t, at), 1, max(len(t) - 1, 1))
+    before, after = after - 1, np.minimum(after, len(t) - 1)
+    return np.asarray(np.where(at - t[before] < t[after] - at, before, after))
+
+
+def upright(up: FloatArray) -> FloatArray:
+    """A rotation (3, 3) whose third column is up (3,)."""
+    third = unit(up)
+    side = unit(np.cross(third, np.eye(3)[int(np.abs(third).argmin())]))
+    return np.stack([side, np.cross(third, side), third], axis=1)
+
+
 def robust_sigma(residual: FloatArray, axis: int | None = None) -> FloatArray:
     """Standard deviation about zero that outliers hardly move: 1.4826 times the median size."""
     return np.asarray(1.4826 * np.median(np.abs(residual), axis=axis))

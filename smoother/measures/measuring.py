@@ -9,14 +9,14 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from ..array_types import FloatArray
-from ..linalg import rotate_covariance
+from ..linalg import nearest, rotate_covariance
 from ..result import Recovery
 from ..runtime.pool import Pool, Progress
 from .angles import PERCENTILES
 from .definitions import FEWEST_DRAWS, definition_of, interval
 from .layout import FOUND, SESSION, Figures, Layout, Place
 from .measure import UNKNOWN, Figure, Measure, Measures, MeasureSettings
-from .motion import ElbowBend, Motion, grid_of, motion_of, nearest_rows
+from .motion import ElbowBend, Motion, grid_of, motion_of
 
 #: A drawn motion takes at least as long to measure as this many camera frames take to recover.
 FRAMES_A_DRAW = 200
@@ -130,7 +130,7 @@ class Measuring:
         untrusted = {}
         if len(grid.t_s) and not recovery.trusted.all():
             # a figure's share is of the samples that the motion has as occluded
-            wrong = np.asarray(~recovery.trusted[nearest_rows(recovery.t_s, grid.t_s)])
+            wrong = np.asarray(~recovery.trusted[nearest(recovery.t_s, grid.t_s)])
             untrusted = layout.figures(replace(drawn.answer, occluded=wrong))
         return cls(recovery, motion, layout, layout.figures(drawn.answer), drawn, untrusted)
 

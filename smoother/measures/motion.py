@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from ..array_types import BoolArray, FloatArray
 from ..joint_angles import defined, elbow_bend, recovery_angles, torso_axes
-from ..linalg import by_columns, interpolate, median_rate_hz, runs
+from ..linalg import by_columns, interpolate, median_rate_hz, nearest, runs
 from ..result import Recovery
 from ..shoulder_angles import shoulder_angles, trunk_angles
 from .measure import Smoothing
@@ -77,7 +77,7 @@ def on_grid(recovery: Recovery, grid: TimeGrid, cutoff_hz: float) -> Recovery:
     return replace(
         recovery,
         t_s=grid.t_s,
-        occluded=recovery.occluded[nearest_rows(recovery.t_s, grid.t_s)],
+        occluded=recovery.occluded[nearest(recovery.t_s, grid.t_s)],
         position=even["position"],
         quaternion=even["quaternion"],
         velocity=interpolate(recovery.t_s, recovery.velocity, grid.t_s),
@@ -133,12 +133,6 @@ def one_sign(quaternion: FloatArray) -> FloatArray:
     turns = np.where((even[known][1:] * even[known][:-1]).sum(axis=1) < 0.0, -1.0, 1.0)
     even[known[1:]] *= np.cumprod(turns)[:, None]
     return even
-
-
-def nearest_rows(t_s: FloatArray, at: FloatArray) -> np.ndarray:
-    """Index (k,) of the sample nearest to each time."""
-    right = np.clip(np.searchsorted(t_s, at), 1, max(len(t_s) - 1, 1))
-    return np.where(at - t_s[right - 1] <= t_s[np.minimum(right, len(t_s) - 1)] - at, right - 1, right)
 
 
 def _zeros(*shape: int) -> FloatArray:

@@ -18,7 +18,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..array_types import BoolArray, FloatArray, IntArray
-from ..linalg import sphere, unit
+from ..linalg import nearest, sphere, unit, upright
 from ..measurements.alignment import acceleration_pairs
 from ..measurements.inertial import InertialAttitude
 from ..measurements.segment import Segment
@@ -86,7 +86,8 @@ def seen(recovery: Recovery, excerpts: Sequence[Segment]) -> Seen | None:
         return None
     joint = next((joint for joint in ("wrist", "hand", "elbow") if joint in arm.lever_arms), "")
     elbow, wrist = JOINTS.index("elbow"), JOINTS.index("wrist")
-    S_W_K = _upright(recovery.gravity_direction)
+    down = recovery.gravity_direction
+    S_W_K = upright(-down).T if np.isfinite(down).all() else np.eye(3)
     parts: list[tuple[FloatArray, ...]] = []
     for excerpt in excerpts:
         attitude = _attitude(recovery, excerpt, S_W_K)
@@ -95,7 +96,7 @@ def seen(recovery: Recovery, excerpts: Sequence[Segment]) -> Seen | None:
         frames = residuals.rows(excerpt.frames)
         position = np.asarray(recovery.arm.position[excerpt.frames])
         inside = (frames.t_s >= excerpt.start_s) & (frames.t_s <= excerpt.end_s)
-        inside &= np.abs(attitude.t[_nearest(attitude.t, frames.t_s)] - frames.t_s) < BRIDGED_S
+        inside &= np.abs(attitude.t[nearest(attitude.t, frames.t_s)] - frames.t_s) < BRIDGED_S
         both = _thinned(frames.t_s, inside & frames.used[:, elbow] & frames.used[:, wrist])
         along = unit(position[both, wrist] - position[both, elbow])
         R_K_A = S_W_K.T @ attitude.at(frames.t_s[both]).as_matrix()
@@ -112,16 +113,6 @@ def seen(recovery: Recovery, excerpts: Sequence[Segment]) -> Seen | None:
     return Seen(along_K, turned, acc_K, imu_K, turn_K, arm.lever_arms[joint].position_m)
 
 
-def _upright(down_K: FloatArray) -> FloatArray:
-    """A rotation (3, 3) from {K} to axes with z up."""
-    turn = Rotation.from_rotvec(np.zeros(3)).as_matrix()
-    if np.isfinite(down_K).all():
-        up = -unit(down_K)
-        side = unit(np.cross(up, np.eye(3)[int(np.abs(up).argmin())]))
-        turn = np.stack([side, np.cross(up, side), up])
-    return turn
-
-
 def _attitude(recovery: Recovery, excerpt: Segment, S_W_K: FloatArray) -> InertialAttitude | None:
     """The answer's attitude over an excerpt; None where there is hardly any."""
     t = recovery.t_s
@@ -136,12 +127,6 @@ def _attitude(recovery: Recovery, excerpt: Segment, S_W_K: FloatArray) -> Inerti
         return None
     R_K_A = Rotation.from_quat(quaternion[answered], scalar_first=True).as_matrix()
     return InertialAttitude(t[rows][answered], Rotation.from_matrix(S_W_K @ R_K_A), np.zeros(3))
-
-
-def _nearest(t: FloatArray, at: FloatArray) -> IntArray:
-    """Rows of the increasing times nearest to some."""
-    right = np.clip(np.searchsorted(t, at), 1, len(t) - 1)
-    return np.where(at - t[right - 1] < t[right] - at, right - 1, right)
 
 
 def _thinned(t: FloatArray, mask: BoolArray) -> IntArray:

@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..array_types import BoolArray, FloatArray, IntArray
-from ..linalg import unit
+from ..array_types import BoolArray, FloatArray
+from ..linalg import nearest, unit
 from ..recording import JointTracks, Recording
 from ..result import Recovery
 from ..result.segment_motion import TrunkMotion
@@ -89,14 +89,14 @@ def shoulder_lines(
     other = other_arm.select(slice(*near.tolist()))
     if not len(other):
         return np.zeros(0), np.zeros((0, 3)), np.zeros(0)
-    nearest = _nearest(other.t_s, stamp)
-    line = np.asarray(arm.joint("shoulder")) - np.asarray(other.joint("shoulder"))[nearest]
+    near_rows = nearest(other.t_s, stamp)
+    line = np.asarray(arm.joint("shoulder")) - np.asarray(other.joint("shoulder"))[near_rows]
     line = line if recording.side == "right" else -line
     width = np.linalg.norm(line, axis=1)
     with np.errstate(invalid="ignore"):
         good = (width > WIDTH_M[0]) & (width < WIDTH_M[1])
-    good &= arm.tracked("shoulder") & other.tracked("shoulder")[nearest]
-    good &= np.abs(other.t_s[nearest] - stamp) < SAME_FRAME_S
+    good &= arm.tracked("shoulder") & other.tracked("shoulder")[near_rows]
+    good &= np.abs(other.t_s[near_rows] - stamp) < SAME_FRAME_S
     return np.array(arm_t[rows])[good], unit(line[good]), width[good]
 
 
@@ -113,7 +113,7 @@ def _mean_line(
     weight = np.where(inside, np.exp(-0.5 * ((t[index] - t_s[:, None]) / MEAN_S) ** 2), 0.0)
     total = weight.sum(axis=1)
     mean = np.einsum("nk,nkj->nj", weight, level[index])
-    at = _nearest(t, t_s)
+    at = nearest(t, t_s)
     lone = total < 0.5  # hardly a frame about: the nearest one, if it is near enough
     mean[lone] = level[at[lone]]
     along = unit(mean)
@@ -126,11 +126,3 @@ def _mean_line(
         constant + 0.5 * np.where(lone, np.median(noise), noise) + (np.radians(10.0) * away / REACH_S) ** 2
     )
     return along, np.where((away < REACH_S) & np.isfinite(along).all(axis=1), variance, np.nan)
-
-
-def _nearest(t: FloatArray, at: FloatArray) -> IntArray:
-    """Index of the nearest of the increasing times (n,) to each time (k,)."""
-    after = np.clip(np.searchsorted(t, at), 1, max(len(t) - 1, 1))
-    before = after - 1
-    after = np.minimum(after, len(t) - 1)
-    return np.asarray(np.where(np.abs(t[before] - at) < np.abs(t[after] - at), before, after))

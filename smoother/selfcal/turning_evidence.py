@@ -22,7 +22,7 @@ import numpy as np
 
 from ..array_types import BoolArray, FloatArray, IntArray
 from ..filters import gaussian_smoothed
-from ..linalg import largest_trace, nearest_rotation, unit
+from ..linalg import largest_trace, nearest_rotation, unit, upright
 from ..measurements.inertial import InertialSignal, inertial_attitude
 from ..measurements.segment import FEWEST_SAMPLES, FILTER_RATE_HZ, without_spikes
 from ..measurements.timestamps import dejitter
@@ -253,7 +253,7 @@ def _sums(camera: CameraTurning, imu: ImuTurning, up: FloatArray | None) -> tupl
     T = correlation(weight * camera.rate, imu.rate.reshape(m, 9))[rows].reshape(-1, 3, 3, 3)
     most = correlation(weight * (camera.rate**2).sum(axis=1)[:, None], np.ones((m, 1)))[rows, 0, 0]
     if up is not None:  # x in axes whose third points up, as that of {E} does
-        T = np.einsum("ai,najk->nijk", _upright(up), T)
+        T = np.einsum("ai,najk->nijk", upright(up), T)
     return count, (rows, T, C, most)
 
 
@@ -349,14 +349,6 @@ def _by_heading(T: FloatArray) -> Callable[[FloatArray], FloatArray]:
         return np.asarray((c / length) * cosine + (s / length) * sine + along)
 
     return turned
-
-
-def _upright(up: FloatArray) -> FloatArray:
-    """Axes as columns (3, 3) whose third is up."""
-    side = np.cross(up, np.eye(3)[np.abs(up).argmin()])
-    first = unit(side)
-    third = unit(up)
-    return np.stack([first, np.cross(third, first), third], axis=1)
 
 
 def correlation(x: FloatArray, y: FloatArray) -> FloatArray:

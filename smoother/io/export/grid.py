@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ... import linalg
 from ...array_types import BoolArray, FloatArray
 from ...errors import UnoccludeError
 from ...result import Recovery
@@ -63,10 +64,7 @@ def at_grid(t_s: FloatArray, values: FloatArray, grid: Grid) -> FloatArray:
 
 def nearest(t_s: FloatArray, grid: Grid) -> np.ndarray:
     """(G,) index of the sample nearest to each of the grid's times."""
-    if grid.same:
-        return np.arange(len(t_s))
-    after = np.clip(np.searchsorted(t_s, grid.t_s), 1, len(t_s) - 1)
-    return np.where(grid.t_s - t_s[after - 1] < t_s[after] - grid.t_s, after - 1, after)
+    return np.arange(len(t_s)) if grid.same else linalg.nearest(t_s, grid.t_s)
 
 
 def frames_at_grid(
