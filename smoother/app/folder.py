@@ -123,16 +123,6 @@ class AppFolder:
         """Keep a dropped model for the other recordings too."""
         link_file(file, self.models / file.name)
 
-    def take_up(self, name: str) -> str:
-        """Make a recording of a loose MCAP file, which stays where it is; its name on disk."""
-        file = next((path for path in self.loose_files() if path.name == name), None)
-        if file is None:
-            raise AppError("There is no such file in the folder, or a recording has it already.", 404)
-        kept_name = file_name(file.name)
-        made = self.add(KeptRecording(name=one_line(file.stem[:200]) or "Recording"))
-        link_file(file, self.path / made / "files" / kept_name)
-        return made
-
     def template_files(self) -> list[Path]:
         """All templates, by name."""
         return sorted(self.templates.glob("*.toml"))
@@ -142,23 +132,6 @@ class AppFolder:
         for each in sorted(self.path.iterdir()):
             if _ID.fullmatch(each.name) and (each / "app.json").is_file():
                 yield each.name
-
-    def loose_files(self) -> list[Path]:
-        """MCAP files in the folder itself and are in no recording yet, by name."""
-        loose = [
-            path
-            for path in sorted(self.path.iterdir())
-            if path.suffix == ".mcap" and not path.name.startswith(".") and path.is_file()
-        ]
-        if not loose:
-            return []
-        used = {
-            (about.st_dev, about.st_ino)
-            for name in self.recordings()
-            for file in (self.path / name / "files").glob("*.mcap")
-            for about in (file.stat(),)
-        }
-        return [path for path in loose if (path.stat().st_dev, path.stat().st_ino) not in used]
 
     def comparisons(self) -> Iterator[str]:
         """Names on disk of all comparisons."""

@@ -8,7 +8,8 @@ import json
 import os
 import secrets
 import shutil
-from collections.abc import AsyncIterator, Awaitable, Callable
+import threading
+from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager, suppress
 from pathlib import Path
 from typing import Any
@@ -20,6 +21,7 @@ from starlette.requests import ClientDisconnect, Request
 from starlette.responses import FileResponse, JSONResponse, Response
 from starlette.routing import Route
 
+from .. import __version__
 from ..errors import UnoccludeError
 from ..io.tables.recording_toml import read_templates, template_text
 from ..io.tables.video import is_model
@@ -27,6 +29,7 @@ from . import steps, views
 from .folder import (
     AppError,
     AppFolder,
+    Choices,
     KeptRecording,
     changed,
     file_name,
@@ -60,78 +63,92 @@ def make_app(folder: AppFolder, desk: JobDesk, token: str, port: int) -> Starlet
             await anyio.to_thread.run_sync(desk.close)
 
     one = "/api/recordings/{id}"
+    answers: list[tuple[str, str, Callable[[_Asked], Any]]] = [
+        ("GET", "/api/state", lambda asked: views.overview(asked.folder, __version__)),
+        ("POST", "/api/recordings", _add),
+        ("GET", one, _one),
+        ("PATCH", one, _change),
+        ("DELETE", one, _remove),
+        ("GET", f"{one}/streams", lambda asked: views.streams(asked.folder, asked.id)),
+        ("DELETE", f"{one}/files/{{name}}", _drop_file),
+        ("POST", f"{one}/jobs", _begin),
+        ("POST", f"{one}/cancel", lambda asked: asked.desk.cancel(asked.place)),
+        ("POST", f"{one}/template", _template),
+        ("POST", "/api/batch", _batch),
+        ("POST", "/api/comparisons", _compare),
+        ("GET", "/api/comparisons/{id}", lambda asked: views.comparison(asked.folder, asked.id)),
+        ("POST", "/api/comparisons/{id}/cancel", lambda asked: asked.desk.cancel(asked.comparison)),
+        ("GET", "/results/comparisons/{id}/{name}", _comparison_result),
+        ("GET", "/results/{id}/{name:path}", _result),
+    ]
     app = Starlette(
         routes=[
-            Route("/", _page),
+            Route("/", _asset),
             Route("/{name}", _asset),
-            Route("/api/state", _answer(_state)),
-            Route("/api/recordings", _answer(_add), methods=["POST"]),
-            Route("/api/loose", _answer(_take_up), methods=["POST"]),
-            Route(one, _answer(_one), methods=["GET"]),
-            Route(one, _answer(_change), methods=["PATCH"]),
-            Route(one, _answer(_remove), methods=["DELETE"]),
-            Route(f"{one}/streams", _answer(_streams)),
-            Route(f"{one}/files/{{name}}", _answer(_upload), methods=["PUT"]),
-            Route(f"{one}/files/{{name}}", _answer(_drop_file), methods=["DELETE"]),
-            Route(f"{one}/jobs", _answer(_begin), methods=["POST"]),
-            Route(f"{one}/cancel", _answer(_cancel), methods=["POST"]),
-            Route(f"{one}/template", _answer(_template), methods=["POST"]),
-            Route("/api/batch", _answer(_batch), methods=["POST"]),
-            Route("/api/comparisons", _answer(_compare), methods=["POST"]),
-            Route("/api/comparisons/{id}", _answer(_comparison)),
-            Route("/api/comparisons/{id}/cancel", _answer(_cancel_comparison), methods=["POST"]),
-            Route("/results/comparisons/{id}/{name}", _answer(_result)),
-            Route("/results/{id}/{name:path}", _answer(_result)),
+            Route(f"{one}/files/{{name}}", _answered(_upload), methods=["PUT"]),
+            *(Route(path, _answered(_asking(answer)), methods=[how]) for how, path, answer in answers),
         ],
         middleware=[Middleware(Guard, token=token, port=port)],
         lifespan=lifespan,
     )
-    app.state.folder, app.state.desk = folder, desk
+    app.state.folder, app.state.desk, app.state.changing = folder, desk, threading.Lock()
     return app
 
 
-Handler = Callable[[Request], Awaitable[Any]]
+class _Asked:
+    """What a request asks for, of which folder."""
+
+    def __init__(self, request: Request, wish: dict[str, Any]) -> None:
+        self.request, self.wish = request, wish
+        self.folder: AppFolder = request.app.state.folder
+        self.desk: JobDesk = request.app.state.desk
+        self.id: str = request.path_params.get("id", "")
+        self.name: str = request.path_params.get("name", "")
+
+    @property
+    def place(self) -> Path:
+        """The folder of its recording."""
+        return self.folder.of(self.id)
+
+    @property
+    def comparison(self) -> Path:
+        """The folder of its comparison."""
+        return self.folder.comparison(self.id)
 
 
-def _answer(handler: Handler) -> Handler:
+def _asking(answer: Callable[[_Asked], Any]) -> Callable[[Request], Any]:
+    """A function of what is asked, as a handler that runs in a thread; one change is made at a time."""
+
+    async def handle(request: Request) -> Any:
+        asked = _Asked(request, await _body(request) if request.method in ("POST", "PATCH") else {})
+        if request.method == "GET":
+            return await anyio.to_thread.run_sync(answer, asked)
+
+        def change() -> Any:
+            with request.app.state.changing:
+                return answer(asked)
+
+        return await anyio.to_thread.run_sync(change)
+
+    return handle
+
+
+def _answered(handler: Callable[[Request], Any]) -> Callable[[Request], Any]:
     """A handler whose errors become one sentence."""
 
     async def answer(request: Request) -> Response:
         try:
             result = await handler(request)
-        except AppError as error:
-            return JSONResponse({"error": str(error)}, error.status)
         except UnoccludeError as error:
-            return JSONResponse({"error": str(error)}, 400)
+            return JSONResponse({"error": str(error)}, error.status if isinstance(error, AppError) else 400)
         except OSError as error:
             full = error.errno in (errno.ENOSPC, errno.EDQUOT)
             sentence = NO_SPACE if full else f"{error.strerror or error}"
-            return JSONResponse({"error": f"{_name_of(error)}{sentence}"}, 507 if full else 500)
-        return result if isinstance(result, Response) else JSONResponse(result)
+            name = f"{Path(os.fsdecode(error.filename)).name}: " if error.filename else ""
+            return JSONResponse({"error": f"{name}{sentence}"}, 507 if full else 500)
+        return result if isinstance(result, Response) else JSONResponse(result or {})
 
     return answer
-
-
-def _name_of(error: OSError) -> str:
-    return f"{Path(os.fsdecode(error.filename)).name}: " if error.filename else ""
-
-
-def _folder(request: Request) -> AppFolder:
-    folder: AppFolder = request.app.state.folder
-    return folder
-
-
-def _desk(request: Request) -> JobDesk:
-    desk: JobDesk = request.app.state.desk
-    return desk
-
-
-def _place(request: Request) -> Path:
-    return _folder(request).of(request.path_params["id"])
-
-
-def _comparison_place(request: Request) -> Path:
-    return _folder(request).comparison(request.path_params["id"])
 
 
 async def _body(request: Request) -> dict[str, Any]:
@@ -151,62 +168,38 @@ async def _body(request: Request) -> dict[str, Any]:
     return values
 
 
-async def _page(_: Request) -> Response:
-    return FileResponse(WEB / "app.html", media_type="text/html")
-
-
 async def _asset(request: Request) -> Response:
-    name = request.path_params["name"]
+    name = request.path_params.get("name", "")
+    if not name:
+        return FileResponse(WEB / "app.html", media_type="text/html")
     if name not in _PAGE:
         return JSONResponse({"error": "There is no such page."}, 404)
     return FileResponse(WEB / name, media_type=_PAGE[name])
 
 
-async def _state(request: Request) -> Any:
-    from .. import __version__
-
-    return await anyio.to_thread.run_sync(views.overview, _folder(request), __version__)
-
-
-async def _add(request: Request) -> Any:
-    wish = await _body(request)
-    kept = KeptRecording(name=one_line(wish.get("name", "")), person=one_line(wish.get("person", "")))
-    kept.name = kept.name or "Recording"
-    return {"id": _folder(request).add(kept)}
+def _add(asked: _Asked) -> Any:
+    name, person = (one_line(asked.wish.get(key, "")) for key in ("name", "person"))
+    return {"id": asked.folder.add(KeptRecording(name=name or "Recording", person=person))}
 
 
-async def _take_up(request: Request) -> Any:
-    """Make a recording of an MCAP file of the folder, and look at it."""
-    folder, wish = _folder(request), await _body(request)
-    name = await anyio.to_thread.run_sync(folder.take_up, str(wish.get("name", "")))
-    begin(folder, _desk(request), folder.of(name), "describe", {})
-    return {"id": name}
+def _one(asked: _Asked) -> Any:
+    return views.recording(asked.folder, asked.id)
 
 
-async def _one(request: Request) -> Any:
-    return await anyio.to_thread.run_sync(views.recording, _folder(request), request.path_params["id"])
+def _change(asked: _Asked) -> Any:
+    write_kept(asked.place, changed(read_kept(asked.place), asked.wish))
+    return _one(asked)
 
 
-async def _change(request: Request) -> Any:
-    place = _place(request)
-    kept = changed(read_kept(place), await _body(request))
-    write_kept(place, kept)
-    return await _one(request)
-
-
-async def _remove(request: Request) -> Any:
-    refuse_busy(_place(request))
-    place = _folder(request).remove(request.path_params["id"])
-    return {"moved_to": str(place)}
-
-
-async def _streams(request: Request) -> Any:
-    return await anyio.to_thread.run_sync(views.streams, _folder(request), request.path_params["id"])
+def _remove(asked: _Asked) -> Any:
+    refuse_busy(asked.place)
+    return {"moved_to": str(asked.folder.remove(asked.id))}
 
 
 async def _upload(request: Request) -> Any:
     """Write a dropped file to the disk as it comes; it is there whole or not at all."""
-    place, name = _place(request), file_name(request.path_params["name"])
+    asked = _Asked(request, {})
+    place, name = asked.place, file_name(asked.name)
     refuse_busy(place)
     length = request.headers.get("content-length", "")
     free = shutil.disk_usage(place).free - RESERVE_BYTES
@@ -226,7 +219,7 @@ async def _upload(request: Request) -> Any:
             await file.write(block)
         await anyio.to_thread.run_sync(os.replace, beside, place / "files" / name)
         if name.endswith(".task") and is_model(place / "files" / name):
-            _folder(request).keep_model(place / "files" / name)
+            asked.folder.keep_model(place / "files" / name)
     except ClientDisconnect:
         return Response(status_code=400)  # the client is gone
     finally:
@@ -235,148 +228,116 @@ async def _upload(request: Request) -> Any:
     return {"name": name}
 
 
-async def _drop_file(request: Request) -> Any:
-    place, name = _place(request), file_name(request.path_params["name"])
-    refuse_busy(place)
+def _drop_file(asked: _Asked) -> Any:
+    refuse_busy(asked.place)
     with suppress(FileNotFoundError):
-        (place / "files" / name).unlink()
-    return await _one(request)
+        (asked.place / "files" / file_name(asked.name)).unlink()
+    return _one(asked)
 
 
-async def _begin(request: Request) -> Any:
-    folder, place, wish = _folder(request), _place(request), await _body(request)
-    begin(folder, _desk(request), place, str(wish.get("kind", "")), wish)
-    return await _one(request)
+def _begin(asked: _Asked) -> Any:
+    wish = asked.wish
+    begin(asked, asked.place, str(wish.get("kind", "")), bool(wish.get("anyway")), wish.get("formats"))
+    return _one(asked)
 
 
-def begin(folder: AppFolder, desk: JobDesk, place: Path, kind: str, wish: dict[str, Any]) -> None:
+def begin(asked: _Asked, place: Path, kind: str, anyway: bool = False, formats: object = ()) -> None:
     """Put a recording's job on the desk."""
     if kind == "describe":
-        todo = steps.describe_steps(folder, place)
+        todo = steps.describe_steps(asked.folder, place)
     elif kind == "check":
-        todo = steps.check_steps(folder, place)
+        todo = steps.check_steps(asked.folder, place)
     elif kind == "recover":
-        todo = steps.recover_steps(folder, place, bool(wish.get("anyway")))
+        todo = steps.recover_steps(asked.folder, place, anyway)
     elif kind == "export":
-        formats = wish.get("formats", [])
         todo = steps.export_steps(place, [str(each) for each in formats] if isinstance(formats, list) else [])
     else:
         raise AppError("There is no such job.")
-    desk.add(place, kind, todo, steps.stamp(folder, place))
+    asked.desk.add(place, kind, todo, steps.stamp(asked.folder, place))
 
 
-async def _cancel(request: Request) -> Any:
-    _desk(request).cancel(_place(request))
-    return {}
-
-
-async def _template(request: Request) -> Any:
+def _template(asked: _Asked) -> Any:
     """Keep how a table is read, and look at the files again."""
-    folder, place, wish = _folder(request), _place(request), await _body(request)
+    folder, place, wish = asked.folder, asked.place, asked.wish
     refuse_busy(place)
-    about = next(
-        (each for each in steps.described(place) if Path(each["file"]).name == wish.get("file")), None
-    )
-    if about is None or about.get("guess") is None:
+    about = [each for each in steps.described(place) if Path(each["file"]).name == wish.get("file")]
+    if not about or about[0].get("guess") is None:
         raise AppError("There is no such table among the files of this recording.")
-    guess = about["guess"]
-    names = guess["names"]
-    width = len(guess["rows"][0]) if guess["rows"] else len(names)
-    columns, keys = wish.get("columns"), wish.get("keys")
-    kind = wish.get("kind")
+    names, rows = about[0]["guess"]["names"], about[0]["guess"]["rows"]
+    width = len(rows[0]) if rows else len(names)
+    columns, keys, kind = wish.get("columns"), wish.get("keys"), wish.get("kind")
     if not isinstance(columns, dict) or not isinstance(keys, dict) or kind not in ("imu", "skeleton"):
         raise AppError("A template defines the columns.")
-    if not all(isinstance(v, str | int | float) for v in (*columns.values(), *keys.values())):
+    if not all(isinstance(value, str | int | float) for value in (*columns.values(), *keys.values())):
         raise AppError("A column or key of the template has a value that cannot be.")
     title = one_line(wish.get("title", "")) or "Table"
-    text = template_text(title, kind, names, width, columns, keys)
+    # of one layout and name the second replaces the first
+    layout = hashlib.sha256(f"{width}\0{chr(0).join(names)}".encode("utf-8", "replace")).hexdigest()[:8]
     trial = folder.hidden / f".{secrets.token_hex(8)}.toml"
     try:
-        trial.write_text(text, encoding="utf-8")
+        trial.write_text(template_text(title, kind, names, width, columns, keys), encoding="utf-8")
         read_templates([trial])[0].read(place / "files" / str(wish["file"]))  # said now, not at the import
-        os.replace(trial, folder.templates / f"{slug(title) or 'table'}-{_mark(names, width)}.toml")
+        os.replace(trial, folder.templates / f"{slug(title) or 'table'}-{layout}.toml")
     except UnoccludeError as error:
         raise AppError(str(error).replace(str(trial), "The template")) from error
     finally:
         with suppress(OSError):
             trial.unlink()
-    begin(folder, _desk(request), place, "describe", {})
-    return await _one(request)
+    begin(asked, place, "describe")
+    return _one(asked)
 
 
-def _mark(names: list[str], width: int) -> str:
-    """Of a layout: a second template for it replaces the first of that name."""
-    return hashlib.sha256(f"{width}\0{chr(0).join(names)}".encode("utf-8", "replace")).hexdigest()[:8]
-
-
-async def _batch(request: Request) -> Any:
+def _batch(asked: _Asked) -> Any:
     """Recover many recordings, all with the choices of one where it is named."""
-    folder, wish = _folder(request), await _body(request)
-    names, like = wish.get("ids", []), wish.get("like")
+    folder, names, like = asked.folder, asked.wish.get("ids", []), asked.wish.get("like")
     if not isinstance(names, list) or not names:
         raise AppError("Choose recordings first.")
     places = [folder.of(str(name)) for name in names]
-    pattern = read_kept(folder.of(str(like))).choices if like else None
+    pattern = read_kept(folder.of(str(like))).choices.model_dump() if like else None
     begun, refused = 0, []
     for place in places:
         kept = read_kept(place)
         try:
             if pattern is not None:
-                for key in ("side", "body", "remedy", "imu_starts_at_s", "video_mirrored", "video_turn"):
-                    setattr(kept.choices, key, getattr(pattern, key))
+                own = kept.choices.model_dump(include={"places", "left_out"})
                 mine = set(steps.sensor_keys(steps.described(place)))
-                kept.choices.places |= {k: v for k, v in pattern.places.items() if k in mine}
-                kept.revision += 1
-                write_kept(place, kept)
-            begin(folder, _desk(request), place, "recover", {"anyway": True})
+                own["places"] |= {key: worn for key, worn in pattern["places"].items() if key in mine}
+                update = {"choices": Choices(**(pattern | own)), "revision": kept.revision + 1}
+                write_kept(place, kept.model_copy(update=update))
+            begin(asked, place, "recover", anyway=True)
             begun += 1
         except AppError as error:
             refused.append(f"{kept.name}: {error}")
     return {"begun": begun, "refused": refused}
 
 
-async def _compare(request: Request) -> Any:
-    folder, wish = _folder(request), await _body(request)
-    person = one_line(wish.get("person", ""))
+def _compare(asked: _Asked) -> Any:
+    person = one_line(asked.wish.get("person", ""))
     if not person:
         raise AppError("Give the recordings a person first.")
-    name, place = folder.add_comparison(person)
-    todo = steps.compare_steps(folder, place, person)
+    name, place = asked.folder.add_comparison(person)
+    todo = steps.compare_steps(asked.folder, place, person)
     write_json(place / "comparison.json", {"person": person})
-    _desk(request).add(place, "compare", todo)
+    asked.desk.add(place, "compare", todo)
     return {"id": name}
 
 
-async def _comparison(request: Request) -> Any:
-    return views.comparison(_folder(request), request.path_params["id"])
+def _comparison_result(asked: _Asked) -> Response:
+    return _file(asked, asked.comparison, ("progress.html", "progress.json", "progress.csv"))
 
 
-async def _cancel_comparison(request: Request) -> Any:
-    _desk(request).cancel(_comparison_place(request))
-    return {}
+def _result(asked: _Asked) -> Response:
+    exported = [f"exports/{each}" for each in steps.EXPORTS.values()]
+    return _file(asked, asked.place, (*views.DOWNLOADS, steps.recording_of(asked.place), *exported))
 
 
-async def _result(request: Request) -> Any:
-    """A result of a recording or of a comparison: a report opens in the page's frame, all else is taken."""
-    name = request.path_params["name"]
-    if "/comparisons/" in request.url.path:
-        place = _comparison_place(request)
-        known = ["progress.html", "progress.json", "progress.csv"]
-    else:
-        place = _place(request)
-        exported = [f"exports/{each}" for each in steps.EXPORTS.values()]
-        known = [*views.DOWNLOADS, steps.recording_of(place), *exported]
-    if name not in known:
+def _file(asked: _Asked, place: Path, known: tuple[str, ...]) -> Response:
+    """A result: a report opens in the page's frame, all else is taken away."""
+    path = place / asked.name
+    if asked.name not in known or not path.is_file():
         raise AppError("There is no such file.", 404)
-    return _file(place / name, request)
-
-
-def _file(path: Path, request: Request) -> Response:
-    if not path.is_file():
-        raise AppError("There is no such file yet.", 404)
     if path.suffix == ".html":
-        taken = path.name if "download" in request.query_params else None
-        return FileResponse(
-            path, media_type="text/html", headers={"content-security-policy": REPORTS}, filename=taken
-        )
+        taken = path.name if "download" in asked.request.query_params else None
+        policy = {"content-security-policy": REPORTS}
+        return FileResponse(path, media_type="text/html", headers=policy, filename=taken)
     return FileResponse(path, media_type="application/octet-stream", filename=path.name)

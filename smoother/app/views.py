@@ -43,7 +43,6 @@ def overview(folder: AppFolder, version: str) -> dict[str, Any]:
         "version": version,
         "free_bytes": shutil.disk_usage(folder.path).free,
         "recordings": [summary(folder, name) for name in folder.recordings()],
-        "loose": [path.name for path in folder.loose_files()],
         "comparisons": [comparison(folder, name) for name in folder.comparisons()],
         "templates": [path.stem for path in folder.template_files()],
     }

@@ -431,7 +431,6 @@ def strap(
     radius_m: Annotated[
         float | None, o.option("Axis of the forearm to the sensor.", min=0.01, max=0.1)
     ] = None,
-    report: o.Report = None,
     json_file: o.Json = None,
     force: o.Force = False,
     imu: o.Imu = None,
@@ -461,7 +460,7 @@ def strap(
     from .config import read_config
 
     check_mcap(output)
-    check_outputs(force, [output, json_file, report], [recording_file, calibration, config_file])
+    check_outputs(force, [output, json_file], [recording_file, calibration, config_file])
     config = read_config(config_file, processes)
     recording, known = load_arm(recording_file, calibration, imu=imu, skeleton=skeleton, side=side, body=body)
     check_images(recording_file, colour_topic, depth_topic)
@@ -485,17 +484,13 @@ def strap(
     sentences = strap_verdict(found)
     notes = [*recording.notes, *found.notes]
     write_json(json_file, {**_figures(found), "verdict": sentences, "notes": notes}, force)
-    if report is not None:
-        from ..report.calibration_page import strap_page
-
-        strap_page(recording.name, found).write(report, force)
     total = len(found.reasons)
     rows = [(what, n, f"{100 * n / max(total, 1):.0f}") for what, n in sorted(found.counts.items())]
     show(Table(f"The strap in {total} images", ("", "images", "%"), rows))
     for sentence in sentences:
         say(sentence)
     print_notes(notes)
-    say_written(output, json_file, report)
+    say_written(output, json_file)
 
 
 def _figures(found: StrapFound) -> dict[str, Any]:

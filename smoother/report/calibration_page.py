@@ -1,4 +1,4 @@
-"""`calibration_page`: the page of any calibration, from the form in which all of them answer; the strap's."""
+"""`calibration_page`: the page of any calibration, from the form in which all of them answer."""
 
 from __future__ import annotations
 
@@ -10,7 +10,6 @@ import numpy as np
 from calib.protocol import Answer, findings
 
 from ..linalg import robust_sigma
-from ..table import Table
 from .sheet import Page, Section, notes, rendered
 
 if TYPE_CHECKING:
@@ -36,18 +35,6 @@ def _sections(answer: Answer, remarks: Iterable[str]) -> Iterator[Section]:
 
 #: A strap that wanders along the forearm by more than this part of it was at times something else.
 WANDER = 0.06
-_ADVICE = {
-    "nothing on the forearm is dark enough": "wear a black strap on a bare or light forearm, and light it"
-    " evenly",
-    "no dark stretch with two edges": "wear the strap some centimetres above the wrist, with skin on both"
-    " sides of it",
-    "the dark stretch is not as wide as a strap": "use a strap of 2 to 5 cm; dark sleeves hide it",
-    "no depth at the strap": "see that depth is recorded where the arm is; sunlight and shiny straps blind"
-    " it",
-    "the forearm points to the camera": "move the camera to the side of the movement",
-    "the strap is nearer to the elbow than to the wrist": "wear the strap at the wrist; no dark sleeves",
-    "no depth image": "record depth at the rate of the colour images",
-}
 
 
 def strap_verdict(search: StrapFound) -> list[str]:
@@ -69,22 +56,3 @@ def strap_verdict(search: StrapFound) -> list[str]:
     if wander > WANDER:
         sentences.append("that is too much for a tight strap: something else was sometimes detected instead")
     return sentences
-
-
-def strap_page(name: str, search: StrapFound) -> Page:
-    """The page of a search for the strap in images."""
-    total = max(len(search.reasons), 1)
-    advice = [text for reason, text in _ADVICE.items() if search.counts.get(reason, 0) > 0.1 * total]
-    rows = [(what, count, f"{100 * count / total:.1f}") for what, count in sorted(search.counts.items())]
-    return Page(
-        f"The strap in the images: {name}",
-        f"Colour {search.topics[0]}, depth {search.topics[1]}. Times are relative to the first colour image.",
-        strap_verdict(search),
-        [
-            Section("For the next recording", sentences=advice or ["Nothing is missing."]),
-            rendered(
-                Table("Found and rejected", ("", "images", "%"), rows, "Result for every colour image.")
-            ),
-            notes(search.notes),
-        ],
-    )

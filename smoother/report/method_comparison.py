@@ -39,7 +39,7 @@ def line_of(method: str) -> dict[str, object]:
     return {"color": colour, "dash": dash, "width": 3.2 if method == "graph" else 1.5}
 
 
-#: Gaps drawn at most: half of them the longest, half those in which the best method is worst.
+#: Gaps drawn at most.
 MOST_GAPS = 6
 #: Time shown on both sides of a gap, s.
 AROUND_S = 0.6
@@ -81,32 +81,13 @@ def verdict(comparison: Comparison) -> list[str]:
 def sections(comparison: Comparison, recording: Recording) -> Iterator[Section]:
     """The sections about one arm."""
     yield from map(rendered, comparison.tables)
-    for gap in chosen_gaps(comparison):
+    longest = sorted(comparison.gaps, key=lambda gap: -gap.length_s)[:MOST_GAPS]
+    for gap in sorted(longest, key=lambda gap: gap.start_s):
         heading = f"Gap at {gap.start_s:.2f} s, {gap.length_s:.2f} s long"
         yield Section(heading, _CURVES, in_gap(comparison, recording, gap))
-    not_drawn = len(comparison.gaps) - min(len(comparison.gaps), MOST_GAPS)
-    more = f"{not_drawn} gaps more are not drawn: the longest are, and those with the largest errors"
-    yield notes([*([more] if not_drawn else []), *recording.notes, *comparison.notes])
-
-
-def chosen_gaps(comparison: Comparison) -> list[Gap]:
-    """The gaps to draw, in order of time."""
-    if len(comparison.gaps) <= MOST_GAPS:
-        return list(comparison.gaps)
-    longest = sorted(comparison.gaps, key=lambda gap: -gap.length_s)[: MOST_GAPS // 2]
-    worst = sorted(
-        (gap for gap in comparison.gaps if gap not in longest), key=lambda gap: -_error_in(comparison, gap)
-    )
-    return sorted([*longest, *worst[: MOST_GAPS - len(longest)]], key=lambda gap: gap.start_s)
-
-
-def _error_in(comparison: Comparison, gap: Gap) -> float:
-    path = comparison.rows[0].path
-    inside = (comparison.t_s >= gap.start_s) & (comparison.t_s <= gap.end_s)
-    if path is None:
-        return 0.0
-    off = np.linalg.norm(path[inside] - comparison.reference[inside], axis=1)
-    return float(np.nanmax(off)) if np.isfinite(off).any() else 0.0
+    not_drawn = len(comparison.gaps) - len(longest)
+    more = [f"{not_drawn} gaps more are not drawn: the longest are"] if not_drawn else []
+    yield notes([*more, *recording.notes, *comparison.notes])
 
 
 def in_gap(comparison: Comparison, recording: Recording, gap: Gap) -> go.Figure:
@@ -174,32 +155,22 @@ def gap_verdict(spreads: Spreads) -> list[str]:
     """How long a gap can be trusted, and to what, in sentences."""
     sentences, before = [], 0.0
     for limit_cm in (1, 2, 5, 10):
-        longest = _longest_within(spreads, "graph", limit_cm / 100)
-        if longest is not None and longest > before:
+        longest = 0.0  # up to which the upper quartile stays within the limit at every length, s
+        for length, methods in spreads.items():
+            graph = methods.get("graph")
+            if graph is None or graph.high_m is None or graph.high_m > limit_cm / 100:
+                break
+            if graph.failed > graph.gaps / 4:
+                break
+            longest = length
+        if longest > before:
             before = longest
             sentences.append(
                 f"Up to {longest:g} s the graph recovers three of four gaps to {limit_cm} cm rms or better"
             )
     if not sentences and any("graph" in methods for methods in spreads.values()):
         sentences.append("The graph does not recover three of four gaps to 10 cm rms at any of these lengths")
-    for length, methods in spreads.items():
-        known = {name: spread.median_m for name, spread in methods.items() if spread.median_m is not None}
-        if len(known) > 1:
-            ranked = sorted(known, key=lambda name: known[name])[:3]
-            words = ", ".join(f"{name} {100 * known[name]:.1f}" for name in ranked)
-            sentences.append(f"Gaps of {length:g} s, median over gaps of the error, cm: {words}")
-    return sentences or ["No gap has an answer."]
-
-
-def _longest_within(spreads: Spreads, method: str, limit_m: float) -> float | None:
-    """The longest length up to which the upper quartile stays within a limit at every length, s."""
-    longest = None
-    for length, methods in spreads.items():
-        high = methods[method].high_m if method in methods else None
-        if high is None or high > limit_m or methods[method].failed > methods[method].gaps / 4:
-            break
-        longest = length
-    return longest
+    return sentences or ["The table has the errors of each method."]
 
 
 def curves(spreads: Spreads) -> go.Figure:

@@ -1,6 +1,4 @@
-"""The methods section of a paper about a result: sentences, a table, what its authors add, references;"
-" Markdown.
-"""
+"""The methods section of a paper about a result: sentences, a table, what its authors add, references."""
 
 from __future__ import annotations
 
@@ -23,17 +21,13 @@ REFERENCES = {
     "unocclude": "the unocclude contributors. unocclude (software), version {version}.",
     "gtsam": "F. Dellaert and GTSAM contributors. GTSAM. https://github.com/borglab/gtsam",
     "forster2017": "C. Forster, L. Carlone, F. Dellaert, D. Scaramuzza. On-manifold preintegration for"
-    " real-time"
-    " visual-inertial odometry. IEEE Trans. Robotics 33(1), 2017. doi:10.1109/TRO.2016.2597321",
-    "laidig2023": "D. Laidig, T. Seel. VQF: highly accurate IMU orientation estimation with bias"
-    " estimation and"
-    " magnetic disturbance rejection. Information Fusion 91, 2023. doi:10.1016/j.inffus.2022.10.014",
-    "wu2005": "G. Wu et al. ISB recommendation on definitions of joint coordinate systems, part II."
-    " Journal of"
-    " Biomechanics 38(5), 2005. doi:10.1016/j.jbiomech.2004.05.042",
-    "cereatti2024": "A. Cereatti et al. ISB recommendations on the definition, estimation, and reporting"
-    " of joint"
-    " kinematics using wearable inertial measurement technology. Journal of Biomechanics 173, 2024."
+    " real-time visual-inertial odometry. IEEE Trans. Robotics 33(1), 2017. doi:10.1109/TRO.2016.2597321",
+    "laidig2023": "D. Laidig, T. Seel. VQF: highly accurate IMU orientation estimation with bias estimation"
+    " and magnetic disturbance rejection. Information Fusion 91, 2023. doi:10.1016/j.inffus.2022.10.014",
+    "wu2005": "G. Wu et al. ISB recommendation on definitions of joint coordinate systems, part II. Journal"
+    " of Biomechanics 38(5), 2005. doi:10.1016/j.jbiomech.2004.05.042",
+    "cereatti2024": "A. Cereatti et al. ISB recommendations on the definition, estimation, and reporting of"
+    " joint kinematics using wearable inertial measurement technology. Journal of Biomechanics 173, 2024."
     " doi:10.1016/j.jbiomech.2024.112225",
     "jatesiktat2017": "P. Jatesiktat, W. T. Ang. Recovery of forearm occluded trajectory in Kinect using a"
     " wrist-mounted inertial measurement unit. EMBC, 2017.",
@@ -46,7 +40,7 @@ REFERENCES = {
     " Analysis 17, 1980.",
     "madgwick2010": "S. O. H. Madgwick. Report (orientation filter), 2010.",
     "comotti2013": "Comotti. 2013 (orientation filter).",
-}
+}  # fmt: skip
 ORIENTATION_WORDS = {
     "vqf": "VQF [@laidig2023]",
     "madgwick": "Madgwick's [@madgwick2010]",
@@ -69,9 +63,7 @@ TO_FILL_IN = (
 def methods_section(
     recoveries: Sequence[Recovery], version: str, simulation: str
 ) -> tuple[str, dict[str, object]]:
-    """The Markdown of a result's arms, and its parts for JSON; `simulation` is a simulated recording's"
-    " title.
-    """
+    """The Markdown of a result's arms, and its parts for JSON; `simulation`: the title of a simulated one."""
     arms: list[dict[str, Any]] = [
         {
             "heading": f"{one.name}, {one.arm_label}",
@@ -108,33 +100,24 @@ def _sentences(one: Recovery, version: str, simulation: str) -> Iterator[str]:
     imus = ["forearm", *one.segments, *(["trunk"] if one.trunk else [])]
     yield (
         f"The {one.arm_label} was recorded for {length_s:.1f} s by a camera ({len(frames)} frames, median"
-        f" rate"
-        f" {median_rate_hz(frames):.1f} Hz) and by an IMU on the {_listed(imus).replace('_', ' ')}"
+        f" rate {median_rate_hz(frames):.1f} Hz) and by an IMU on the {_listed(imus).replace('_', ' ')}"
         f" ({len(one)} samples of the forearm's, median rate {median_rate_hz(one.t_s):.1f} Hz)."
     )
     program = f"unocclude {version} [@unocclude]".replace("  ", " ")
     if is_graph:
         yield (
             f"Its motion was estimated offline with {program}, jointly from both sensors as a maximum a"
-            f" posteriori"
-            " solution of a factor graph with GTSAM [@gtsam]; the IMU entered by preintegration on the"
-            " manifold"
-            " [@forster2017], start values of the orientation came from VQF [@laidig2023]."
+            " posteriori solution of a factor graph with GTSAM [@gtsam]; the IMU entered by preintegration on"
+            " the manifold [@forster2017], start values of the orientation came from VQF [@laidig2023]."
         )
     else:
         entry, filter_ = BASELINES.get(one.method), str(found.further.get("orientation", ""))
         yield f"Its motion was computed offline with {program} by {entry.words if entry else one.method}."
         if filter_:
             yield f"Its orientation filter was {ORIENTATION_WORDS.get(filter_, filter_)}."
-        yield (
-            "Calibration, clock offset, gravity and accepted camera samples were those of the program's"
-            " graph."
-        )
-    if found.magnetometer_blocks_used:
-        yield (
-            f"The magnetometer was used in {found.magnetometer_blocks_used} of"
-            f" {found.magnetometer_blocks} means."
-        )
+        yield ("Calibration, clock offset, gravity and accepted camera samples were those of the graph.")
+    if used := found.magnetometer_blocks_used:
+        yield f"The magnetometer was used in {used} of {found.magnetometer_blocks} means."
     if set(found.given):
         yield f"Given beforehand: {_listed(sorted(found.given)).replace('_', ' ')}; all else was estimated."
     if math.isfinite(one.clock_offset_s):
@@ -148,33 +131,27 @@ def _sentences(one: Recovery, version: str, simulation: str) -> Iterator[str]:
         yield f"That both streams are of one motion was tested and {proof}."
     gaps = gap_summaries(one)
     if gaps:
-        occluded_s = sum(gap.length_s for gap in one.gaps)
+        lengths_s = [gap.length_s for gap in one.gaps]
         yield (
-            f"The forearm was occluded in {len(gaps)} gaps of {occluded_s:.1f} s in total"
-            f" ({100 * occluded_s / length_s:.0f} % of the recording), the longest of"
-            f" {max(gap.length_s for gap in one.gaps):.1f} s; {sum(gap.one_sided for gap in gaps)} were"
-            f" not bounded"
-            " by visible motion on both sides."
+            f"The forearm was occluded in {len(gaps)} gaps of {sum(lengths_s):.1f} s in total"
+            f" ({100 * sum(lengths_s) / length_s:.0f} % of the recording), the longest of"
+            f" {max(lengths_s):.1f} s; {sum(gap.one_sided for gap in gaps)} were not bounded by"
+            " visible motion on both sides."
         )
         if worst := [gap.error_95_m for gap in gaps if gap.error_95_m is not None]:
             yield f"By its covariance the IMU's position is known in all of them {within_words(max(worst))}."
     else:
         yield "The forearm was never occluded."
-    if len(factors := [factor for factor in found.sigma_factors if factor != 1.0]):
+    if factors := [factor for factor in found.sigma_factors if factor != 1.0]:
         yield f"Standard deviations in gaps were multiplied by {min(factors):.2f} to {max(factors):.2f}."
     if is_graph and found.self_check is not None:
-        yield (
-            f"{found.self_check.sentence.rstrip('.')} (against the camera's own joints, no independent"
-            f" reference)."
-        )
+        said = found.self_check.sentence.rstrip(".")
+        yield f"{said} (against the camera's own joints, no independent reference)."
     if one.draws is not None:
         yield f"Intervals come from {len(one.draws)} motions drawn from the posterior distribution."
     if found.verdict:
-        whose = "" if is_graph else " on its graph"
-        yield (
-            f'The program\'s verdict{whose}: "{found.verdict.rstrip(".")}"; {len(_untrusted(one))} gaps'
-            f" not trusted."
-        )
+        whose, verdict = "" if is_graph else " on its graph", found.verdict.rstrip(".")
+        yield f'The program\'s verdict{whose}: "{verdict}"; {len(_untrusted(one))} gaps not trusted.'
 
 
 def _rows(one: Recovery, version: str) -> Iterator[tuple[str, str]]:

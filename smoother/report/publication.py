@@ -53,18 +53,20 @@ def plot_recovery(
             f"{recovery.name}: there is no sample to draw between {start_s:g} and {end_s:g} s"
         )
     some = recovery.rows(np.linspace(first, last - 1, min(last - first, MOST_POINTS)).round().astype(int))
-    curves = {name: curve for name in what if (curve := _curves(some, name)) is not None}
-    if what is not USUAL and (missing := [name for name in what if name not in curves]):
-        raise UnoccludeError(
-            f"{recovery.name}: {', '.join(missing)} cannot be drawn: {_reason(some, missing[0])}"
-        )
-    if not curves:
+    drawable = _drawable(some)
+    if what is USUAL:
+        what = [name for name in what if name in drawable]
+    if missing := [name for name in what if name not in drawable]:
+        why = some.angles().reasons.get(missing[0], f"the recovery has {', '.join(drawable)}")
+        raise UnoccludeError(f"{recovery.name}: {', '.join(missing)} cannot be drawn: {why}")
+    if not what:
         raise UnoccludeError(f"{recovery.name}: there is no answer to draw")
+    curves = [drawable[name] for name in what]
     with rc_context(STYLE):
         size = (width_cm / CM_PER_INCH, (ROW_CM * len(curves) + 1.0) / CM_PER_INCH)
         figure = Figure(figsize=size, dpi=200, layout="constrained")
         rows = figure.subplots(len(curves), 1, sharex=True, squeeze=False)[:, 0]
-        for axes, (label, lines) in zip(rows, curves.values(), strict=True):
+        for axes, (label, lines) in zip(rows, curves, strict=True):
             _draw(axes, some, label, lines)
         rows[-1].set_xlabel("time, s")
         rows[0].set_title(_title(recovery), fontsize=8, loc="left")
@@ -75,32 +77,22 @@ def plot_recovery(
 Lines = list[tuple[str, FloatArray, FloatArray | None]]
 
 
-def _curves(some: Recovery, name: str) -> tuple[str, Lines] | None:
-    """Label of the axis and lines of something; None where the recovery has none of it."""
-    if name == "error_95":
-        value = 100.0 * some.error_95_m
-        return ("95 % within, cm", [("", value, None)]) if np.isfinite(value).any() else None
-    if name == "imu" or name in some.joints:
-        position = some.position if name == "imu" else some.joints[name]
-        spread = some.pose_covariance[:, :3, :3] if name == "imu" else some.joint_covariance[name]
+def _drawable(some: Recovery) -> dict[str, tuple[str, Lines]]:
+    """By name what can be drawn: label of the axis, and lines."""
+    angles = some.angles()
+    found: dict[str, tuple[str, Lines]] = {
+        name: (f"{WORDS.get(name, name.replace('_', ' '))}, deg", [("", turned, angles.sigmas[name])])
+        for name, turned in angles.values.items()
+    }
+    unknown = np.full((len(some), 3, 3), np.nan)
+    points = {name: (each, some.joint_covariance.get(name, unknown)) for name, each in some.joints.items()}
+    points["imu"] = some.position, some.pose_covariance[:, :3, :3]
+    for name, (position, spread) in points.items():
         sigma = np.sqrt(np.einsum("nii->ni", spread))
-        if not np.isfinite(position).any():
-            return None
-        label = f"{'IMU' if name == 'imu' else name}, m"
-        return label, [(axis, position[:, k], sigma[:, k]) for k, axis in enumerate("xyz")]
-    angles = some.angles()
-    turned = angles.values.get(name)
-    if turned is None or not np.isfinite(turned).any():
-        return None
-    return f"{WORDS.get(name, name.replace('_', ' '))}, deg", [("", turned, angles.sigmas[name])]
-
-
-def _reason(some: Recovery, name: str) -> str:
-    angles = some.angles()
-    if name in angles.reasons:
-        return angles.reasons[name]
-    there = [*angles.values, *some.joints, "imu", "error_95"]
-    return f"the recovery has {', '.join(there)}"
+        axes: Lines = [(axis, position[:, k], sigma[:, k]) for k, axis in enumerate("xyz")]
+        found[name] = f"{'IMU' if name == 'imu' else name}, m", axes
+    found["error_95"] = "95 % within, cm", [("", 100.0 * some.error_95_m, None)]
+    return {name: each for name, each in found.items() if np.isfinite(each[1][0][1]).any()}
 
 
 def _draw(axes: Axes, some: Recovery, label: str, lines: Lines) -> None:
@@ -108,10 +100,8 @@ def _draw(axes: Axes, some: Recovery, label: str, lines: Lines) -> None:
     for run in runs(some.occluded):
         axes.axvspan(t[run.start], t[run.stop - 1], color="0.9", linewidth=0)
     for (name, value, sigma), colour in zip(lines, COLOURS, strict=False):
-        # a pause of the IMU is not a line
-        broken = np.where(
-            np.diff(t, prepend=t[0]) > max(1.0, 5 * float(np.median(np.diff(t)))), np.nan, value
-        )
+        pause_s = max(1.0, 5 * float(np.median(np.diff(t))))  # over which there is no line
+        broken = np.where(np.diff(t, prepend=t[0]) > pause_s, np.nan, value)
         axes.plot(t, broken, color=colour, label=name)
         if sigma is not None:
             wide = SIGMAS_95 * sigma
@@ -123,14 +113,7 @@ def _draw(axes: Axes, some: Recovery, label: str, lines: Lines) -> None:
     axes.set_xlim(t[0], t[-1])
     axes.spines[["top", "right"]].set_visible(False)
     if len(lines) > 1:
-        axes.legend(
-            loc="lower right",
-            bbox_to_anchor=(1.0, 1.0),
-            borderaxespad=0.0,
-            frameon=False,
-            ncols=len(lines),
-            fontsize=7,
-        )
+        axes.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), frameon=False, ncols=len(lines), fontsize=7)
     elif lines[0][2] is None:
         axes.set_ylim(bottom=0.0)
 

@@ -146,16 +146,23 @@ def _how_well(recovery: Recovery, which: str, trusted: list[GapSummary], consist
 def _against_reference(validation: Validation) -> str:
     hidden = validation.occluded if validation.occluded.samples else validation.all
     where = "in the gaps" if validation.occluded.samples else "over the recording"
-    if hidden.position_rms_m is None:
-        return _joints_against_reference(validation)
-    text = (
-        f"Against the reference 95 % of the position's errors {where} are below"
-        f" {100 * (hidden.position_p95_m or 0):.1f} cm (root mean square"
-        f" {100 * hidden.position_rms_m:.1f} cm, {100 * (hidden.position_max_m or 0):.1f} cm at most)"
-    )
-    if hidden.orientation_rms_deg is not None:
-        text += f", the orientation is off by {hidden.orientation_rms_deg:.1f} degrees (root mean square)"
-    return text + _covered([] if hidden.nees is None else [hidden.nees])
+    if hidden.position_rms_m is not None:
+        text = (
+            f"Against the reference 95 % of the position's errors {where} are below"
+            f" {100 * (hidden.position_p95_m or 0):.1f} cm (root mean square"
+            f" {100 * hidden.position_rms_m:.1f} cm, {100 * (hidden.position_max_m or 0):.1f} cm at most)"
+        )
+        if hidden.orientation_rms_deg is not None:
+            text += f", the orientation is off by {hidden.orientation_rms_deg:.1f} degrees (root mean square)"
+        return text + _covered([] if hidden.nees is None else [hidden.nees])
+    part, figures = _joint_figures(validation)
+    errors = {joint: each.position_rms_m for joint, each in figures.items() if each.position_rms_m}
+    if not errors:
+        return "The reference has neither the sensor's position nor a joint to compare there."
+    where = "in the gaps" if part == "occluded" else "over the recording"
+    words = listed([f"{100 * error:.1f} cm at the {joint}" for joint, error in errors.items()])
+    text = f"Against the reference the error {where} is {words} (root mean square)"
+    return text + _covered([value for joint in errors if (value := figures[joint].nees) is not None])
 
 
 def _covered(nees: list[float]) -> str:
@@ -170,26 +177,13 @@ def _covered(nees: list[float]) -> str:
     )
 
 
-def _joints_against_reference(validation: Validation) -> str:
-    """For a reference of joints alone: their errors, and whether their stated uncertainty covers these."""
-    figures = _joint_figures(validation)
-    hidden = figures and all(figures[joint] is validation.points[joint]["occluded"] for joint in figures)
-    where = "in the gaps" if hidden else "over the recording"
-    errors = {joint: each.position_rms_m for joint, each in figures.items() if each.position_rms_m}
-    if not errors:
-        return "The reference has neither the sensor's position nor a joint to compare there."
-    words = [f"{100 * error:.1f} cm at the {joint}" for joint, error in errors.items()]
-    text = f"Against the reference the error {where} is {listed(words)} (root mean square)"
-    return text + _covered([value for joint in errors if (value := figures[joint].nees) is not None])
-
-
-def _joint_figures(validation: Validation) -> dict[str, Figures]:
+def _joint_figures(validation: Validation) -> tuple[str, dict[str, Figures]]:
     """Figures of each joint in gaps; over the whole recording where no joint has a reference in a gap."""
     for part in ("occluded", "all"):
         figures = {joint: parts[part] for joint, parts in validation.points.items() if part in parts}
         if any(each.position_rms_m is not None for each in figures.values()):
-            return figures
-    return {}
+            return part, figures
+    return "", {}
 
 
 def _camera_doubts(recovery: Recovery) -> str:
@@ -209,7 +203,7 @@ def _consistent(validation: Validation | None) -> bool:
     if validation is None:
         return True
     own = validation.occluded.nees or validation.all.nees
-    joints = [each.nees for each in _joint_figures(validation).values()]
+    joints = [each.nees for each in _joint_figures(validation)[1].values()]
     stated = [value for value in ([own] if own is not None else joints) if value is not None]
     return not stated or max(stated) <= OVER_CONFIDENT
 

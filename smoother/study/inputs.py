@@ -16,7 +16,6 @@ import os
 import re
 import tempfile
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from contextlib import suppress
 from dataclasses import dataclass, replace
 from datetime import datetime
 from pathlib import Path
@@ -214,30 +213,6 @@ def by_folders(name: str, day: float) -> SessionEntry | None:
     if not rest:
         return None
     return SessionEntry(name, person, rest[0], "/".join(rest[1:]), day)
-
-
-def with_named_days(entries: Mapping[str, SessionEntry]) -> dict[str, SessionEntry]:
-    """The sessions of recordings with the dates in their names, where clocks have none."""
-    dated = dict(entries)
-    for person in {entry.person for entry in entries.values()}:
-        mine = {name: entry for name, entry in entries.items() if entry.person == person}
-        days = {name: _named_day(entry) for name, entry in mine.items()}
-        if any(math.isnan(entry.day) for entry in mine.values()) and not any(map(math.isnan, days.values())):
-            dated |= {name: replace(entry, day=days[name]) for name, entry in mine.items()}
-    return dated
-
-
-#: A date in a name: 2026-01-10, 2026_01_10, 20260110.
-_DATE = re.compile(r"(?<!\d)((?:19|20)\d\d)([-_.]?)(\d\d)\2(\d\d)(?!\d)")
-
-
-def _named_day(entry: SessionEntry) -> float:
-    """The date in a session's or a task's name, d; nan without any."""
-    for name in (entry.session, entry.task):
-        for year, _, month, day in _DATE.findall(name):
-            with suppress(ValueError):
-                return float((datetime(int(year), int(month), int(day)) - datetime(1970, 1, 1)).days)
-    return math.nan
 
 
 def read_sessions(

@@ -21,7 +21,7 @@ from ..evaluation.progress import (
 )
 from ..measures.layout import BY_MOVEMENT
 from .folder import DONE, Row, StudyFolder
-from .inputs import SessionEntry, by_folders, hashed_name, in_order, read_sessions, with_named_days
+from .inputs import SessionEntry, by_folders, hashed_name, in_order, read_sessions
 
 _READ = (
     *("recording", "status", "error", "finished", "config_hash", "calibration_hash", "version"),
@@ -54,7 +54,7 @@ def sessions_of(
         rest = [name for name in names if name not in sessions]
         return sessions, [f"{name}: {table.name} does not name it" for name in rest]
     found = {row["recording"]: by_folders(row["recording"], _number(row["recorded_day"])) for row in rows}
-    sessions = with_named_days({name: entry for name, entry in found.items() if entry is not None})
+    sessions = {name: entry for name, entry in found.items() if entry is not None}
     if not sessions:
         raise UnoccludeError(
             f"{folder}: its recordings are not in folders, so their persons are unknown; name files"

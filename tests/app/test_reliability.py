@@ -88,7 +88,6 @@ VALUES: list[Any] = [1, None, [], {}, [[1]], [{}], "x", True, {"a": {"b": []}}]
     [
         ("{}/jobs", ("kind", "formats", "anyway")),
         ("{}/template", ("file", "kind", "columns", "keys", "title")),
-        ("loose", ("name",)),
         ("batch", ("ids", "like")),
         ("comparisons", ("person",)),
     ],

@@ -17,7 +17,6 @@ from test_server import upload
 from smoother.app import server
 from smoother.app.folder import write_json
 from smoother.app.steps import IMPORTED, MATCHES, import_steps, recover_steps
-from smoother.io import write_recording
 from smoother.simulation import ArmSimulation, simulate_arm
 
 #: A recovery of 33 s with measures, two at a time on a busy machine.
@@ -89,25 +88,6 @@ def test_a_job_that_misses_mediapipe_says_so(page: Page, film: dict[str, Path]):
     page.begin(name, "check")
     sentence = page.wait(name)["job"]["sentence"]
     assert "this needs MediaPipe, which is not installed" in sentence and "'.[video]'" in sentence
-
-
-def test_loose_recordings_of_the_folder_are_listed(page: Page):
-    """They are taken up without a copy, once; nothing else of the folder is offered."""
-    recording = simulate_arm(ArmSimulation.preset("clean", repetitions=1), seed=1).recording
-    write_recording(recording, page.folder.path / "Montag früh.mcap")
-    (page.folder.path / "notes.txt").write_text("x")
-    (page.folder.path / ".hidden.mcap").write_text("x")
-    assert page.ask("GET", "/api/state")["loose"] == ["Montag früh.mcap"]
-    for name in ("notes.txt", "../secret.mcap", "", ".hidden.mcap"):
-        page.ask("POST", "/api/loose", 404, json={"name": name})
-    made = page.ask("POST", "/api/loose", json={"name": "Montag früh.mcap"})["id"]
-    about = page.wait(made)
-    assert about["name"] == "Montag früh" and about["job"]["state"] == "done"
-    assert page.ask("GET", "/api/state")["loose"] == []
-    file = page.folder.of(made) / "files" / "Montag früh.mcap"
-    assert file.samefile(page.folder.path / file.name), "no second copy"
-    streams = page.ask("GET", f"/api/recordings/{made}/streams")["files"][0]["streams"]
-    assert {each["kind"] for each in streams} == {"imu", "skeleton"}
 
 
 def test_an_upload_without_a_length_stops_before_the_disk_is_full(

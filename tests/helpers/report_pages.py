@@ -8,7 +8,6 @@ from pathlib import Path
 
 import numpy as np
 from scipy.io import wavfile
-from strap_recordings import with_images
 
 from smoother.cli.run import run
 from smoother.io import write_recording
@@ -17,7 +16,6 @@ from smoother.io.recording.streams import ImuSamples, RecordingFile
 from smoother.recording import ImuStream
 from smoother.simulation import ArmSimulation, simulate_arm
 from smoother.simulation.rig import SensorModel, beep, broadcast, magnetometer_turns, rest_poses
-from smoother.simulation.strap import strap_radius_m
 
 
 def command(*arguments: object, ends: tuple[int, ...] = (0,)) -> None:
@@ -161,16 +159,6 @@ def clock(folder: Path, node: str = "arm") -> Path:
     return page
 
 
-def strap(folder: Path) -> Path:
-    """The page of `import strap`."""
-    page = folder / "strap.html"
-    simulated = simulate_arm(ArmSimulation(protocol="random", duration_s=5.0), 6)
-    with_images(simulated, folder / "images.mcap", every=6)
-    options = ("--processes", 1, "--radius-m", strap_radius_m(simulated), "--report", page)
-    command("import", "strap", folder / "images.mcap", "-o", folder / "with_strap.mcap", *options)
-    return page
-
-
 #: A file may be called so; a name cannot hold a slash.
 HOSTILE_NAME = "<img src=x onerror=hacked=1>"
 
@@ -193,7 +181,5 @@ def study(folder: Path, name: str = HOSTILE_NAME) -> Path:
 #: By the name of the command whose page it is.
 PAGES: dict[str, Callable[[Path], Path]] = {
     page.__name__: page
-    for page in (
-        *(smooth, validate, gaps, compare, panel, world, forearm, imu, magnetometer, clock, strap, study),
-    )
+    for page in (*(smooth, validate, gaps, compare, panel, world, forearm, imu, magnetometer, clock, study),)
 }

@@ -124,7 +124,7 @@ def press(browser: Browser, name: str) -> None:
 
 
 #: Pages without a plot.
-TABLES_ALONE = ("panel", "world", "forearm", "imu", "magnetometer", "clock", "strap", "study")
+TABLES_ALONE = ("panel", "world", "forearm", "imu", "magnetometer", "clock", "study")
 
 
 @pytest.mark.parametrize("name", report_pages.PAGES)

@@ -262,7 +262,6 @@ const listing = {
     document.title = "unocclude";
     part(view, "head", 0, () => [h("h1", { tabindex: -1 }, t("title")), dropPlace(false, startRecordings)]);
     part(view, "list", state.recordings.map((each) => [each, each.job?.state]), () => recordingTable(view, state));
-    part(view, "loose", state.loose, () => (state.loose.length ? looseFiles(state.loose) : null));
     const people = [...new Set(state.recordings.map((each) => each.person).filter(Boolean))].sort();
     part(view, "many", [people, state.recordings.map((r) => [r.id, r.name])], () => manyForm(view, state, people));
     part(view, "comparisons", state.comparisons, () => state.comparisons.map((each) =>
@@ -296,13 +295,6 @@ function areSeveral(groups) {
       h("div", { class: "row" }, answer("folders_several", true), answer("folders_one", false)));
     place.querySelector("button").focus();
   });
-}
-
-function looseFiles(names) {
-  return h("section", { class: "step" }, h("h2", {}, t("loose_title")), h("ul", { class: "files" }, names.map((name) => h("li", {}, h("span", {}, name),
-    h("button", { type: "button", "aria-label": t("loose_take_name", { name }), onclick: act(async () => {
-      location.hash = `#/r/${(await ask("POST", "/api/loose", { name })).id}`;
-    }) }, t("loose_take"))))));
 }
 
 function recordingTable(view, state) {
