@@ -19,7 +19,6 @@ import secrets
 import shutil
 import time
 import unicodedata
-from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
 from typing import Annotated, Any, Literal, get_args
@@ -127,18 +126,13 @@ class AppFolder:
         """All templates, by name."""
         return sorted(self.templates.glob("*.toml"))
 
-    def recordings(self) -> Iterator[str]:
+    def recordings(self) -> list[str]:
         """Names on disk of all recordings."""
-        for each in sorted(self.path.iterdir()):
-            if _ID.fullmatch(each.name) and (each / "app.json").is_file():
-                yield each.name
+        return _names(self.path, "app.json")
 
-    def comparisons(self) -> Iterator[str]:
+    def comparisons(self) -> list[str]:
         """Names on disk of all comparisons."""
-        folder = self.path / COMPARISONS
-        for each in sorted(folder.iterdir()) if folder.is_dir() else ():
-            if _ID.fullmatch(each.name) and (each / "comparison.json").is_file():
-                yield each.name
+        return _names(self.path / COMPARISONS, "comparison.json")
 
     def of(self, name: str) -> Path:
         """The folder of a recording."""
@@ -180,6 +174,12 @@ class AppFolder:
         place = removed / f"{name}-{time.strftime('%Y%m%d-%H%M%S')}-{secrets.token_hex(2)}"
         os.replace(folder, place)
         return place
+
+
+def _names(folder: Path, mark: str) -> list[str]:
+    """Folders in a folder that hold a file, by name."""
+    found = (path.parent.name for path in folder.glob(f"*/{mark}"))
+    return sorted(name for name in found if _ID.fullmatch(name))
 
 
 def link_file(file: Path, target: Path) -> None:

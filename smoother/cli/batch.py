@@ -83,9 +83,6 @@ def batch(
         int | None,
         o.rare("With --measures: drawn motions (20 or more; 0 = none).  [default: 64]", min=0, max=1000),
     ] = None,
-    hash_names: Annotated[
-        bool, o.rare("Replace recording names in rows and results by hashes.", "--hash-names")
-    ] = False,
 ) -> None:
     """Recover many recordings; run again to continue.
 
@@ -125,7 +122,6 @@ def batch(
         time_limit_s=60 * time_limit,
         measures=measures,
         draws=usual_draws(draws) if measures else 0,
-        hash_names=hash_names,
     )
     entries = find_entries(source, folder.path)
     inside = page is not None and page.resolve().is_relative_to(folder.path.resolve())

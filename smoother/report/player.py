@@ -38,40 +38,27 @@ class Point:
 
 def points(recovery: Recovery, truth: Truth | None) -> list[Point]:
     """The points to show, the one that the camera sees best first."""
-    joints = [_joint(recovery, name, truth) for name in ("wrist", "elbow", "hand") if name in recovery.joints]
-    reference = None if truth is None else truth.position
-    sensor = _point(SENSOR, recovery, recovery.position, recovery.sigma_m, "strap", truth, reference)
-    tracked = [point for point in joints if len(point.camera)]
-    return [*tracked[:1], sensor, *tracked[1:2]]
-
-
-def _joint(recovery: Recovery, name: str, truth: Truth | None) -> Point:
-    covariance = recovery.joint_covariance.get(name)
-    sigma = np.full((len(recovery), 3), np.nan)
-    if covariance is not None:
+    arm, found = recovery.arm, {}
+    unknown = np.full((len(recovery), 3, 3), np.nan)
+    joints = [name for name in ("wrist", "elbow", "hand") if name in recovery.joints]
+    for name in (SENSOR, *joints):
+        position, covariance, joint = recovery.position, recovery.pose_covariance[:, :3, :3], "strap"
+        reference = None if truth is None else truth.position
+        if name != SENSOR:
+            position, joint = recovery.joints[name], name
+            covariance = recovery.joint_covariance.get(name, unknown)
+            reference = None if truth is None else truth.joints.get(name)
+        tracked = [part.tracked(joint) for part in recovery.frame_batches()]
+        frames = np.flatnonzero(np.concatenate(tracked)) if tracked else np.zeros(0, np.int64)
+        frames = frames[decimate(np.zeros(len(frames), bool), MOST_DOTS)]
+        true_t = np.zeros(0) if truth is None or reference is None else truth.t_s
         sigma = np.sqrt(np.einsum("nii->ni", covariance))
-    reference = None if truth is None else truth.joints.get(name)
-    return _point(name, recovery, recovery.joints[name], sigma, name, truth, reference)
-
-
-def _point(
-    name: str,
-    recovery: Recovery,
-    position: FloatArray,
-    sigma: FloatArray,
-    joint: str,
-    truth: Truth | None,
-    reference: FloatArray | None,
-) -> Point:
-    arm = recovery.arm
-    tracked = [part.tracked(joint) for part in recovery.frame_batches()]
-    frames = np.flatnonzero(np.concatenate(tracked)) if tracked else np.zeros(0, np.int64)
-    frames = frames[decimate(np.zeros(len(frames), bool), MOST_DOTS)]
-    if truth is None or reference is None:
-        true_t, reference = np.zeros(0), np.zeros((0, 3))
-    else:
-        true_t = truth.t_s
-    return Point(name, position, sigma, arm.t_s[frames], arm.joint(joint)[frames], true_t, reference)
+        seen = arm.t_s[frames], arm.joint(joint)[frames]
+        found[name] = Point(
+            name, position, sigma, *seen, true_t, np.zeros((0, 3)) if reference is None else reference
+        )
+    tracked_joints = [found[name] for name in joints if len(found[name].camera)]
+    return [*tracked_joints[:1], found[SENSOR], *tracked_joints[1:2]]
 
 
 #: How many arms are drawn.

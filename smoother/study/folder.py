@@ -254,8 +254,7 @@ class StudyFolder:
         """Make the folder or take up one that contains a study; the study's word."""
         if self.path.exists() and not self.path.is_dir():
             raise UnoccludeError(f"{self.path} is a file; name a folder for the results")
-        # Asked again behind the look: another command may have begun this very study meanwhile.
-        if not force and not self.mark.exists() and self._holds_others() and not self.mark.exists():
+        if not force and not self.mark.exists() and self._holds_others():
             raise UnoccludeError(
                 f"{self.path} contains files that are not of a study; name a new folder, or --force"
             )
@@ -272,10 +271,9 @@ class StudyFolder:
 
     def _holds_others(self) -> bool:
         """Whether there is more than what a study has before its mark, which may be just beginning."""
-        if not self.path.is_dir():
-            return False
-        others = {path.name for path in self.path.iterdir()} - {self.results.name, self.mark.parent.name}
-        return bool(others) or (self.results.exists() and not _is_empty(self.results))
+        own = {self.results, self.mark.parent}
+        inside = (*self.path.glob("*"), *self.results.glob("*"))
+        return self.results.is_file() or any(path not in own for path in inside)
 
     def word(self) -> str:
         """The study's word; "" where it cannot be read."""
@@ -357,10 +355,6 @@ class StudyFolder:
         """Remove what processes that were killed left half written."""
         for folder in {self.results, *(self.output(name).parent for name in names)}:
             remove_stale_tempfiles(folder, again=True)
-
-
-def _is_empty(folder: Path) -> bool:
-    return folder.is_dir() and not any(folder.iterdir())
 
 
 def _read_rows(file: Path, wanted: pa.Schema) -> pa.Table:

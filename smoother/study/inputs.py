@@ -15,7 +15,7 @@ import math
 import os
 import re
 import tempfile
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from datetime import datetime
 from pathlib import Path
@@ -50,18 +50,6 @@ _DAY_NS = 86_400 * 10**9
 EARLIEST_NS = 10_957 * _DAY_NS
 #: Days of a person are shifted by up to this many.
 MOST_DAYS = 3650.0
-
-
-def hashed_name(word: str, name: str) -> str:
-    """A recording's name as hashes with the study's word as their key, a hash a folder: layout stays."""
-    stem, dot, ending = name.rpartition(".")
-    parts = (stem if dot else name).split("/")
-    return "/".join(text_hash("name", word, part)[:12] for part in parts) + dot + (ending if dot else "")
-
-
-def person_of(name: str) -> str:
-    """The first folder of a recording's name; "" where it is in none."""
-    return name.partition("/")[0] if "/" in name else ""
 
 
 def relative_day(word: str, person: str, origin_ns: int) -> float | None:
@@ -215,9 +203,7 @@ def by_folders(name: str, day: float) -> SessionEntry | None:
     return SessionEntry(name, person, rest[0], "/".join(rest[1:]), day)
 
 
-def read_sessions(
-    path: Path, recordings: Iterable[str], known_as: Callable[[str], str]
-) -> dict[str, SessionEntry]:
+def read_sessions(path: Path, recordings: Iterable[str]) -> dict[str, SessionEntry]:
     """The sessions of a table: CSV with the columns `file`, `person`, `session` or `date`, perhaps `task`."""
     names, sessions = set(recordings), dict[str, SessionEntry]()
     for line, row in _rows(path):
@@ -226,19 +212,18 @@ def read_sessions(
         file = file if file.endswith(ENDING) or not file else f"{file}{ENDING}"
         if not file or not person:
             raise UnoccludeError(f"{where}: there is no {'person' if file else 'file'}; {_EXPECTED}")
-        name = next((each for each in (file, known_as(file)) if each in names), None)
-        if name is None:
+        if file not in names:
             examples = ", ".join(sorted(names)[:3])
             raise UnoccludeError(
                 f"{where}: {file} is not a recording of this study; its names are as {examples}"
             )
-        if name in sessions:
+        if file in sessions:
             raise UnoccludeError(f"{where}: {file} is there twice; a recording is of one session")
         session, date = row.get("session", ""), row.get("date", "")
         if not session and not date:
             raise UnoccludeError(f"{where}: there is neither session nor date; {_EXPECTED}")
         day = _day(date, where) if date else math.nan
-        sessions[name] = SessionEntry(name, person, session or date, row.get("task", ""), day)
+        sessions[file] = SessionEntry(file, person, session or date, row.get("task", ""), day)
     if not sessions:
         raise UnoccludeError(f"{path} names no recording; {_EXPECTED}")
     return sessions

@@ -16,7 +16,7 @@ from ..io.recording.choose import Selection
 from ..result import is_of_arm
 from ..runtime.inputs import check_input
 from .folder import DONE, FAILED, Row, StudyFolder, figures_of_arms, measured_arms, text_hash
-from .inputs import file_hash, person_of, relative_day, without_places
+from .inputs import file_hash, relative_day, without_places
 
 
 @dataclass(frozen=True)
@@ -31,7 +31,6 @@ class StudySettings:
     time_limit_s: float = 0.0  # What one recording may take on this machine; 0 = no limit
     measures: bool = False  # Measure what is recovered: rows contain it
     draws: int = 0  # Motions to draw for the intervals of the measures
-    hash_names: bool = False  # Call recordings by hashes of their names
 
 
 @dataclass(frozen=True)
@@ -83,8 +82,6 @@ class Job:
         if self.calibration:
             names |= {self.calibration: calibration.name, str(calibration.parent): ""}
         names[str(source.parent)] = ""
-        if self.settings.hash_names:
-            names |= {source.name: Path(self.name).name}
         return names
 
     def failed(self, sentence: str) -> Row:
@@ -176,8 +173,6 @@ def _recover(job: Job, folder: StudyFolder, input_hash: str, began: float) -> Ro
     measured = measured_arms(answers) if settings.measures else {"measures": None}
     # the result is that of `smooth --draws 0`
     answers = [replace(recovery, draws=None) for recovery in answers]
-    if settings.hash_names:
-        answers = [replace(recovery, name=Path(job.name).stem) for recovery in answers]
     output.parent.mkdir(parents=True, exist_ok=True)
     write_recovery(answers, output, source=job.source, force=True)
     row = job.row(
@@ -189,7 +184,9 @@ def _recover(job: Job, folder: StudyFolder, input_hash: str, began: float) -> Ro
         output_bytes=os.stat(output).st_size,
         **figures_of_arms(results),
         **measured,
-        recorded_day=relative_day(job.word, person_of(job.name), answers[0].origin_ns),
+        recorded_day=relative_day(
+            job.word, job.name.rpartition("/")[0].partition("/")[0], answers[0].origin_ns
+        ),
         seconds=time.perf_counter() - began,
     )
     folder.write_row(row)

@@ -21,7 +21,7 @@ from ..evaluation.progress import (
 )
 from ..measures.layout import BY_MOVEMENT
 from .folder import DONE, Row, StudyFolder
-from .inputs import SessionEntry, by_folders, hashed_name, in_order, read_sessions
+from .inputs import SessionEntry, by_folders, in_order, read_sessions
 
 _READ = (
     *("recording", "status", "error", "finished", "config_hash", "calibration_hash", "version"),
@@ -49,8 +49,7 @@ def sessions_of(
     """Whose each recording is, and of which session."""
     names = [row["recording"] for row in rows]
     if table is not None:
-        word = StudyFolder(folder).word()
-        sessions = read_sessions(table, names, lambda name: hashed_name(word, name))
+        sessions = read_sessions(table, names)
         rest = [name for name in names if name not in sessions]
         return sessions, [f"{name}: {table.name} does not name it" for name in rest]
     found = {row["recording"]: by_folders(row["recording"], _number(row["recorded_day"])) for row in rows}

@@ -6,7 +6,7 @@ import os
 import time
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -16,7 +16,7 @@ import numpy as np
 from .. import __version__
 from ..errors import UnoccludeError
 from .folder import FAILED, Row, StudyFolder, text_hash
-from .inputs import Entry, config_hash, file_hash, hashed_name
+from .inputs import Entry, config_hash, file_hash
 from .job import Job, StudySettings
 from .sessions import with_sessions
 from .workers import Workers, rows_of
@@ -62,8 +62,6 @@ def run_study(
         for path in {entry.calibration or settings.calibration for entry in entries} - {""}
     }
     word = folder.open(force)
-    if settings.hash_names:
-        entries = [replace(entry, name=hashed_name(word, entry.name)) for entry in entries]
     hashed = config_hash(settings.config, settings.selection)
     if settings.measures:
         hashed = text_hash(hashed, "measures", str(settings.draws))

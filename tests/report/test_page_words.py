@@ -10,25 +10,15 @@ from importlib import resources
 import numpy as np
 import pytest
 from arms import LEVERS, make_recording, make_recovery, make_truth, path, turn
-from made_measures import made_measure, made_measures
+from made_measures import made_measure
 from plotly.offline import get_plotlyjs
 
 from smoother.evaluation.validate import validate
-from smoother.measures import Measure, Measures
 from smoother.recording import CameraFrame
 from smoother.report import write_report
-from smoother.report.measures import (
-    both_arms,
-    capitalised,
-    compared,
-    listed,
-    of_arm,
-    reached,
-    share,
-    with_interval,
-)
+from smoother.report.measures import with_interval
 from smoother.report.sheet import PLOTLY
-from smoother.report.style import band, decimate, split_line
+from smoother.report.style import decimate
 from smoother.report.summary import summary
 
 
@@ -99,10 +89,6 @@ def test_the_bundle_is_of_the_locked_plotly():
 RANGE = made_measure("elbow_flexion_range_deg", 62.0, 2.0)
 
 
-def arm(side: str, *rows: Measure) -> Measures:
-    return replace(made_measures(side), rows=rows)
-
-
 def test_the_unit_stands_once_and_the_interval_only_where_there_is_one() -> None:
     text = with_interval(RANGE)
     assert text == "62.0° (58.1 to 65.9°)"
@@ -110,56 +96,6 @@ def test_the_unit_stands_once_and_the_interval_only_where_there_is_one() -> None
     assert alone == "62.0°"
     speed = replace(RANGE, unit="m/s", value=0.812, low=0.75, high=0.87)
     assert with_interval(speed).count("m/s") == 1 and " to " in with_interval(speed)
-
-
-def test_a_share_that_is_not_known_is_a_dash() -> None:
-    assert share(None) == share(replace(RANGE, recovered_share=math.nan)) == "–"
-    assert share(replace(RANGE, recovered_share=0.256)) == "26\u00a0%"
-
-
-@pytest.mark.parametrize(
-    "value, low, high, word",
-    [
-        (1.0, 1.0, 1.0, "reached"),
-        (0.0, 0.0, 0.0, "not reached"),
-        (1.0, 0.0, 1.0, "cannot be assessed"),
-        (1.0, math.nan, math.nan, "cannot be assessed"),
-    ],
-)
-def test_reached_is_said_where_the_draws_agree(value: float, low: float, high: float, word: str) -> None:
-    row = replace(made_measure("hand_to_mouth_reached", value, 0.0), value=value, low=low, high=high)
-    distance = made_measure("hand_to_mouth_distance_m", 0.04, 0.01)
-    text = reached(arm("left", row, distance), "hand_to_mouth_reached")
-    assert word in text
-    assert ("not reached" in text) == (word == "not reached")
-    assert text.endswith("away")
-    assert "cannot be assessed" in reached(arm("left"), "hand_to_mouth_reached")
-
-
-def test_left_and_right_are_compared_only_of_one_person_to_be_trusted() -> None:
-    left, right = arm("left", RANGE), arm("right", replace(RANGE, value=40.0, low=38.0, high=42.0))
-    assert both_arms([right, left]) == (left, right)
-    for others in (
-        [left],
-        [left, left],
-        [left, replace(right, body=7)],
-        [left, replace(right, trusted=False)],
-    ):
-        assert both_arms(others) is None
-    assert compared(left, arm("right"), RANGE.key) == "cannot be assessed"
-    assert compared(left, left, RANGE.key) == "no clear difference"
-    assert compared(left, right, RANGE.key) not in ("no clear difference", "cannot be assessed")
-
-
-def test_names() -> None:
-    assert listed(["a", "b"]) == "a, b" and listed(["a", "b", "c"]) == "a and 2 measures more"
-    one = arm("left", RANGE)
-    assert of_arm(one, [one]) == "" and "left" in of_arm(one, [one, arm("right", RANGE)])
-    assert capitalised("elbow flexion") == "Elbow flexion" and capitalised("") == ""
-
-
-def test_short_lines_are_kept_whole():
-    np.testing.assert_array_equal(decimate(np.zeros(100, bool), 200), np.arange(100))
 
 
 def test_long_lines_keep_ends_and_gaps():
@@ -172,26 +108,3 @@ def test_long_lines_keep_ends_and_gaps():
     assert index[-1] == 299_999
     assert set(np.flatnonzero(important)) <= set(index)
     assert (np.diff(index) > 0).all()
-
-
-def test_everything_important_is_still_bounded():
-    assert len(decimate(np.ones(100_000, bool), 5000)) <= 5000
-
-
-def test_split_line_meets_at_the_edges():
-    values = np.arange(6.0)
-    occluded = np.array([0, 0, 1, 1, 0, 0], bool)
-    seen, hidden = split_line(values, occluded)
-    assert np.isnan(seen).tolist() == [False, False, True, True, False, False]
-    assert np.isnan(hidden).tolist() == [True, False, False, False, False, True]
-
-
-def test_band_is_one_loop_a_stretch():
-    t = np.arange(6.0)
-    low = np.array([0, 0, np.nan, 0, 0, 0])
-    x, y = band(t, low, low + 1)
-    assert np.isnan(x).sum() == 2
-    assert len(x) == 2 * 5 + 2
-    assert x[0] == x[3] == 0.0
-    assert np.nanmax(y) == 1
-    assert len(band(t, np.full(6, np.nan), t)[0]) == 0

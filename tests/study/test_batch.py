@@ -18,9 +18,6 @@ from calib.file import CalibrationFile, write_calibration
 from smoother import __version__
 from smoother.calibration import ArmCalibration, Length
 from smoother.errors import UnoccludeError
-from smoother.io import write_recording
-from smoother.runtime import pool
-from smoother.simulation import ArmSimulation, simulate_arm
 from smoother.study.folder import StudyFolder
 from smoother.study.inputs import file_hash, find_entries
 
@@ -196,20 +193,6 @@ def test_another_command_is_beginning(folder: StudyFolder):
         folder.open()
 
 
-def test_another_command_begins_and_writes_meanwhile(folder: StudyFolder, monkeypatch: pytest.MonkeyPatch):
-    """Its first outputs are not taken for files of somebody else."""
-    words = []
-
-    def holds_others(self: StudyFolder) -> bool:
-        monkeypatch.undo()
-        words.append(self.open())
-        (self.path / "a.mcap").touch()
-        return self._holds_others()
-
-    monkeypatch.setattr(StudyFolder, "_holds_others", holds_others)
-    assert [folder.open()] == words
-
-
 def test_many_begin_at_once(folder: StudyFolder):
     """Each gets the study's word, or hears that another one works there; nobody replaces the word."""
     at_once = Barrier(8)
@@ -306,18 +289,3 @@ def test_nothing_there(tree, source):
     (tree / "empty").mkdir()
     with pytest.raises(UnoccludeError, match=source.replace("*", r"\*")):
         find_entries(str(tree / source), tree / "out")
-
-
-def test_any_number_of_processes_any_time(tmp_path, monkeypatch):
-    monkeypatch.setattr(pool, "WORTH_FRAMES", 0)  # also a short recording goes to processes
-    settings = ArmSimulation.preset(
-        "white", protocol="random", duration_s=25.0, occlusion_lengths_s=(1.0,), occlusion_every_s=6.0
-    )
-    source = tmp_path / "rec.mcap"
-    write_recording(simulate_arm(settings, 3).recording, source)
-    for name, processes in (("one", 1), ("again", 1), ("two", 2)):
-        out = tmp_path / f"{name}.mcap"
-        done("smooth", source, "-o", out, "--processes", processes)
-    one = (tmp_path / "one.mcap").read_bytes()
-    assert one == (tmp_path / "again.mcap").read_bytes()
-    assert one == (tmp_path / "two.mcap").read_bytes()

@@ -11,8 +11,8 @@ import pytest
 from commands import done
 from studies import NAMES, batch, query, state
 
-from smoother.study.folder import MEASURE_FIELDS, StudyFolder
-from smoother.study.inputs import hashed_name, relative_day
+from smoother.study.folder import MEASURE_FIELDS
+from smoother.study.inputs import relative_day
 from smoother.study.job import run_job
 
 
@@ -56,27 +56,6 @@ def test_measures_that_are_there_are_not_measured_again(study: Path, made: Path,
     assert batch(*again) == 0
     assert "0 recovered now" in capsys.readouterr().out
     assert len(query(study)) == 1
-
-
-def test_names_are_hashed_on_request(made: Path, tmp_path: Path, capsys):
-    out = tmp_path / "out"
-    (tmp_path / "in").mkdir()
-    (tmp_path / "in" / "Mustermann").mkdir()
-    (tmp_path / "in" / "Mustermann" / "reach one.mcap").write_bytes((made / NAMES[0]).read_bytes())
-    (tmp_path / "in" / "Mustermann" / "broken.mcap").write_bytes(b"this is not a recording")
-    command = [tmp_path / "in", "-o", out, "--processes", 1, "--hash-names"]
-    assert batch(*command, "--report", "--json", tmp_path / "s.json") == 1
-    word = StudyFolder(out).mark.read_text()
-    name = hashed_name(word, "Mustermann/reach one.mcap")
-    assert (out / name).is_file() and name.count("/") == 1
-    assert b"Mustermann" not in (out / name).read_bytes() and b"reach one" not in (out / name).read_bytes()
-    written = [path.read_bytes() for path in (out / "results").glob("*.parquet")]
-    texts = [str(query(out, "*")), (tmp_path / "s.json").read_text(), capsys.readouterr().out]
-    for text in (*texts, (out / "report.html").read_text(encoding="utf-8"), str(written)):
-        assert "Mustermann" not in text and "reach one" not in text
-    # the same command knows its recordings again
-    assert batch(*command) == 1
-    assert "0 recovered now" in capsys.readouterr().out
 
 
 def test_days_are_relative_to_a_secret_one():

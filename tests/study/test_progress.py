@@ -12,8 +12,7 @@ from made_measures import made_measure, made_measures, study_row, write_study
 
 from smoother.errors import UnoccludeError
 from smoother.evaluation.progress import LESS, MORE, UNCLEAR, UNKNOWN, PersonProgress
-from smoother.study.folder import StudyFolder
-from smoother.study.inputs import SessionEntry, by_folders, hashed_name, in_order, read_sessions
+from smoother.study.inputs import SessionEntry, by_folders, in_order, read_sessions
 from smoother.study.progress import progress_of, read_rows, sessions_of
 
 FLEXION = "elbow_flexion_range_deg"
@@ -199,18 +198,6 @@ def test_a_table_says_whose_it_is(tmp_path: Path):
     assert sessions_of(folder, read_rows(folder), table)[1] == ["c.mcap: sessions.csv does not name it"]
 
 
-def test_a_table_knows_recordings_whose_names_are_hashes(tmp_path: Path):
-    StudyFolder(tmp_path / "study").open()
-    word = (tmp_path / "study" / ".unocclude" / "study").read_text()
-    names = [hashed_name(word, f"day/{name}.mcap") for name in "ab"]
-    assert all("day" not in name for name in names)
-    folder = write_study(tmp_path / "study", [study_row(name, [made_measures()]) for name in names])
-    table = tmp_path / "sessions.csv"
-    table.write_text("file,person,session\nday/a.mcap,p1,1\nday/b.mcap,p1,2\n")
-    (person,) = persons_of(folder, table)
-    assert person.sessions == ("1", "2")
-
-
 @pytest.mark.parametrize(
     ("text", "words"),
     [
@@ -245,9 +232,9 @@ def test_a_table_that_is_not_text(tmp_path: Path):
     path = tmp_path / "sessions.xlsx"
     path.write_bytes(b"PK\x03\x04\xff\xfe\x00")
     with pytest.raises(UnoccludeError, match="save it as CSV"):
-        read_sessions(path, ["a.mcap"], str)
+        read_sessions(path, ["a.mcap"])
     with pytest.raises(UnoccludeError, match="No such file"):
-        read_sessions(tmp_path / "none.csv", ["a.mcap"], str)
+        read_sessions(tmp_path / "none.csv", ["a.mcap"])
 
 
 def test_studies_that_cannot_be_used(tmp_path: Path):

@@ -16,7 +16,7 @@ import pytest
 from smoother.cli.run import NOT_TRUSTED, run
 from smoother.errors import UnoccludeError
 from smoother.evaluation.group import LONG, group_measures
-from smoother.report.study import worst_first, write_study
+from smoother.report.study import write_study
 from smoother.study.folder import COLUMNS, schema
 from smoother.study.progress import long_rows, persons_of
 from smoother.study.run import Tally, study_folder
@@ -54,17 +54,6 @@ def test_a_study_of_failures_alone(tmp_path):
     write_study(pa.Table.from_pylist(rows, schema=schema()), tmp_path / "page.html", tmp_path)
     text = (tmp_path / "page.html").read_text(encoding="utf-8")
     assert "0 of 1 recordings were recovered, 1 failed" in text and "it is broken" in text
-
-
-def test_order_with_gapless_recordings_last():
-    judged = np.ones(4), np.zeros(4)
-    assert worst_first(np.array([np.nan, 0.1, 0.3, 0.2]), *judged).tolist() == [2, 3, 1, 0]
-
-
-def test_what_is_not_to_be_trusted_stands_first():
-    sigma = np.array([0.3, 0.1, 0.2, np.nan, 0.05])
-    trusted, untrusted = np.array([1, np.nan, 0, 0, 1.0]), np.array([0, 0, 2, 0, 1.0])
-    assert worst_first(sigma, trusted, untrusted).tolist() == [2, 3, 4, 0, 1]
 
 
 def test_the_page_of_a_study_with_untrusted_results(tmp_path):
