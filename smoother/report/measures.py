@@ -117,7 +117,7 @@ MOST_MOVEMENTS = 24
 
 
 def measures_page(measures_by_arm: Sequence[Measures], pairs: Sequence[BothArms] = ()) -> Page:
-    """The page of a recording's measures; printed, it takes two pages."""
+    """The page of a recording's measures."""
     arms = list(measures_by_arm)
     names = ", ".join(dict.fromkeys(arm.name for arm in arms))
     length_s = max((arm.end_s - arm.start_s for arm in arms), default=math.nan)
@@ -127,7 +127,6 @@ def measures_page(measures_by_arm: Sequence[Measures], pairs: Sequence[BothArms]
         f"{capitalised(labels)}, {length_s:.0f} s" if math.isfinite(length_s) else labels,
         _verdict(arms),
         _sections(arms, pairs),
-        two_pages=True,
     )
 
 

@@ -32,14 +32,13 @@ MOST_FIGURES, MOST_ROWS, MOST_LIMITS = 5, 16, 6
 
 
 def progress_page(progress: PersonProgress) -> Page:
-    """The page of a person's sessions; printed, it takes two pages."""
+    """The page of a person's sessions."""
     count = len(progress.sessions)
     return Page(
         f"Progress of {progress.person}",
         f"{_arms(progress)}{count} session{'s' if count != 1 else ''}: {_named(progress)}",
         _verdict(progress),
         _sections(progress),
-        two_pages=True,
     )
 
 

@@ -100,7 +100,6 @@ class Page:
     subtitle: str
     verdict: Iterable[str]  # Sentences at the top
     sections: Iterable[Section | Fold]
-    two_pages: bool = False  # Print it in small type: what is short fits on two pages
     tone: str = ""  # `ALARM` or `CARE`: the first sentences are in red or amber
     # Tone, large word and sentences of each verdict of the first screen; `verdict` is below it then
     boxes: Sequence[tuple[str, str, list[str]]] = ()

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import json
 from collections import defaultdict
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -120,13 +120,27 @@ def with_sessions(
         if not entry.calibration:
             places[Path(entry.path).parent].append(number)
     for place, numbers in places.items():
-        hashes = _hashes([Path(entries[number].path) for number in numbers])
+        hashes = {}
+        for path in (Path(entries[number].path) for number in numbers):
+            with suppress(UnoccludeError, OSError):  # what cannot be read fails later, by itself
+                if path.stat().st_size <= LARGEST_BYTES:
+                    hashes[path] = file_hash(path)
         if len(hashes) < FEWEST:
             continue
         key = text_hash(version, config_hash(config, selection), *hashes.values())[:16]
         index = folder.path / "sessions" / f"{key}.json"
         if not index.exists():
-            _write_session(index, calibrate_session(hashes, selection, config), hashes)
+            session = calibrate_session(hashes, selection, config)
+            index.parent.mkdir(parents=True, exist_ok=True)
+            files: dict[tuple[int, ...], str] = {}
+            for arms in session.arms.values():
+                if (own := tuple(map(id, arms))) not in files:
+                    files[own] = f"{index.stem}-{len(files) + 1}.toml"
+                    write_arms(index.parent / files[own], arms)
+            names = {hashes[path]: files[tuple(map(id, arms))] for path, arms in session.arms.items()}
+            with writing(index, force=True) as temporary:
+                values = {"sentence": session.sentence, "calibrations": names}
+                temporary.write_text(json.dumps(values, indent=1) + "\n", encoding="utf-8")
         kept = json.loads(index.read_text(encoding="utf-8"))
         if kept["sentence"]:
             notes.append(f"{place.name}: {kept['sentence']}")
@@ -135,29 +149,3 @@ def with_sessions(
             if name := kept["calibrations"].get(own_hash):
                 calibrated[number] = replace(entries[number], calibration=str(index.parent / name))
     return calibrated, notes
-
-
-def _hashes(paths: Iterable[Path]) -> dict[Path, str]:
-    """The hashes of the files that may hold trials; what cannot be read fails later, by itself."""
-    hashes = {}
-    for path in paths:
-        with suppress(UnoccludeError, OSError):
-            if path.stat().st_size <= LARGEST_BYTES:
-                hashes[path] = file_hash(path)
-    return hashes
-
-
-def _write_session(index: Path, session: Session, hashes: Mapping[Path, str]) -> None:
-    """The calibration files of a session, then what names them by the recordings' hashes."""
-    index.parent.mkdir(parents=True, exist_ok=True)
-    files: dict[tuple[int, ...], str] = {}
-    names: dict[str, str] = {}
-    for path, arms in session.arms.items():
-        own = tuple(id(arm) for arm in arms)
-        if own not in files:
-            files[own] = f"{index.stem}-{len(files) + 1}.toml"
-            write_arms(index.parent / files[own], arms)
-        names[hashes[path]] = files[own]
-    with writing(index, force=True) as temporary:
-        values = {"sentence": session.sentence, "calibrations": names}
-        temporary.write_text(json.dumps(values, indent=1) + "\n", encoding="utf-8")

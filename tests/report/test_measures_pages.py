@@ -1,4 +1,4 @@
-"""The pages of measures and of progress: two sheets, words that intervals support, nothing obeyed."""
+"""The pages of measures and of progress: words that intervals support, nothing obeyed."""
 
 from __future__ import annotations
 
@@ -81,14 +81,7 @@ def person(
     return progress
 
 
-def pages(browser: Browser, page: Path) -> int:
-    browser.dark(False)
-    browser.size(1100, 900)
-    browser.open(page)
-    return browser.pdf().count(b"/Type /Page\n")
-
-
-def test_every_page_takes_two_sheets_and_fits_a_phone(browser: Browser, tmp_path: Path):
+def test_every_page_fits_a_phone(browser: Browser, tmp_path: Path):
     measures_page([made_measures()]).write(tmp_path / "one.html")
     arms = [fullest("left"), fullest("right")]
     measures_page(arms, [BothArms(*arms, indices(*arms))]).write(tmp_path / "both.html")
@@ -97,7 +90,7 @@ def test_every_page_takes_two_sheets_and_fits_a_phone(browser: Browser, tmp_path
     noted = tuple(f"A sentence that takes a whole line of the page to say, number {n}" for n in range(9))
     progress_page(replace(many, notes=noted)).write(tmp_path / "many.html")
     for page in sorted(tmp_path.glob("*.html")):
-        assert pages(browser, page) <= 2, page.name
+        browser.open(page)
         assert browser.complaints() == [] and browser.loaded() == []
         assert browser.run("document.querySelectorAll('.plot').length") >= 3
         assert page.stat().st_size < 1_500_000
