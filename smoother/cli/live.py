@@ -248,7 +248,7 @@ def live(
         read_calibration_file,
         run_together,
     )
-    from ..streams.session_recording import Recorder, SessionRecording, check_recording
+    from ..streams.session_recording import SessionRecording, check_recording
     from .config import read_config
 
     if record is not None:
@@ -285,8 +285,8 @@ def live(
         receivers = receivers_of(infos, foxglove, lsl_out, lsl_network, stack)
         recording = None
         if record is not None:
-            growing = SessionRecording(record, infos[0], force, infos[1:])
-            recording = Recorder(growing, patient=not sources[0].speed)
+            patient = not sources[0].speed
+            recording = SessionRecording(record, infos[0], force, infos[1:], patient)
             stack.callback(recording.close)  # whatever ends the sessions, their recording is whole
         sessions = []
         for number, (source, known) in enumerate(zip(sources, calibrations, strict=True)):

@@ -22,7 +22,7 @@ from ..recording import ImuStream
 from ..window.priors import with_measured_noise
 from .arrivals import STEP_OF_IMU_S, Arrivals, FrameRows, ImuRows, Source, SourceInfo, StampSteps
 from .session_figures import SessionFigures
-from .session_recording import Recorder
+from .session_recording import SessionRecording
 
 if TYPE_CHECKING:
     from ..live.smoother import LiveSmoother
@@ -96,7 +96,7 @@ class LiveSession:
         source: Source,
         engine: LiveSmoother,
         calibration: SessionCalibration | None = None,
-        recording: Recorder | None = None,
+        recording: SessionRecording | None = None,
         receivers: Sequence[Receiver] = (),
         arm: int = 0,
     ):

@@ -9,6 +9,7 @@ import time
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from queue import Full, Queue, SimpleQueue
 from typing import TYPE_CHECKING
@@ -34,6 +35,10 @@ _FLUSH_S = 1.0
 #: What was shown; readers of recordings leave it alone.
 SHOWN_TOPIC = "/live/forearm"
 _SHOWN_EACH_S = 0.03
+#: So much may wait for a slow disk; what comes then is not recorded.
+_MOST_WAITING = 20_000
+#: The file's end is waited for no longer than this, s.
+_CLOSE_S = 60.0
 
 
 class _RecordedArm:
@@ -57,9 +62,19 @@ class _RecordedArm:
 
 
 class SessionRecording:
-    """Writes IMU and skeleton to an MCAP file as they arrive: stamps inside, arrival as log time."""
+    """Writes IMU and skeleton to an MCAP file as they arrive: stamps inside, arrival as log time.
 
-    def __init__(self, path: Path, info: SourceInfo, force: bool = False, others: Sequence[SourceInfo] = ()):
+    A thread writes, so that a slow disk delays no answer; a full one ends the recording alone.
+    """
+
+    def __init__(
+        self,
+        path: Path,
+        info: SourceInfo,
+        force: bool = False,
+        others: Sequence[SourceInfo] = (),
+        patient: bool = False,
+    ):
         check_recording(path, force)
         self.path, self.growing = path, growing_name(path)
         self._info = info
@@ -75,9 +90,55 @@ class SessionRecording:
         self._arms = [_RecordedArm(each, bool(others), taken) for each in (info, *others)]
         self._flushed_s = -np.inf
         self._write_metadata()
+        self._patient, self._has_ended, self._lost = patient, False, 0
+        self._jobs: Queue[Callable[[], None] | None] = Queue(_MOST_WAITING)
+        self._events: SimpleQueue[str] = SimpleQueue()
+        self._thread = threading.Thread(target=self._work, name="recorder", daemon=True)
+        self._thread.start()
 
     def take(self, arrivals: Arrivals, number: int = 0) -> None:
         """Write what arrived of an arm; its events become notes of the recording."""
+        self._put(partial(self._take, arrivals, number))
+
+    def shown(self, output: LiveOutput, number: int = 0) -> None:
+        """Write what was shown of an arm, some 30 times per second: the pose of the IMU *now*."""
+        self._put(partial(self._show, output, number))
+
+    def events(self) -> list[str]:
+        """What became of the recording since the last call."""
+        events: list[str] = []
+        while not self._events.empty():
+            events.append(self._events.get_nowait())
+        return events
+
+    def wait(self) -> None:
+        """Return once all that was given is written, or the recording has ended."""
+        written, until_s = threading.Event(), time.monotonic() + _CLOSE_S
+        self._put(written.set)
+        while not (self._has_ended or written.wait(0.02)) and time.monotonic() < until_s:
+            pass
+
+    def _put(self, job: Callable[[], None]) -> None:
+        if self._has_ended:
+            return
+        try:
+            self._jobs.put(job, block=self._patient, timeout=_CLOSE_S)
+        except Full:
+            self._lost += 1
+            if self._lost == 1:
+                self._events.put("the disk is too slow: the recording has gaps from now on")
+
+    def _work(self) -> None:
+        while (job := self._jobs.get()) is not None:
+            if self._has_ended:
+                continue
+            try:
+                job()
+            except UnoccludeError as error:
+                self._events.put(f"the recording has ended, the session continues: {error}")
+                self._has_ended = True
+
+    def _take(self, arrivals: Arrivals, number: int) -> None:
         self._notes += arrivals.events
         frames, outgoing = arrivals.frames, []
         origin, of_arm = self._info.origin_ns, self._arms[number]
@@ -101,8 +162,7 @@ class SessionRecording:
         came = [rows.arrival_s for rows in (frames, *arrivals.imus.values()) if len(rows)]
         self._write(outgoing, max(float(arrival_s[-1]) for arrival_s in came))
 
-    def shown(self, output: LiveOutput, number: int = 0) -> None:
-        """Write what was shown of an arm, some 30 times per second: the pose of the IMU *now*."""
+    def _show(self, output: LiveOutput, number: int) -> None:
         now, arm = output.now, self._arms[number]
         if now is None or abs(output.now_s - arm.shown_s) < _SHOWN_EACH_S:
             return
@@ -113,11 +173,9 @@ class SessionRecording:
             arm.messages = LiveMessages(arm.info)
         wanted = {f"{RESULT_PREFIX}forearm"}
         data = [message.data for message in arm.messages.estimate(now, wanted)]
-        self._write([self._stream(arm.shown_topic, "foxglove.Odometry", data, output.now_s)], output.now_s)
-
-    def _stream(self, topic: str, schema: str, data: list[bytes], t_s: float) -> OutputStream:
-        time_ns = np.full(len(data), round(t_s * 1e9) + self._info.origin_ns)
-        return OutputStream(self._output.channel(topic, schema), time_ns, lambda part: data[part])
+        time_ns = np.full(len(data), round(output.now_s * 1e9) + self._info.origin_ns)
+        channel = self._output.channel(arm.shown_topic, "foxglove.Odometry")
+        self._write([OutputStream(channel, time_ns, lambda part: data[part])], output.now_s)
 
     def _write(self, outgoing: list[OutputStream], newest: float) -> None:
         try:
@@ -133,7 +191,10 @@ class SessionRecording:
             ) from error
 
     def close(self) -> None:
-        """Write the file's end, and give it its name; one without any sample goes."""
+        """Write what waits and the file's end, and give it its name; one without any sample goes."""
+        with suppress(Full):
+            self._jobs.put(None, timeout=_CLOSE_S)
+        self._thread.join(_CLOSE_S)
         if self._is_broken or not self.has_samples:
             self._output.__exit__(UnoccludeError, None, None)
             if not self.has_samples:
@@ -170,76 +231,3 @@ def check_recording(path: Path, force: bool = False) -> None:
             f"{growing} was left by a session that was killed, or another session writes to it;"
             f" `unocclude repair {growing} -o NAME.mcap` saves what is in it, then remove it"
         )
-
-
-#: So much may wait for a slow disk; what comes then is not recorded.
-_MOST_WAITING = 20_000
-#: The file's end is waited for no longer than this, s.
-_CLOSE_S = 60.0
-
-
-class Recorder:
-    """Writes a recording aside, so that a slow disk delays no answer; a full one ends the recording alone."""
-
-    def __init__(self, recording: SessionRecording, patient: bool = False):
-        self.recording, self._patient = recording, patient
-        self._jobs: Queue[Callable[[], None] | None] = Queue(_MOST_WAITING)
-        self._events: SimpleQueue[str] = SimpleQueue()
-        self._has_ended = False
-        self._lost = 0
-        self._thread = threading.Thread(target=self._work, name="recorder", daemon=True)
-        self._thread.start()
-
-    @property
-    def has_samples(self) -> bool:
-        """Something was written."""
-        return self.recording.has_samples
-
-    def take(self, arrivals: Arrivals, number: int = 0) -> None:
-        """Write what arrived of an arm."""
-        self._put(lambda: self.recording.take(arrivals, number))
-
-    def shown(self, output: LiveOutput, number: int = 0) -> None:
-        """Write what was shown of an arm."""
-        self._put(lambda: self.recording.shown(output, number))
-
-    def events(self) -> list[str]:
-        """What became of the recording since the last call."""
-        events: list[str] = []
-        while not self._events.empty():
-            events.append(self._events.get_nowait())
-        return events
-
-    def wait(self) -> None:
-        """Return once all that was given is written, or the recording has ended."""
-        written, until_s = threading.Event(), time.monotonic() + _CLOSE_S
-        self._put(written.set)
-        while not (self._has_ended or written.wait(0.02)) and time.monotonic() < until_s:
-            pass
-
-    def close(self) -> None:
-        """Write what waits, and the file's end."""
-        with suppress(Full):
-            self._jobs.put(None, timeout=_CLOSE_S)
-        self._thread.join(_CLOSE_S)
-        self.recording.close()
-
-    def _put(self, job: Callable[[], None]) -> None:
-        if self._has_ended:
-            return
-        try:
-            self._jobs.put(job, block=self._patient, timeout=_CLOSE_S)
-        except Full:
-            self._lost += 1
-            if self._lost == 1:
-                self._events.put("the disk is too slow: the recording has gaps from now on")
-
-    def _work(self) -> None:
-        while (job := self._jobs.get()) is not None:
-            if self._has_ended:
-                continue
-            try:
-                job()
-            except UnoccludeError as error:
-                self._events.put(f"the recording has ended, the session continues: {error}")
-                self._has_ended = True

@@ -22,7 +22,6 @@ from smoother.streams.replay import Replay
 from smoother.streams.session import LiveSession
 from smoother.streams.session_recording import (
     SHOWN_TOPIC,
-    Recorder,
     SessionRecording,
     check_recording,
     growing_name,
@@ -35,14 +34,13 @@ def original(tmp_path):
     return tmp_path / "original.mcap"
 
 
-def played(path, record, **options) -> tuple[LiveSession, SessionRecording]:
+def played(path, record, **options) -> LiveSession:
     source = Replay(path, speed=0.0, **options)
-    recording = SessionRecording(record, source.info)
-    recorder = Recorder(recording, patient=True)
-    session = LiveSession(source, CameraEcho(), recording=recorder)
+    recording = SessionRecording(record, source.info, patient=True)
+    session = LiveSession(source, CameraEcho(), recording=recording)
     session.run(lambda: False, lambda _: None)
-    recorder.close()
-    return session, recording
+    recording.close()
+    return session
 
 
 def same(one, other) -> None:
@@ -60,7 +58,7 @@ def same(one, other) -> None:
 
 
 def test_what_is_recorded_is_what_was_played(original, tmp_path):
-    session, _ = played(original, tmp_path / "session.mcap")
+    session = played(original, tmp_path / "session.mcap")
     same(read_recording(original), read_recording(tmp_path / "session.mcap"))
     assert not growing_name(tmp_path / "session.mcap").exists()
     assert session.engine.steps > 500
@@ -82,6 +80,7 @@ def test_the_growing_file_can_be_read_at_any_moment(original, tmp_path):
     recording = SessionRecording(tmp_path / "session.mcap", source.info)
     while source.now_s() < 5.0:
         recording.take(source.arrivals())
+    recording.wait()
     # nothing is closed: as kill -9 leaves it
     growing = growing_name(tmp_path / "session.mcap")
     read = read_recording(growing)
@@ -131,11 +130,10 @@ def test_recorded_out_of_order_and_smoothed_offline_it_is_the_same_answer(tmp_pa
 
     source._imus["forearm"] = disordered(source._imus["forearm"])
     source._frames = disordered(source._frames)
-    recording = SessionRecording(tmp_path / "session.mcap", source.info)
-    recorder = Recorder(recording, patient=True)
-    session = LiveSession(source, CameraEcho(), recording=recorder)
+    recording = SessionRecording(tmp_path / "session.mcap", source.info, patient=True)
+    session = LiveSession(source, CameraEcho(), recording=recording)
     session.run(lambda: False, lambda _: None)
-    recorder.close()
+    recording.close()
     assert session.figures.imu.late > 100
     original, recorded = (read_recording(tmp_path / name) for name in ("original.mcap", "session.mcap"))
     same(original, recorded)
@@ -147,9 +145,8 @@ def test_recorded_out_of_order_and_smoothed_offline_it_is_the_same_answer(tmp_pa
 
 def test_a_full_disk_ends_the_recording_and_not_the_session(original, tmp_path, monkeypatch):
     source = Replay(original, speed=0.0)
-    recording = SessionRecording(tmp_path / "session.mcap", source.info)
-    recorder = Recorder(recording, patient=True)
-    session = LiveSession(source, CameraEcho(), recording=recorder)
+    recording = SessionRecording(tmp_path / "session.mcap", source.info, patient=True)
+    session = LiveSession(source, CameraEcho(), recording=recording)
     write, written = recording._output.write, []
 
     def filling(*arguments):
@@ -161,7 +158,7 @@ def test_a_full_disk_ends_the_recording_and_not_the_session(original, tmp_path, 
     with monkeypatch.context() as patched:
         patched.setattr(recording._output, "write", filling)
         figures = session.run(lambda: False, lambda _: None)
-        recorder.close()
+        recording.close()
     assert source.ended
     (said,) = [sentence for _, sentence in figures.events if "recording has ended" in sentence]
     assert "the session continues" in said and "unocclude repair" in said and "session.recording.mcap" in said
@@ -170,8 +167,7 @@ def test_a_full_disk_ends_the_recording_and_not_the_session(original, tmp_path, 
 def test_a_slow_disk_delays_no_answer(original, tmp_path, monkeypatch):
     source = Replay(original, speed=0.0)
     recording = SessionRecording(tmp_path / "session.mcap", source.info)
-    recorder = Recorder(recording)
-    session = LiveSession(source, CameraEcho(), recording=recorder)
+    session = LiveSession(source, CameraEcho(), recording=recording)
     write = recording._output.write
 
     def slow(*arguments):
@@ -182,25 +178,22 @@ def test_a_slow_disk_delays_no_answer(original, tmp_path, monkeypatch):
         patched.setattr(recording._output, "write", slow)
         waited: list[float] = []
         for name in ("take", "shown"):
-            job = getattr(recorder, name)
+            job = getattr(recording, name)
 
             def timed(*arguments, job=job):
                 began = time.perf_counter()
                 job(*arguments)
                 waited.append(time.perf_counter() - began)
 
-            patched.setattr(recorder, name, timed)
+            patched.setattr(recording, name, timed)
         session.run(lambda: False, lambda _: None)
-        recorder.close()
+        recording.close()
     assert np.percentile(waited, 95) < 0.001  # a write takes 2 ms at least
     same(read_recording(original), read_recording(tmp_path / "session.mcap"))
 
 
 def test_what_was_shown_is_kept(original, tmp_path):
-    source = Replay(original, speed=0.0)
-    recorder = Recorder(SessionRecording(tmp_path / "session.mcap", source.info), patient=True)
-    LiveSession(source, CameraEcho(), recording=recorder).run(lambda: False, lambda _: None)
-    recorder.close()
+    played(original, tmp_path / "session.mcap")
     with open(tmp_path / "session.mcap", "rb") as file:
         messages = [(channel.topic, message) for _, channel, message in make_reader(file).iter_messages()]
     shown = [message for topic, message in messages if topic == SHOWN_TOPIC]

@@ -5,90 +5,61 @@ from __future__ import annotations
 import argparse
 from collections.abc import Iterator
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
-from calib.imu import MagnetometerCalibration, calibrate_magnetometer
+from calib.imu import calibrate_magnetometer
 from smoother.evaluation.gaps import evaluate_gaps
+from smoother.evaluation.metrics import rotation_error
 from smoother.io import import_broad
 from smoother.recording import Recording
-from smoother.result import Recovery
 from smoother.smoothing import smooth
-from tools.accuracy.check import (
-    ONLY,
-    check,
-    datasets,
-    option,
-    rms,
-    seeds_option,
-)
+from tools.accuracy.check import ONLY, check, datasets, rms, seeds_option
+
+#: Gaps to hide, s; the trial that calibrates.
+LENGTHS_S, CALIBRATED_ON = (1.0, 3.0), "05_"
 
 
-def corrected(recording: Recording, found: MagnetometerCalibration) -> Recording:
-    """The recording with its magnetometer corrected."""
-    assert recording.imu.mag is not None
-    imu = replace(recording.imu, mag=found.apply(recording.imu.mag), mag_calibrated=True)
-    return replace(recording, imu=imu)
-
-
-def attitude(recovery: Recovery, recording: Recording) -> tuple[float, float]:
-    """Orientation and heading error, degrees rms over the samples to score on."""
-    truth = recording.truth
+def figures(recording: Recording, seed: int) -> list[float]:
+    """Orientation and heading error, degrees rms; errors in gaps of each length, cm and degrees."""
+    recovery, truth = smooth(replace(recording, truth=None)), recording.truth
     assert truth is not None
     known = np.isfinite(truth.quaternion).all(axis=1) & np.isfinite(recovery.quaternion).all(axis=1)
     known &= truth.score
-    turn = [
-        Rotation.from_quat(each[known][:, [1, 2, 3, 0]]) for each in (recovery.quaternion, truth.quaternion)
-    ]
-    error = np.degrees((turn[0] * turn[1].inv()).as_rotvec())
-    return rms(np.linalg.norm(error, axis=1)), rms(error[:, 2])
-
-
-def trial(path: Path, found: MagnetometerCalibration, options: argparse.Namespace) -> Iterator[str]:
-    """Both ways over one trial, a line each."""
-    for name in ("without", "with"):
-        notes: tuple[str, ...] = ()
-        rows: list[list[float]] = [[] for _ in range(2 + 2 * len(options.lengths))]
-        for seed in options.seeds:
-            recording = import_broad(path, seed=seed)
-            if name == "with":
-                recording = corrected(recording, found)
-            recovery = smooth(replace(recording, truth=None))
-            notes = tuple(note for note in recovery.notes if "magnetometer" in note)
-            for k, value in enumerate(attitude(recovery, recording)):
-                rows[k].append(value)
-            for k, length in enumerate(options.lengths):
-                table = evaluate_gaps(recording, [length], {"graph": smooth}, seed=seed)
-                figures = table.lengths[length]["graph"].figures
-                rows[2 + 2 * k].append(100.0 * (figures.position_rms_m or np.nan))
-                rows[3 + 2 * k].append(figures.orientation_rms_deg or np.nan)
-        mean = [rms(row) for row in rows]
-        parts = [
-            f"{length:g} s: {mean[2 + 2 * k]:5.2f} cm {mean[3 + 2 * k]:5.2f} deg"
-            for k, length in enumerate(options.lengths)
-        ]
-        yield (
-            f"{path.stem[:34]:34} {name:7}: orientation {mean[0]:5.2f}  heading {mean[1]:5.2f} deg   "
-            f"{'   '.join(parts)}   {' '.join(notes)}"
-        )
+    error = np.degrees(rotation_error(recovery.quaternion[known], truth.quaternion[known]))
+    row = [rms(np.linalg.norm(error, axis=1)), rms(error[:, 2])]
+    for length_s in LENGTHS_S:
+        table = evaluate_gaps(recording, [length_s], {"graph": smooth}, seed=seed)
+        found = table.lengths[length_s]["graph"].figures
+        row += [100.0 * (found.position_rms_m or np.nan), found.orientation_rms_deg or np.nan]
+    return row
 
 
 @check(
     ONLY,
-    option("--calibrated-on", default="05_", help="trial whose name starts so"),
-    option("--lengths", type=float, nargs="*", default=[1.0, 3.0], help="gaps to hide, s"),
     seeds_option("2"),
 )
 def magnetometer(options: argparse.Namespace) -> Iterator[str]:
     """Orientation, heading and gaps on BROAD, with a calibrated magnetometer and without."""
     trials = sorted(datasets("broad").glob("*.mat"))
-    source = next(path for path in trials if path.stem.startswith(options.calibrated_on))
+    source = next(path for path in trials if path.stem.startswith(CALIBRATED_ON))
     mag = import_broad(source).imu.mag
     assert mag is not None
-    found = calibrate_magnetometer(mag)
-    yield f"calibrated on {source.stem}: {100 * found.residual:.1f} % off the sphere"
-    for path in trials:
-        if options.only in path.stem:
-            yield from trial(path, found, options)
+    calibration = calibrate_magnetometer(mag)
+    yield f"calibrated on {source.stem}: {100 * calibration.residual:.1f} % off the sphere"
+    for path in (path for path in trials if options.only in path.stem):
+        for name in ("without", "with"):
+            rows = []
+            for seed in options.seeds:
+                recording = import_broad(path, seed=seed)
+                if name == "with":
+                    mag = calibration.apply(recording.imu.mag)
+                    recording = replace(recording, imu=replace(recording.imu, mag=mag, mag_calibrated=True))
+                rows.append(figures(recording, seed))
+            turn, heading, *gaps = np.sqrt(np.mean(np.square(rows), axis=0))
+            parts = "   ".join(
+                f"{length_s:g} s: {cm:5.2f} cm {deg:5.2f} deg"
+                for length_s, cm, deg in zip(LENGTHS_S, gaps[::2], gaps[1::2], strict=True)
+            )
+            words = f"{path.stem[:34]:34} {name:7}: orientation {turn:5.2f}  heading {heading:5.2f} deg"
+            yield f"{words}   {parts}"

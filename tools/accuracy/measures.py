@@ -3,9 +3,8 @@
 `measures`, for each preset: how often the 95 % interval of a measure contains the truth's, its rms error and
 its bias; occlusions are those of the simulated body. The truth is measured by the same functions: a session's
 means over movements are of the truth's own movements, a movement's measures are over the same samples. The
-elbow's measures are repeated for an arm that moves about with a straight, stiff elbow (0 to 7 degrees). Then
-the elbow's range of motion with two thirds of each extreme hidden, and SPARC's bias from recovered samples:
-movements in a gap against the same movements with the camera's view whole.
+elbow's measures are repeated for an arm that moves about with a straight, stiff elbow (0 to 7 degrees); and
+SPARC's bias from recovered samples.
 
 `movements`: for several kinds of sessions, how often the interval of a mean over movements contains the mean
 over the truth's own movements, and between all pairs of sessions how often `progress` calls a change, and
@@ -34,7 +33,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from smoother.calibration import ArmCalibration
 from smoother.evaluation.measure_agreement import same_samples
 from smoother.evaluation.metrics import truth_at
 from smoother.evaluation.progress import (
@@ -62,8 +60,6 @@ from tools.accuracy.check import DRAWS, PRESET, check, option, rms, seeds_option
 MEASURED = ("realistic", "azure")
 #: How far a straight elbow bends, rad.
 STRAIGHT_RAD = (0.01, 0.11)
-#: Of a joint's extreme this part is hidden, in the time that the angle is within 20 degrees of it.
-HIDDEN_PART, NEAR_DEG = 2.0 / 3.0, 20.0
 
 
 class Sample(NamedTuple):
@@ -90,12 +86,10 @@ def true_recovery(recovery: Recovery, truth: Truth) -> Recovery:
     return replace(recovery, position=at.position, quaternion=at.quaternion, joints=joints, draws=None)
 
 
-def recovered(
-    simulated: SimulatedArm, draws: int, seed: int, calibration: ArmCalibration | None = None
-) -> Recovery:
+def recovered(simulated: SimulatedArm, draws: int, seed: int) -> Recovery:
     """The recording smoothed without its truth; the forearm's axes in the IMU are given."""
     recording = replace(simulated.recording, truth=None)
-    recovery = smooth(recording, calibration, processes=1, draws=draws, seed=seed)
+    recovery = smooth(recording, processes=1, draws=draws, seed=seed)
     assert recovery.calibration is not None
     return replace(recovery, calibration=replace(recovery.calibration, R_F_A=simulated.calibration.R_F_A))
 
@@ -165,53 +159,6 @@ def coverage_rows(title: str, found: Coverage, keys: str = "") -> Iterator[str]:
                 yield f"{key:44} {figures} {width:14.4g} {truth:11.4g}"
 
 
-def hidden_extremes(simulated: SimulatedArm) -> SimulatedArm:
-    """The same, and two thirds of the time about the elbow's largest and smallest flexion hidden as well."""
-    from smoother.joint_angles import arm_angles
-    from smoother.linalg import runs
-
-    recording = simulated.recording
-    assert recording.truth is not None
-    joints, t = recording.truth.joints, recording.truth.t_s
-    flexion = arm_angles(joints, len(t))["elbow_flexion"]
-    frames = recording.arm.t_s + simulated.parameters["clock_offset_s"]
-    hidden = np.zeros(len(frames), dtype=bool)
-    for near in (flexion >= flexion.max() - NEAR_DEG, flexion <= flexion.min() + NEAR_DEG):
-        extreme = int(np.argmax(flexion)) if near[np.argmax(flexion)] else int(np.argmin(flexion))
-        for run in runs(near):
-            if not run.start <= extreme < run.stop:
-                continue
-            length = HIDDEN_PART * (t[run.stop - 1] - t[run.start])
-            start = np.clip(t[extreme] - 0.5 * length, t[run.start], t[run.stop - 1] - length)
-            hidden |= (frames >= start) & (frames <= start + length)
-    return replace(simulated, recording=replace(recording, arm=recording.arm.hide(hidden)))
-
-
-def hidden_range(preset: str, seeds: range) -> Iterator[str]:
-    """The elbow's range with nothing hidden, and with two thirds of both extremes hidden."""
-    config = ArmSimulation.preset(preset, protocol="random", occlusion_lengths_s=())
-    for words, is_hidden, is_calibrated in (
-        ("nothing hidden", False, False),
-        ("two thirds of both extremes hidden", True, False),
-        ("the same, the arm calibrated", True, True),
-    ):
-        errors: dict[str, list[float]] = defaultdict(list)
-        for seed in seeds:
-            simulated = simulate_arm(config, seed)
-            simulated = hidden_extremes(simulated) if is_hidden else simulated
-            calibration = simulated.calibration if is_calibrated else None
-            recovery = recovered(simulated, 0, seed, calibration)
-            for sample in samples_of(simulated, recovery, MeasureSettings()):
-                if sample.scope == "session":
-                    errors[sample.key].append(sample.off)
-        figures = "  ".join(
-            f"{what} {rms(off):.2f} ({np.mean(off):+.2f})"
-            for what in ("range", "max", "min")
-            for off in [errors[f"elbow_flexion_{what}_deg"]]
-        )
-        yield (f"{preset}: elbow, {words}: rms (bias), degrees: {figures}; {len(seeds)} seeds")
-
-
 def sparc_bias(preset: str, samples: list[Sample]) -> Iterator[str]:
     """SPARC of movements that are recovered by half or more, and of those that the camera saw."""
     rows = [s for s in samples if s.scope == "movement" and s.key == "sparc" and np.isfinite(s.off)]
@@ -259,7 +206,6 @@ def measures(options: argparse.Namespace) -> Iterator[str]:
         straight = ArmSimulation.preset(preset, protocol="random", flexion_rad=STRAIGHT_RAD)
         found = coverage_of(accuracy(straight, options.seeds, options.draws))
         yield from coverage_rows(f"{preset}, a straight and stiff elbow", found, "elbow_flexion")
-        yield from hidden_range(preset, options.seeds)
     if options.csv is not None:
         options.csv.write_text(accuracy_csv(tables) + "\n", encoding="utf-8")
 

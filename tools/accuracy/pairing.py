@@ -5,9 +5,9 @@ kind: how many are proved as files with unrelated clocks, how many are accepted 
 and whether the clock is found within 0.2 s. Nothing is smoothed.
 
 Parts: `simulated` takes random motion of 8 to 60 s; `exercise` the same scripted exercise in every recording,
-of 30 and 75 s; `setups` drifting clocks, a mirrored skeleton, a wrong down and the other arm; `utd` real
-Kinect v1 of 2 to 6 s, wrong pairs of the same activity; `azure` real Azure Kinect of 4 to 17 s, cut by hand,
-where a clock is known if inclination and turning rate agree on it to 0.1 s (data sets: `UNOCCLUDE_DATASETS`).
+of 30 and 75 s; `utd` real Kinect v1 of 2 to 6 s, wrong pairs of the same activity; `azure` real Azure Kinect
+of 4 to 17 s, cut by hand, where a clock is known if inclination and turning rate agree on it to 0.1 s (data
+sets: `UNOCCLUDE_DATASETS`).
 
 `match [utd|scenes] [--methods motion,..]`. `utd`: all trials of an action in UTD-MHAD at once
 (four people who do the same, one IMU on each right wrist; needs UNOCCLUDE_DATASETS), whole trials and their
@@ -44,7 +44,6 @@ from smoother.selfcal.agreement import agreement
 from smoother.selfcal.pairing import decided
 from smoother.simulation import ArmSimulation, PeopleSimulation, simulate_arm, simulate_people
 from tools.accuracy.check import PRESETS, check, datasets, option, parts_option, seeds_option
-from tools.reliability.setup_errors import Setup, joints_of_the_other_arm, mirrored_skeleton
 
 #: A clock is treated as found where it is this near, s.
 FOUND_S = 0.2
@@ -129,31 +128,6 @@ def exercise(seeds: int) -> Iterator[str]:
         yield from rows_of(f"exercise, {float(np.ptp(made[0][0].arm.t_s)):.0f} s", [*crossed(made)])
 
 
-def setups(seeds: int) -> Iterator[str]:
-    """Drifting clocks, and skeletons that are not what they are called."""
-    for duration_s, ppm in ((60.0, 3000.0), (110.0, 3000.0), (200.0, 1000.0), (400.0, 3000.0), (400.0, 50.0)):
-        made = []
-        for recording, offset_s in _made(max(seeds // 4, 1), protocol="random", duration_s=duration_s):
-            t_s = recording.arm.t_s
-            arm = replace(recording.arm, t_s=t_s - 1e-6 * ppm * (t_s - t_s.mean()) - 3.0)
-            made.append((replace(recording, arm=arm), None if offset_s is None else offset_s + 3.0))
-        yield from rows_of(
-            f"{duration_s:.0f} s, clock {ppm:.0f} ppm", [tried(each, True, s) for each, s in made]
-        )
-    trials: dict[str, list[PairTrial]] = {"mirrored": [], "wrong down": [], "other arm": []}
-    for seed in range(seeds):
-        config = ArmSimulation.preset(PRESETS[seed % 3], protocol="random", duration_s=40.0)
-        made_arm = simulate_arm(config, 9500 + seed)
-        setup = Setup(made_arm, config, np.random.default_rng(seed), made_arm.recording)
-        true_s = made_arm.parameters["clock_offset_s"]
-        trials["mirrored"].append(tried(mirrored_skeleton(setup).recording, True, true_s))
-        wrong_down = replace(setup.recording, camera_frame=CameraFrame.ZUP)
-        trials["wrong down"].append(tried(wrong_down, True, true_s))
-        trials["other arm"].append(tried(joints_of_the_other_arm(setup).recording, False, None))
-    for name, rows in trials.items():
-        yield from rows_of(f"40 s, {name}", rows)
-
-
 def utd(seeds: int) -> Iterator[str]:
     """Trials of UTD-MHAD, this many subjects; the wrong IMU is of another trial of the same activity."""
     files = utd_files(datasets("utd_mhad"))
@@ -219,7 +193,7 @@ def _on(grid: FloatArray, t: FloatArray, values: FloatArray) -> FloatArray:
     return gaussian_smoothed(np.stack([np.interp(grid, t, axis) for axis in values.T], axis=1), 3.0)
 
 
-PARTS = {"simulated": simulated, "exercise": exercise, "setups": setups, "utd": utd, "azure": azure}
+PARTS = {"simulated": simulated, "exercise": exercise, "utd": utd, "azure": azure}
 
 
 @check(
