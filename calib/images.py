@@ -168,7 +168,6 @@ class Blobs:
     rays: FloatArray  # (N, 2): undistorted, x/z and y/z
     sigmas_px: FloatArray  # (N,) pixels: of a centroid, per axis
     radii_px: FloatArray  # (N,) pixels: of a disc of the same area
-    heights: FloatArray  # (N,): peak over the surroundings
 
     def __len__(self) -> int:
         return len(self.pixels)
@@ -213,7 +212,7 @@ def _spots(infrared: FloatArray, mask: NDArray[np.bool_], lens: Intrinsics) -> B
         if row is not None:
             rows.append(row)
     table = np.array(sorted(rows, key=lambda row: -row[4])[:MOST]).reshape(-1, 5)
-    return Blobs(table[:, :2], lens.rays(table[:, :2]), *table[:, 2:].T)
+    return Blobs(table[:, :2], lens.rays(table[:, :2]), *table[:, 2:4].T)
 
 
 def _centroid(

@@ -411,10 +411,6 @@ class GyroscopeCalibration:
     samples: int  # How many it is the mean of
     rule: str  # "rest" (mean of still samples) or "running" (mean of stable pairs: some tenths of a degree/s)
 
-    def apply(self, raw: FloatArray) -> FloatArray:
-        """Corrected samples (N, 3) of raw ones (N, 3), rad/s."""
-        return raw - self.offset
-
 
 def calibrate_gyroscope(imu: ImuStream, rests: Rests) -> GyroscopeCalibration:
     """The mean of the still samples (Le et al.); without 200 of them the running rule (`running_bias`)."""

@@ -122,28 +122,34 @@ _SAMPLES = 65536
 
 def corrected(recording: Recording, calibration: CalibrationFile) -> Recording:
     """The recording with its IMUs corrected where the file has their calibration, and a note of it."""
-    imu, notes = _corrected(recording.imu, calibration)
-    base = recording.base_imu
-    if base is not None:
-        base, more = _corrected(base, calibration)
-        notes += more
-    further = {}
-    for name, stream in recording.further_imus.items():
-        further[name], more = _corrected(stream, calibration)
-        notes += more
-    trunk = recording.trunk
-    if trunk is not None:
-        on_trunk, more = _corrected(trunk.imu, calibration)
-        trunk = replace(trunk, imu=on_trunk)
-        notes += more
+    notes: list[str] = []
+
+    def fixed(imu: ImuStream) -> ImuStream:
+        found = sensor_of(calibration, imu.name)
+        if found is None:
+            return imu
+        named = [name for name in found.named if name != "magnetometer" or imu.mag is not None]
+        said = f"{imu.name}: {', '.join(named)} corrected" if named else f"{imu.name}: nothing to correct"
+        if found.accelerometer_density is not None or found.gyroscope_density is not None:
+            said += "; its measured noise is used"
+        notes.append(f"{said} ({calibration.source})")
+        return _applied(found, imu)
+
+    base, trunk = recording.base_imu, recording.trunk
+    recording = replace(
+        recording,
+        imu=fixed(recording.imu),
+        base_imu=None if base is None else fixed(base),
+        further_imus={name: fixed(stream) for name, stream in recording.further_imus.items()},
+        trunk=None if trunk is None else replace(trunk, imu=fixed(trunk.imu)),
+    )
     known = sensors_in(calibration)
     if known and not notes:
         notes.append(
             f"{calibration.source} corrects {', '.join(sorted(known))}; the recording's IMU is"
             f" {recording.imu.name} and was left uncorrected"
         )
-    notes = [*recording.notes, *notes]
-    return replace(recording, imu=imu, base_imu=base, further_imus=further, trunk=trunk, notes=tuple(notes))
+    return replace(recording, notes=(*recording.notes, *notes))
 
 
 def corrected_streams(streams: Sequence[ImuStream], file: CalibrationFile) -> tuple[list[ImuStream], bool]:
@@ -153,17 +159,6 @@ def corrected_streams(streams: Sequence[ImuStream], file: CalibrationFile) -> tu
         return list(streams), False
     once = {id(stream): sensor.apply(stream) for stream in streams}
     return [once[id(stream)] for stream in streams], sensor.accelerometer is not None
-
-
-def _corrected(imu: ImuStream, calibration: CalibrationFile) -> tuple[ImuStream, list[str]]:
-    found = sensor_of(calibration, imu.name)
-    if found is None:
-        return imu, []
-    named = [name for name in found.named if name != "magnetometer" or imu.mag is not None]
-    said = f"{imu.name}: {', '.join(named)} corrected" if named else f"{imu.name}: nothing to correct"
-    if found.accelerometer_density is not None or found.gyroscope_density is not None:
-        said += "; its measured noise is used"
-    return _applied(found, imu), [f"{said} ({calibration.source})"]
 
 
 def _applied(sensor: SensorCalibration, imu: ImuStream) -> ImuStream:

@@ -5,7 +5,7 @@ The sensor on the forearm over time: what turns the arm's core under the strap i
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -56,98 +56,119 @@ STATION_M = 0.012
 JUMP_M, REACH_M = 0.04, 0.07
 
 
-def silhouette_axis(
-    camera: PlacedCamera, depth: Depth, elbow: FloatArray, wrist: FloatArray, radius_m: float
-) -> tuple[FloatArray, FloatArray] | None:
-    """Elbow and wrist moved onto the arm's core as its silhouette shows it; None where it does not."""
-    length = float(np.linalg.norm(wrist - elbow))
-    y = (wrist - elbow) / length
-    origin = camera.origin
-    parts, points = [], []
-    for at in STATIONS:
-        surface = surface_at(camera, depth, elbow, wrist, at, STATION_M)
-        if surface is None:
-            continue
-        into, across = across_arm(surface, origin, y)
-        middle = silhouette_middle(depth, surface, across, into, radius_m)
-        if middle is not None:
-            deep = float(np.sqrt(max(radius_m**2 - middle**2, 0.0)))
-            core = surface + middle * across + deep * into
-            parts.append(float((core - elbow) @ y) / length)
-            points.append(core)
-    if len(parts) < FEWEST_STATIONS:
-        return None
-    s, core = np.array(parts), np.array(points)
-    kept = np.ones(len(s), dtype=bool)
-    for _ in range(2):
-        line = np.polynomial.polynomial.polyfit(s[kept], core[kept], 1)
-        left = np.linalg.norm(core - (line[0] + s[:, None] * line[1]), axis=1)
-        kept = left < max(2.5 * float(np.median(left)), 0.003)
-        if kept.sum() < FEWEST_STATIONS:
+@dataclass(frozen=True)
+class _Forearm:
+    """A forearm in view: its line from elbow to wrist, what the depth camera saw, and the colour camera."""
+
+    camera: PlacedCamera
+    depth: Depth
+    elbow: FloatArray  # (3,) m
+    wrist: FloatArray  # (3,) m
+    radius_m: float
+
+    @property
+    def length(self) -> float:
+        """Elbow to wrist, m."""
+        return float(np.linalg.norm(self.wrist - self.elbow))
+
+    @property
+    def y(self) -> FloatArray:
+        """Unit vector (3,) from elbow to wrist."""
+        return (self.wrist - self.elbow) / self.length
+
+    def directions(self, surface: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Unit vectors into the arm (away from the camera) and across it, both at right angles to y."""
+        into = surface - self.camera.origin
+        into = unit(into - (into @ self.y) * self.y)
+        return into, np.cross(self.y, into)
+
+    def on_its_core(self) -> _Forearm | None:
+        """Elbow and wrist moved onto the arm's core as its silhouette shows it; None where it does not."""
+        elbow, wrist, y = self.elbow, self.wrist, self.y
+        parts, points = [], []
+        for at in STATIONS:
+            surface = self.surface(at, STATION_M)
+            if surface is None:
+                continue
+            into, across = self.directions(surface)
+            core = self.core_by_silhouette(surface, across)
+            if core is not None:
+                points.append(surface + core[0] * across + core[1] * into)
+                parts.append(float((points[-1] - elbow) @ y) / self.length)
+        if len(parts) < FEWEST_STATIONS:
             return None
-    turned = line[1] @ y / np.linalg.norm(line[1])
-    moved = np.linalg.norm(line[0] + 0.5 * line[1] - 0.5 * (elbow + wrist))
-    if turned < np.cos(LARGEST_TURN_RAD) or moved > LARGEST_SHIFT_M or np.ptp(s[kept]) < 0.35:
-        return None
-    along = line[1] / np.linalg.norm(line[1])
-    ends = [line[0] + ((joint - line[0]) @ along) * along for joint in (elbow, wrist)]
-    return ends[0], ends[1]
-
-
-def across_arm(surface: FloatArray, origin: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Unit vectors into the arm (away from the camera) and across it, both at right angles to y."""
-    into = surface - origin
-    into = unit(into - (into @ y) * y)
-    return into, np.cross(y, into)
-
-
-def surface_at(
-    camera: PlacedCamera, depth: Depth, elbow: FloatArray, wrist: FloatArray, at: float, beside_m: float
-) -> FloatArray | None:
-    """Point (3,) of the surface under a place of the line: where its ray meets what the depth camera saw."""
-    length = float(np.linalg.norm(wrist - elbow))
-    parts = at + np.linspace(-beside_m, beside_m, 13) / length
-    line = elbow + parts[:, None] * (wrist - elbow)
-    pixels, z_line = camera.pixels(line)
-    if not np.isfinite(pixels).all():
-        return None
-    origin, directions = camera.origin, camera.rays(pixels)
-    offsets = np.arange(-BEFORE_M, BEHIND_M, STEP_M)
-    z = z_line[:, None] + offsets
-    points = origin + z[..., None] * directions[:, None, :]
-    seen, own = depth.at(points.reshape(-1, 3))
-    behind = (own - seen).reshape(z.shape)  # negative before the surface, positive behind it
-    found = []
-    for row in behind:
-        change = np.flatnonzero((row[:-1] < 0) & (row[1:] >= 0))
-        if len(change):
-            k = int(change[0])
-            found.append(offsets[k] + STEP_M * row[k] / (row[k] - row[k + 1]))
-    if len(found) < 4:
-        return None
-    centre = len(parts) // 2
-    return np.asarray(origin + (z_line[centre] + float(np.median(found))) * directions[centre])
-
-
-def silhouette_middle(
-    depth: Depth, surface: FloatArray, across: FloatArray, into: FloatArray, radius_m: float
-) -> float | None:
-    """How far the arm's middle lies across from the surface point, m; None where it has no clear edges."""
-    steps = np.arange(-REACH_M, REACH_M + 1e-9, 0.001)
-    seen, own = depth.at(surface + steps[:, None] * across)
-    arm = np.abs(seen - own) < JUMP_M
-    centre = len(steps) // 2
-    missing = ~np.isfinite(seen)
-    ends = []
-    for way in (-1, 1):
-        k = centre
-        while 0 < k < len(steps) - 1 and (arm[k] or (missing[k] and abs(steps[k]) < 0.6 * radius_m)):
-            k += way
-        if not 0 < k < len(steps) - 1:
+        s, core_points = np.array(parts), np.array(points)
+        kept = np.ones(len(s), dtype=bool)
+        for _ in range(2):
+            line = np.polynomial.polynomial.polyfit(s[kept], core_points[kept], 1)
+            left = np.linalg.norm(core_points - (line[0] + s[:, None] * line[1]), axis=1)
+            kept = left < max(2.5 * float(np.median(left)), 0.003)
+            if kept.sum() < FEWEST_STATIONS:
+                return None
+        along = unit(line[1])
+        moved = np.linalg.norm(line[0] + 0.5 * line[1] - 0.5 * (elbow + wrist))
+        if along @ y < np.cos(LARGEST_TURN_RAD) or moved > LARGEST_SHIFT_M or np.ptp(s[kept]) < 0.35:
             return None
-        ends.append(steps[k])
-    wide = ends[1] - ends[0]
-    return 0.5 * float(ends[0] + ends[1]) if 1.2 * radius_m < wide < 3.0 * radius_m else None
+        ends = [line[0] + ((joint - line[0]) @ along) * along for joint in (elbow, wrist)]
+        return replace(self, elbow=ends[0], wrist=ends[1])
+
+    def surface(self, at: float, beside_m: float) -> FloatArray | None:
+        """Point (3,) of the surface under a place of the line: its ray meets what the depth camera saw."""
+        parts = at + np.linspace(-beside_m, beside_m, 13) / self.length
+        line = self.elbow + parts[:, None] * (self.wrist - self.elbow)
+        pixels, z_line = self.camera.pixels(line)
+        if not np.isfinite(pixels).all():
+            return None
+        origin, directions = self.camera.origin, self.camera.rays(pixels)
+        offsets = np.arange(-BEFORE_M, BEHIND_M, STEP_M)
+        z = z_line[:, None] + offsets
+        points = origin + z[..., None] * directions[:, None, :]
+        seen, own = self.depth.at(points.reshape(-1, 3))
+        behind = (own - seen).reshape(z.shape)  # negative before the surface, positive behind it
+        found = []
+        for row in behind:
+            change = np.flatnonzero((row[:-1] < 0) & (row[1:] >= 0))
+            if len(change):
+                k = int(change[0])
+                found.append(offsets[k] + STEP_M * row[k] / (row[k] - row[k + 1]))
+        if len(found) < 4:
+            return None
+        centre = len(parts) // 2
+        return np.asarray(origin + (z_line[centre] + float(np.median(found))) * directions[centre])
+
+    def core_by_silhouette(self, surface: FloatArray, across: FloatArray) -> FloatArray | None:
+        """How far the core is across from and below the surface, (2,) m; None without clear edges."""
+        steps = np.arange(-REACH_M, REACH_M + 1e-9, 0.001)
+        seen, own = self.depth.at(surface + steps[:, None] * across)
+        missing = ~np.isfinite(seen) & (np.abs(steps) < 0.6 * self.radius_m)
+        arm = (np.abs(seen - own) < JUMP_M) | missing
+        centre = len(steps) // 2
+        ends = []
+        for way in (-1, 1):
+            k = centre
+            while 0 < k < len(steps) - 1 and arm[k]:
+                k += way
+            if not 0 < k < len(steps) - 1:
+                return None
+            ends.append(steps[k])
+        if not 1.2 * self.radius_m < ends[1] - ends[0] < 3.0 * self.radius_m:
+            return None
+        middle = 0.5 * float(ends[0] + ends[1])
+        return np.array([middle, np.sqrt(max(self.radius_m**2 - middle**2, 0.0))])
+
+    def profile(self, grey: NDArray[np.uint8], part: FloatArray, across: FloatArray) -> FloatArray | None:
+        """(n,) median brightness over a band along the line; None where it leaves the image."""
+        import cv2
+
+        line = self.elbow + part[:, None] * (self.wrist - self.elbow)
+        shifts = np.linspace(-BAND_M, BAND_M, LINES)
+        pixels, _ = self.camera.pixels((line[None] + shifts[:, None, None] * unit(across)).reshape(-1, 3))
+        inside = (pixels >= 0) & (pixels <= [grey.shape[1] - 1, grey.shape[0] - 1])
+        if not inside.all():
+            return None
+        grid = pixels.reshape(LINES, len(part), 2).astype(np.float32)
+        values = cv2.remap(grey, grid[..., 0], grid[..., 1], cv2.INTER_LINEAR)
+        return np.asarray(np.median(values.astype(float), axis=0))
 
 
 #: The strap is looked for between these parts of the way from elbow to wrist.
@@ -179,13 +200,7 @@ class Sighting:
     core: FloatArray = field(default_factory=lambda: np.full(3, np.nan))
     # (3, 3) m^2: Of the core in {K}
     covariance: FloatArray = field(default_factory=lambda: np.full((3, 3), np.nan))
-    # (3,) m: Seen point of the strap in {K}
-    surface: FloatArray = field(default_factory=lambda: np.full(3, np.nan))
-    pixel: FloatArray = field(default_factory=lambda: np.full(2, np.nan))  # (2,): of the strap in the image
     along: float = float("nan")  # Part of the way from elbow to wrist, of the seen point
-    contrast: float = float("nan")  # How dark, how wide, how far from the elbow-wrist line
-    width_m: float = float("nan")  # How dark, how wide, how far from the elbow-wrist line
-    off_line_m: float = float("nan")  # How dark, how wide, how far from the elbow-wrist line
 
     @property
     def found(self) -> bool:
@@ -205,85 +220,37 @@ def find_strap(
     joint_sigma_m: float = 0.008,
 ) -> Sighting:
     """Find the strap in a grey image."""
-    length = float(np.linalg.norm(wrist - elbow))
-    if not 0.1 < length < 0.5:
+    joints = _Forearm(camera, depth, elbow, wrist, radius_m)
+    if not 0.1 < joints.length < 0.5:
         return Sighting("elbow and wrist are not a forearm apart")
-    y = (wrist - elbow) / length
-    origin = camera.origin
-    ray = 0.5 * (elbow + wrist) - origin
-    ray /= np.linalg.norm(ray)
-    if abs(y @ ray) > np.cos(NEAR_RAY_RAD):
+    ray = unit(0.5 * (elbow + wrist) - camera.origin)
+    if abs(joints.y @ ray) > np.cos(NEAR_RAY_RAD):
         return Sighting("the forearm points to the camera")
-    joints = elbow, wrist
-    axis = silhouette_axis(camera, depth, elbow, wrist, radius_m)
-    if axis is not None:
-        elbow, wrist = axis
-        length = float(np.linalg.norm(wrist - elbow))
-        y = (wrist - elbow) / length
+    by_core = joints.on_its_core()
+    arm = by_core or joints
     part = np.linspace(*SEARCH, SAMPLES)
-    profile = _profile(grey, camera, elbow, wrist, part, np.cross(y, ray))
+    profile = arm.profile(grey, part, np.cross(arm.y, ray))
     if profile is None:
         return Sighting("the forearm is not inside the image")
-    at, contrast, width = _dark_stretch(profile, part, strap_width_m / length)
+    at, contrast, width = _dark_stretch(profile, part, strap_width_m / arm.length)
     if not np.isfinite(at):
-        return Sighting("no dark stretch with two edges", contrast=contrast)
+        return Sighting("no dark stretch with two edges")
     if contrast < CONTRAST:
-        return Sighting("nothing on the forearm is dark enough", contrast=contrast)
-    if not WIDTHS_M[0] < width * length < WIDTHS_M[1]:
-        return Sighting(
-            "the dark stretch is not as wide as a strap",
-            contrast=contrast,
-            width_m=width * length,
-        )
-    place = elbow + at * (wrist - elbow)
-    pixel, _ = camera.pixels(place[None])
-    surface = surface_at(camera, depth, elbow, wrist, at, BESIDE_M)
+        return Sighting("nothing on the forearm is dark enough")
+    if not WIDTHS_M[0] < width * arm.length < WIDTHS_M[1]:
+        return Sighting("the dark stretch is not as wide as a strap")
+    surface = arm.surface(at, BESIDE_M)
     if surface is None:
-        return Sighting(
-            "no depth at the strap",
-            pixel=pixel[0],
-            along=at,
-            contrast=contrast,
-        )
-    along = float((surface - elbow) @ y)
-    off, reason = _criteria(surface, *joints)
-    core, covariance = _core(
-        camera, depth, surface, elbow, wrist, along, radius_m, joint_sigma_m, axis is not None
-    )
-    return Sighting(
-        reason,
-        core if not reason else np.full(3, np.nan),
-        covariance if not reason else np.full((3, 3), np.nan),
-        surface,
-        pixel[0],
-        along / length,
-        contrast=contrast,
-        width_m=width * length,
-        off_line_m=off,
-    )
-
-
-def _profile(
-    grey: NDArray[np.uint8],
-    camera: PlacedCamera,
-    elbow: FloatArray,
-    wrist: FloatArray,
-    part: FloatArray,
-    across: FloatArray,
-) -> FloatArray | None:
-    """(n,) median brightness over a band along the elbow-wrist line; None where it leaves the image."""
-    import cv2
-
-    across = across / np.linalg.norm(across)
-    line = elbow + part[:, None] * (wrist - elbow)
-    shifts = np.linspace(-BAND_M, BAND_M, LINES)
-    pixels, _ = camera.pixels((line[None] + shifts[:, None, None] * across).reshape(-1, 3))
-    inside = (pixels >= 0) & (pixels <= [grey.shape[1] - 1, grey.shape[0] - 1])
-    if not inside.all():
-        return None
-    grid = pixels.reshape(LINES, len(part), 2).astype(np.float32)
-    values = cv2.remap(grey, grid[..., 0], grid[..., 1], cv2.INTER_LINEAR)
-    return np.asarray(np.median(values.astype(float), axis=0))
+        return Sighting("no depth at the strap", along=at)
+    along = float((surface - arm.elbow) @ arm.y)
+    # the paper's criteria, by the joints as the camera has them
+    foot = np.clip((surface - elbow) @ (wrist - elbow) / np.sum((wrist - elbow) ** 2), 0.0, 1.0)
+    if np.linalg.norm(surface - elbow - foot * (wrist - elbow)) > OFF_LINE_M:
+        return Sighting("the strap is more than 5 cm off the elbow-wrist line", along=along / arm.length)
+    if np.linalg.norm(surface - elbow) < np.linalg.norm(surface - wrist):
+        return Sighting("the strap is nearer to the elbow than to the wrist", along=along / arm.length)
+    core, covariance = _core(arm, surface, along, joint_sigma_m, by_core is not None)
+    return Sighting("", core, covariance, along / arm.length)
 
 
 def _dark_stretch(profile: FloatArray, part: FloatArray, width: float) -> tuple[float, float, float]:
@@ -306,9 +273,7 @@ def _dark_stretch(profile: FloatArray, part: FloatArray, width: float) -> tuple[
 
 
 def _edges(profile: FloatArray, part: FloatArray, k: int, half: float) -> tuple[float, float] | None:
-    """Where the brightness crosses `half` on both sides of place k, between samples; None where it does"
-    " not.
-    """
+    """Where the brightness crosses `half` on both sides of place k, between samples; None if it does not."""
     left, right = k, k
     while left > 0 and profile[left] < half:
         left -= 1
@@ -324,57 +289,28 @@ def _edges(profile: FloatArray, part: FloatArray, k: int, half: float) -> tuple[
     return crossing(left + 1, left), crossing(right - 1, right)
 
 
-def _criteria(surface: FloatArray, elbow: FloatArray, wrist: FloatArray) -> tuple[float, str]:
-    """Distance of the seen strap from the joints' line, and why the paper rejects it ("" where it does"
-    " not).
-    """
-    along = np.clip((surface - elbow) @ (wrist - elbow) / np.sum((wrist - elbow) ** 2), 0.0, 1.0)
-    off = float(np.linalg.norm(surface - elbow - along * (wrist - elbow)))
-    if off > OFF_LINE_M:
-        return off, "the strap is more than 5 cm off the elbow-wrist line"
-    if np.linalg.norm(surface - elbow) < np.linalg.norm(surface - wrist):
-        return off, "the strap is nearer to the elbow than to the wrist"
-    return off, ""
-
-
 def _core(
-    camera: PlacedCamera,
-    depth: Depth,
-    surface: FloatArray,
-    elbow: FloatArray,
-    wrist: FloatArray,
-    along: float,
-    radius_m: float,
-    joint_sigma_m: float,
-    is_axis: bool,
+    arm: _Forearm, surface: FloatArray, along: float, joint_sigma_m: float, is_axis: bool
 ) -> tuple[FloatArray, FloatArray]:
     """The arm's core under the strap, by the line and by the silhouette there, and its covariance."""
-    origin = camera.origin
-    length = float(np.linalg.norm(wrist - elbow))
-    y, part = (wrist - elbow) / length, along / length
-    z = float(np.linalg.norm(surface - origin))
-    into, across = across_arm(surface, origin, y)
-    own = elbow + along * y
+    y, part = arm.y, along / arm.length
+    z = float(np.linalg.norm(surface - arm.camera.origin))
+    into, across = arm.directions(surface)
+    own = arm.elbow + along * y
     line_sigma = SILHOUETTE_SIGMA_M if is_axis else joint_sigma_m * float(np.hypot(1 - part, part))
     # a line that is turned moves the foot of a surface point along the arm
-    turned = radius_m * (SILHOUETTE_SIGMA_M if is_axis else 1.4 * joint_sigma_m) / length
-    along_sigma = float(np.hypot(np.hypot(ALONG_SIGMA_M, turned), 0.5 * z / camera.lens.fx))
-    weights = np.full(2, line_sigma**-2)  # across, into
+    turned = arm.radius_m * (SILHOUETTE_SIGMA_M if is_axis else 1.4 * joint_sigma_m) / arm.length
+    along_sigma = float(np.hypot(np.hypot(ALONG_SIGMA_M, turned), 0.5 * z / arm.camera.lens.fx))
+    weight = line_sigma**-2
     place = np.array([(own - surface) @ across, (own - surface) @ into])
-    middle = silhouette_middle(depth, surface, across, into, radius_m)
-    if middle is not None:
-        deep = float(np.sqrt(max(radius_m**2 - middle**2, 0.0)))
-        sigma = np.full(2, SILHOUETTE_SIGMA_M)
-        total = weights + sigma**-2
-        place = (weights * place + sigma**-2 * np.array([middle, deep])) / total
-        weights = total
+    by_silhouette = arm.core_by_silhouette(surface, across)
+    if by_silhouette is not None:
+        total = weight + SILHOUETTE_SIGMA_M**-2
+        place = (weight * place + SILHOUETTE_SIGMA_M**-2 * by_silhouette) / total
+        weight = total
     core = surface + place[0] * across + place[1] * into
-    covariance = (
-        along_sigma**2 * np.outer(y, y)
-        + np.outer(across, across) / weights[0]
-        + np.outer(into, into) / weights[1]
-    )
-    return core, covariance
+    beside = (np.outer(across, across) + np.outer(into, into)) / weight
+    return core, along_sigma**2 * np.outer(y, y) + beside
 
 
 @dataclass(frozen=True)

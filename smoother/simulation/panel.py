@@ -646,15 +646,8 @@ def imu_stream(
     """Samples of an IMU on a body, in the IMU's axes, over the whole session."""
     on_body = replace(body, R_W=body.R_W @ R_body_imu)
     ideal = ideal_imu(on_body.imu_pose, body.duration_s, config.imu_rate_hz, np.array([0, 0, -GRAVITY]))
-    errors = SensorErrors.preset(
-        "clean",
-        imu_rate_hz=config.imu_rate_hz,
-        accelerometer_noise=config.accelerometer_noise,
-        gyroscope_noise=config.gyroscope_noise,
-        accelerometer_bias=config.accelerometer_bias,
-        gyroscope_bias=config.gyroscope_bias,
-        imu_scale=config.imu_scale,
-    )
+    shared = SensorErrors.model_fields.keys() & PanelSimulation.model_fields.keys()
+    errors = SensorErrors.preset("clean", **{name: getattr(config, name) for name in shared})
     stream, _ = measure(ideal, errors, rng)
     mag = None
     if config.magnetometer:

@@ -48,12 +48,6 @@ def test_twenty_rounds_give_a_fifth_of_a_millisecond():
     assert 0.5 < np.mean(np.square(np.array(errors) / sigmas)) < 1.6  # 1 where sigma is honest
 
 
-def test_stamps_that_count_from_1970():
-    clocks, heard = broadcast(3, start_s=1.7e9)
-    for link in solve_clocks([heard]).links():
-        assert abs(clocks.error_s(link)) < 0.2e-3
-
-
 def test_agrees_with_a_plain_least_squares_fit():
     """Every event's time as an unknown of its own, solved by scipy; no rows are wrong."""
     clocks, heard = broadcast(5, nodes=3, rounds=15, span_s=60, late=0.0, missed=0.1)
@@ -87,20 +81,6 @@ def test_links_chain_and_their_sigmas_add():
     assert chained.sigma_s == pytest.approx(0.005, rel=0.01)
     back = solve_clocks([], links).between("n2", "n0")
     assert back.offset_s == pytest.approx(-0.3)
-
-
-def test_sound_and_broadcast_chain_from_camera_to_arm():
-    clocks, heard = broadcast(8, nodes=2)
-    names = {"n0": "n1", "n1": "n2"}  # n0 is now the camera, 40 s behind
-    heard = replace(heard, node=[names[name] for name in heard.node])
-    beep = Receptions(
-        np.zeros(2, int), ["n0", "n1"], np.array([260.0, 300.0]), np.array([3e-4, 1e-4]), "sound", False
-    )
-    network = solve_clocks([beep, heard])
-    chained = network.between("n0", "n2")
-    tau = chained.at_s + 40.0
-    assert chained.offset_s == pytest.approx(40 + clocks.read(1, tau) - tau, abs=2e-3)
-    assert chained.sigma_s >= network.between("n0", "n1").sigma_s > 3e-4
 
 
 def test_a_loop_that_does_not_close_is_said():
@@ -251,14 +231,6 @@ def test_a_single_echo_is_not_taken_for_the_beep(delay_s: float, gain: float):
         sigmas.append(found.sigma_s)
     assert np.abs(errors).max() < 1.5e-3
     assert (np.abs(errors) < 3 * np.array(sigmas)).all()
-
-
-@pytest.mark.parametrize("rate_hz", [8000, 48000])
-def test_a_track_that_is_nearly_all_beep(rate_hz: int):
-    t = np.arange(int(2.1 * rate_hz)) / rate_hz
-    sound = 0.5 * np.sin(2 * np.pi * 1500 * t) * ((t > 0.02) & (t < 2.0))
-    (found,) = find_beeps(sound + 1e-3 * np.random.default_rng(0).normal(size=len(t)), rate_hz)
-    assert abs(found.end_s - 2.0) < 5e-4
 
 
 def test_the_tone_may_be_named():

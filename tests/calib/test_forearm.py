@@ -6,12 +6,9 @@ import json
 from dataclasses import replace
 from pathlib import Path
 
-import cv2
 import numpy as np
 import pytest
 from commands import done
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from calib import read_calibration
@@ -21,7 +18,6 @@ from calib.forearm import (
     compare,
     find_held_pose,
     forearm_answer,
-    forearm_axes,
 )
 from calib.intrinsics import Intrinsics, PlacedCamera
 from calib.strap import Depth, find_strap
@@ -84,13 +80,6 @@ def test_mounting_in_the_pose(arms):
         assert roll_deg < 2.5 * np.degrees(found.roll_sigma_rad)  # a palm faces the camera only roughly
         y, true = (R.T @ [0, 1, 0] for R in (found.calibration.R_F_A, arm.calibration.R_F_A))
         assert np.arccos(y @ true) < 3 * found.direction_sigma_rad
-
-
-def test_axes_of_a_palm_that_faces_the_camera():
-    R = forearm_axes(np.array([-0.3, -0.1, 2.0]), np.array([-0.3, 0.15, 2.0]))
-    assert pytest.approx(np.eye(3), abs=1e-12) == R.T @ R
-    assert R[:, 1] == pytest.approx([0, 1, 0])
-    assert R[2, 0] > 0.98 and R[:, 2] == pytest.approx(np.cross(R[:, 0], R[:, 1]))
 
 
 def test_without_noise_the_pose_gives_the_lengths():
@@ -308,29 +297,3 @@ def test_the_papers_criteria():
     away = np.array([5.0, 0.0, 0.0])
     outside = find_strap(grey, lens, Depth(z, INFRARED), arm.elbow + away, arm.wrist + away)
     assert outside.reason == "the forearm is not inside the image"
-
-
-@given(
-    st.lists(st.floats(-0.08, 0.08), min_size=5, max_size=5),
-    st.floats(-0.3, 0.3),
-    st.floats(-0.3, 0.3),
-    st.floats(0.8, 3.0),
-)
-@settings(max_examples=40, deadline=None)
-def test_pixels_and_rays_are_each_others_inverse(bend: list[float], x: float, y: float, z: float):
-    turn, _ = cv2.Rodrigues(np.array([0.02, -0.03, 0.01]))
-    terms = tuple(np.array(bend) * [1, 1, 0.05, 0.05, 0.2])
-    camera = replace(COLOUR, lens=replace(COLOUR.lens, distortion=terms), R_C_K=turn)
-    point = np.array([[x, y, z]])
-    pixel, depth = camera.pixels(point)
-    ray = camera.rays(pixel)
-    assert camera.origin + depth[0] * ray[0] == pytest.approx(point[0], abs=2e-3)
-    matrix = np.array([[450.0, 0, 320], [0, 450, 180], [0, 0, 1]])
-    slow, _ = cv2.projectPoints(
-        point,
-        cv2.Rodrigues(turn)[0],
-        camera.t_C_K,
-        matrix,
-        np.array(terms),
-    )
-    assert pixel[0] == pytest.approx(slow.ravel(), abs=1e-6)

@@ -15,14 +15,11 @@ from calib.imu import (
     Rests,
     allan_deviation,
     allan_noise,
-    axis_words,
     calibrate_accelerometer,
     calibrate_gyroscope,
     calibrate_imu,
     calibrate_magnetometer,
-    cover,
     find_rests,
-    fit_ellipsoid,
     running_bias,
     symmetric,
 )
@@ -153,41 +150,7 @@ def test_a_sensor_that_never_lay_still_is_refused():
         calibrate_imu(stream)
 
 
-def test_coverage_of_the_sphere():
-    assert cover(sphere(400)).hole_rad < np.radians(12.0)
-    north = sphere(2000)
-    half = cover(north[north[:, 2] > 0])
-    assert half.hole_rad == pytest.approx(np.radians(90.0), abs=np.radians(3.0))
-    assert axis_words(half.towards) == "-z"
-    assert axis_words(np.array([1.0, 0.0, -1.0]) / np.sqrt(2)) == "between +x and -z"
-
-
 RATE_HZ = 100.0
-
-
-def put_together(model: SensorModel, noise: float) -> tuple[ImuStream, list[int]]:
-    """Twelve poses of 1 to 4 s without a way between them, and where each begins."""
-    rng = np.random.default_rng(5)
-    lengths = rng.integers(100, 400, 12)
-    up = np.repeat(GRAVITY * sphere(12), lengths, axis=0)
-    acc = model.distort(up) + noise * rng.normal(size=up.shape)
-    gyro = 0.1 * noise * rng.normal(size=up.shape)
-    stream = ImuStream("/imu", np.arange(len(up)) / RATE_HZ, acc, gyro, None)
-    return stream, np.concatenate([[0], np.cumsum(lengths)]).tolist()
-
-
-@pytest.mark.parametrize("noise", [0.0, 0.02, 0.1])
-def test_poses_parted_by_a_jump_are_poses_of_their_own(noise):
-    model = SensorModel.draw(np.random.default_rng(3), offset=0.5, scale=0.03, cross=0.01)
-    stream, begins = put_together(model, noise)
-    rests = find_rests(stream)
-    assert len(rests) == rests.poses == 12
-    for (first, last), begin, end in zip(rests.ranges, begins[:-1], begins[1:], strict=True):
-        assert begin <= first < begin + 20 and end - 20 < last <= end
-    found = calibrate_imu(stream).accelerometer
-    up = GRAVITY * sphere(300)
-    # the shortest rest has 100 samples: a tenth of the noise, spread over nine unknowns
-    assert np.sqrt(np.mean((found.apply(model.distort(up)) - up) ** 2)) < 0.0002 + 0.1 * noise
 
 
 def test_a_knock_does_not_part_a_rest():
@@ -214,13 +177,6 @@ def test_deviation_is_the_definition():
         means = np.array([samples[k : k + n].mean(axis=0) for k in range(300 - n + 1)])
         pairs = means[n:] - means[:-n]
         assert np.allclose(found, np.sqrt(0.5 * np.mean(pairs**2, axis=0)), rtol=1e-9)
-
-
-def test_white_noise_of_a_short_rest():
-    found = allan_noise(white(3000, 0.002), RATE)
-    assert found.density == pytest.approx(0.002, rel=0.1)  # a minute at 50 Hz
-    assert np.isnan(found.walk).all() and np.isnan(found.instability).all()
-    assert allan_noise(white(500, 0.002), RATE) is None
 
 
 def test_random_walk_and_white_noise_of_a_long_rest():
@@ -271,22 +227,6 @@ def test_radius_to_half_a_percent(seed):
     length = np.linalg.norm(found.apply(sensor.distort(sphere(400))), axis=1)
     assert np.abs(length - 1.0).max() < 0.005
     assert found.residual == pytest.approx(0.01, rel=0.2)
-
-
-def test_any_unit_gives_the_unit_sphere():
-    sensor = model(1)
-    raw = magnetometer_turns(sensor, 3000, noise=0.0, seed=1)
-    for unit in (1.0, 48.0, 4.8e-5):
-        found = calibrate_magnetometer(unit * raw)
-        assert np.linalg.norm(found.apply(unit * raw), axis=1) == pytest.approx(1.0, abs=1e-6)
-        assert found.offset == pytest.approx(unit * sensor.offset, rel=1e-4)
-
-
-def test_linear_fit_finds_the_ellipsoid_exactly():
-    sensor = model(2)
-    centre, matrix = fit_ellipsoid(sensor.distort(sphere(200)))
-    assert centre == pytest.approx(sensor.offset, abs=1e-9)
-    assert matrix == pytest.approx(np.linalg.inv(sensor.matrix), abs=1e-9)
 
 
 @pytest.mark.parametrize("wobble_deg", [0.0, 5.0, 15.0])

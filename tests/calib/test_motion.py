@@ -22,10 +22,9 @@ from calib.motion import (
     clocks_not_determined,
     forearm_frame,
     motion_answer,
-    names_given,
     not_determined,
 )
-from calib.sigma_factor import hidden_gap_factors, short_recordings
+from calib.sigma_factor import hidden_gap_factors
 from smoother.calibration import ArmCalibration, Length, LeverArm
 from smoother.cli.run import run
 from smoother.config import Config
@@ -306,12 +305,6 @@ def test_errors_of_the_camera_are_no_fault_of_the_motion():
     assert beyond(np.array([0.005, 0.003]), 0.004) == pytest.approx([0.003, 0.0])
 
 
-def test_what_was_given_by_name():
-    assert names_given(None) == names_given(NOTHING) == ()
-    known = replace(an_arm(), R_F_A=np.eye(3))
-    assert names_given(known) == ("elbow", "wrist", "hand", "upper_arm", "R_F_A")
-
-
 FEW = 4
 
 
@@ -339,13 +332,6 @@ def displaced(recording: Recording, by_m: float) -> Recording:
     for joint in ("elbow", "wrist", "hand"):
         position[middle, JOINTS.index(joint), 0] += by_m
     return replace(recording, arm=replace(arm, position=position))
-
-
-def test_only_many_short_recordings_count(trials: list[Recording]) -> None:
-    assert short_recordings(trials) == []
-    assert len(short_recordings(trials * 5)) == 5 * FEW
-    long = replace(trials[0], arm=replace(trials[0].arm, t_s=trials[0].arm.t_s * 10.0))
-    assert short_recordings([long] * 30) == []
 
 
 @pytest.fixture(scope="module")

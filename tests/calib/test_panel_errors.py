@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-import gtsam
 import numpy as np
 import pytest
 from panel_scene import LENS, PANEL, blobs_of, held, seen_plane
@@ -15,7 +14,6 @@ from calib import panel
 from calib.panel import (
     PanelSolution,
     PoseData,
-    _build,
     solve,
 )
 from calib.plane import Frame, Plane
@@ -54,110 +52,6 @@ def pose(seed: int, noise: float = 1.0) -> PoseData:
     sigma_E = 0.0003 + 0.0001 * seed
     markers_E = (markers_K - ORIGIN) @ TURN + noise * sigma_E * rng.normal(size=(4, 3))
     return PoseData(rays, sigmas, plane, markers_E, sigma_E, HEIGHT_M)
-
-
-def huber(size: float) -> float:
-    return 0.5 * size**2 if size <= 3.5 else 3.5 * (size - 0.5 * 3.5)
-
-
-def marker(p: int, k: int) -> int:
-    return panel._marker(p, k)
-
-
-def moved(values: gtsam.Values, scale: float, with_offset: bool) -> gtsam.Values:
-    rng = np.random.default_rng(7)
-    delta = gtsam.VectorValues()
-    delta.insert(0, scale * rng.normal(size=6))
-    if with_offset:
-        delta.insert(1, np.array([0.004]))
-    for key in sorted(values.keys()):
-        if key > 1:
-            delta.insert(key, scale * rng.normal(size=3))
-    return values.retract(delta)
-
-
-@pytest.mark.parametrize("with_offset", [True, False])
-def test_each_factor_has_the_error_of_its_formula(with_offset: bool) -> None:
-    """Some residuals beyond Huber's bound, some within; Python's factors with their derivatives."""
-    poses = [pose(1), pose(2)]
-    graph, start = _build(poses, with_offset)
-    values = moved(start, 5e-4, with_offset)
-    errors: dict[str, list[float]] = {}
-    for i in range(graph.size()):
-        errors.setdefault(type(graph.at(i)).__name__, []).append(graph.at(i).error(values))
-    offset = float(values.atVector(1)[0]) if with_offset else 0.0
-    camera = values.atPose3(0)
-    R, t = camera.rotation().matrix().T, -camera.rotation().matrix().T @ camera.translation()
-    priors, rays, customs = [], [], []
-    for p, each in enumerate(poses):
-        theta = values.atVector(panel._plane(p))
-        shifted = each.plane.theta + offset * each.plane.offset_rate + offset**2 * each.plane.offset_curve
-        off = theta - shifted
-        customs.append(0.5 * off @ np.linalg.solve(each.plane.covariance, off))
-        for k in range(4):
-            at_E = values.atPoint3(marker(p, k))
-            at = R @ at_E + t
-            priors.append(huber(np.linalg.norm(at_E - each.markers_E[k]) / each.sigma_E_m))
-            rays.append(huber(np.linalg.norm(at[:2] / at[2] - each.rays[k]) / each.sigmas[k]))
-            away = (theta @ at - 1) / np.linalg.norm(theta) + HEIGHT_M
-            customs.append(0.5 * (away / 0.0002) ** 2)
-    np.testing.assert_allclose(errors.pop("PriorFactorPoint3"), priors, rtol=1e-8)
-    np.testing.assert_allclose(errors.pop("GenericProjectionFactorCal3_S2"), rays, rtol=1e-8)
-    np.testing.assert_allclose(errors.pop("CustomFactor"), customs, rtol=1e-8)
-    assert min(priors + rays) < 0.5 * 3.5**2 < max(priors + rays)
-    if with_offset:
-        np.testing.assert_allclose(errors.pop("PriorFactorVector"), [0.5 * (0.004 / 0.01) ** 2])
-    assert not errors
-    for i in range(graph.size()):
-        if isinstance(graph.at(i), gtsam.CustomFactor):
-            _check_derivatives(graph.at(i), values)
-
-
-def _check_derivatives(factor: gtsam.CustomFactor, values: gtsam.Values) -> None:
-    """Against central differences of the whitened error."""
-    linear, step = factor.linearize(values), 1e-6
-    A, keys, column = linear.getA(), list(factor.keys()), 0
-    for key in keys:
-        size = {0: 6, 1: 1}.get(key, 3)
-        for move in step * np.eye(size):
-            ahead, back = gtsam.VectorValues(), gtsam.VectorValues()
-            ahead.insert(key, move)
-            back.insert(key, -move)
-            there = [factor.linearize(values.retract(delta)) for delta in (ahead, back)]
-            whitened = [np.array(each.getb()) for each in there]  # of memory that lives as long as they do
-            slope = (whitened[1] - whitened[0]) / (2 * step)
-            np.testing.assert_allclose(A[:, column], slope, atol=1e-5 * np.abs(A).max())
-            column += 1
-
-
-def test_where_the_graph_begins() -> None:
-    """Kabsch on the markers where rays meet the depth's planes; exact for exact data."""
-    poses = [pose(1, 0.0), pose(2, 0.0)]
-    _, start = _build(poses, True)
-    camera = start.atPose3(0)
-    np.testing.assert_allclose(camera.rotation().matrix(), TURN.T, atol=1e-9)
-    np.testing.assert_allclose(camera.translation(), -TURN.T @ ORIGIN, atol=1e-9)
-    assert start.atVector(1) == np.zeros(1)
-    for p, each in enumerate(poses):
-        np.testing.assert_array_equal(start.atVector(panel._plane(p)), each.plane.theta)
-        for k in range(4):
-            np.testing.assert_array_equal(start.atPoint3(marker(p, k)), each.markers_E[k])
-    one, _ = _build(poses[:1], False)
-    assert all(1 not in list(one.at(i).keys()) for i in range(one.size()))
-
-
-def test_markers_on_rays_at_their_height() -> None:
-    each = pose(3, 0.0)
-    points = each.points_K()
-    np.testing.assert_allclose(points[:, :2] / points[:, 2:], each.rays, atol=1e-12)
-    theta = each.plane.theta
-    np.testing.assert_allclose((points @ theta - 1) / np.linalg.norm(theta), -HEIGHT_M, atol=1e-12)
-    shifted = each.points_K(0.01)
-    theta = each.plane.at_offset(0.01)
-    np.testing.assert_allclose((shifted @ theta - 1) / np.linalg.norm(theta), -HEIGHT_M, atol=1e-12)
-    flat = PoseData(each.rays, each.sigmas, each.plane, each.markers_E, each.sigma_E_m)
-    np.testing.assert_allclose(flat.points_K() @ each.plane.theta, 1.0)
-    assert flat.height_m == 0.0
 
 
 class Dense:
@@ -245,35 +139,6 @@ def test_residuals_marker_by_marker() -> None:
             assert found.marker_residuals_m[p, k] == pytest.approx(np.linalg.norm(at - seen))
             away = (at @ theta - 1) / np.linalg.norm(theta) + HEIGHT_M
             assert found.plane_residuals_m[p, k] == pytest.approx(away)
-
-
-@pytest.mark.parametrize(
-    ("poses", "offset_m", "misfit", "is_free"),
-    [
-        (1, 0.0041, 2.9, True),
-        (1, -0.0041, 2.9, True),
-        (1, 0.0039, 2.9, False),
-        (1, 0.0041, 3.1, False),
-        (2, 0.0, 9.0, True),
-    ],
-)
-def test_when_one_pose_tells_of_a_wrong_depth(
-    poses: int, offset_m: float, misfit: float, is_free: bool, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Four sigmas, with a misfit below three; several poses always do."""
-    some = panel._graph_solution([pose(1)], solve_offset=False)
-
-    def answer(given: list[PoseData], solve_offset: bool) -> PanelSolution:
-        if not solve_offset:
-            return some
-        return replace(some, depth_offset_m=offset_m, depth_offset_sigma_m=0.001, misfit=misfit)
-
-    monkeypatch.setattr(panel, "_graph_solution", answer)
-    found = solve([pose(1)] * poses)
-    assert found.depth_offset_m == (offset_m if is_free else 0.0)
-    assert found.misfit == (misfit if is_free else some.misfit)
-    assert (found.offset_apart_m, found.offset_apart_sigma_m) == (offset_m, 0.001)
-    assert found.camera_from_mocap is some.camera_from_mocap
 
 
 def test_poses_that_determine_nothing() -> None:

@@ -16,13 +16,11 @@ from calib.world import (
     accuracy,
     calibrate_world,
     rest_at,
-    tilt_covariance,
     turn_between,
     verdict,
     world_poses,
 )
 from smoother.errors import CalibrationError
-from smoother.recording import ImuStream
 from smoother.simulation.panel import (
     Held,
     PanelSimulation,
@@ -205,29 +203,6 @@ def test_rest_and_turn():
     assert degrees(turn.R.T @ true @ session.R_K_P[1] @ session.R_P_I) < 0.02
     keep = np.abs(session.panel.t_s - 3.0) > 0.1
     assert turn_between(session.panel.select(keep), first, last) is None  # a pause breaks the link
-
-
-def test_tilt_covariance_is_that_of_samples():
-    rng = np.random.default_rng(3)
-    R = Rotation.from_rotvec([0.4, -1.1, 0.7]).as_matrix()
-    root = np.diag(np.r_[np.full(3, 0.004), np.full(3, 0.03)]) @ (np.eye(6) + 0.3 * rng.normal(size=(6, 6)))
-    covariance, acc = root @ root.T, np.array([2.0, -6.0, 7.4])
-    draws = rng.normal(size=(20_000, 6)) @ root.T
-    forces = acc - draws[:, 3:]
-    ups = Rotation.from_rotvec(draws[:, :3]).apply(forces @ R.T)
-    ups /= np.linalg.norm(ups, axis=1)[:, None]
-    expected = np.cov(ups.T)
-    np.testing.assert_allclose(
-        tilt_covariance(R, covariance, acc), expected, atol=0.04 * np.abs(expected).max()
-    )
-
-
-def test_streams_of_one_name_only_link_when_they_are_one_stream():
-    session = Session(15, poses=2)
-    together, _ = session.poses()
-    apart, _ = session.poses(apart=True)
-    assert together[1].panel_turn is not None and apart[1].panel_turn is None
-    assert isinstance(session.panel, ImuStream)
 
 
 def test_calibrated_accelerometers_are_believed_more():

@@ -51,7 +51,7 @@ def held(roll_deg: float = 0.0, tilt_deg: float = 0.0, tilt_to_deg: float = 0.0,
 def blobs_of(points_K: np.ndarray, sigma_px: float = 0.04) -> Blobs:
     """Bright spots at points (n, 3)."""
     pixels, count = LENS.pixels(points_K), len(points_K)
-    return Blobs(pixels, LENS.rays(pixels), np.full(count, sigma_px), np.full(count, 2.0), np.ones(count))
+    return Blobs(pixels, LENS.rays(pixels), np.full(count, sigma_px), np.full(count, 2.0))
 
 
 def seen_plane(pose: Held, rng: np.random.Generator, noise_m: float = 0.0015, offset_m: float = 0.0) -> Plane:

@@ -7,7 +7,7 @@ import pytest
 from scipy.interpolate import make_interp_spline
 from scipy.spatial.transform import Rotation
 
-from smoother.recording import JOINTS, CameraFrame, JointState, Truth
+from smoother.recording import JOINTS, CameraFrame, Truth
 from smoother.simulation import (
     ArmSimulation,
     PeopleSimulation,
@@ -172,13 +172,6 @@ def test_truth_fits_the_calibration(side: str):
     assert R_K_F[0, 2] < -0.8  # on the left arm z is the little finger's side, so again -x
 
 
-def test_quaternions_keep_their_sign(people: list[SimulatedArm]):
-    for person in people:
-        q = person.recording.truth.quaternion
-        assert ((q[1:] * q[:-1]).sum(axis=1) > 0.9).all()
-        np.testing.assert_allclose(np.linalg.norm(q, axis=1), 1, atol=1e-12)
-
-
 def test_camera_frames_are_the_same_motion_in_other_axes():
     kinect = simulate_arm(ArmSimulation.preset("clean", repetitions=1), 3).recording.truth
     optical = simulate_arm(
@@ -198,12 +191,6 @@ def test_a_still_start_is_still():
     assert truth.joints["wrist"][still, 1].max() < truth.joints["shoulder"][still, 1].min() - 0.3
     assert np.ptp(truth.position[~still], axis=0).max() > 0.5
     assert len(runs(simulated.occluded)) == 2
-
-
-def test_the_hanging_arm_lives():
-    simulated = simulate_arm(ArmSimulation.preset("clean", protocol="hang", duration_s=10), 0)
-    assert 0.001 < simulated.recording.truth.position.std(axis=0).max() < 0.05
-    assert not simulated.occluded.any()
 
 
 def test_random_occlusions_have_the_lengths_asked_for():
@@ -228,16 +215,6 @@ def test_a_point_is_a_strap_alone():
     at = make_interp_spline(recording.truth.t_s, recording.truth.position, k=5)
     seen = recording.arm.tracked("strap") & (recording.arm.t_s > 0.1) & (recording.arm.t_s < 29.9)
     np.testing.assert_allclose(recording.arm.joint("strap")[seen], at(recording.arm.t_s[seen]), atol=1e-5)
-
-
-def test_six_minutes_come_quickly():
-    import time
-
-    begin = time.process_time()
-    simulated = simulate_arm(ArmSimulation(protocol="random", duration_s=360), 0)
-    assert time.process_time() - begin < 10  # about 1 s; a loop over samples would take a minute
-    assert len(simulated.recording.imu) == 360 * 80
-    assert (simulated.recording.arm.state[:, 1] == JointState.TRACKED).mean() > 0.5
 
 
 SHORT = {"protocol": "random", "duration_s": 8.0, "occlusion_lengths_s": ()}
@@ -267,19 +244,6 @@ def test_elbow_and_shoulder_are_constant_in_its_axes(side: str) -> None:
     np.testing.assert_allclose(bone[:, :, 2], made.motion.bone_axes(t)[0], atol=1e-9)  # type: ignore[attr-defined]
 
 
-def test_its_samples_are_those_of_its_motion() -> None:
-    """Turned by its own gyroscope from the start, it ends where the motion says (0.05 degrees in 7 s)."""
-    made = two_imu_arm()
-    imu, motion = made.recording.upper_imu, made.upper_motion
-    assert imu is not None and motion is not None
-    step = 1.0 / 80.0
-    turn = Rotation.identity()
-    for rate in imu.gyro[40:600]:
-        turn = turn * Rotation.from_rotvec(rate * step)
-    ends = Rotation.from_matrix(motion.imu_pose(np.array([40, 600]) * step)[0])
-    assert np.degrees((ends[0] * turn * ends[1].inv()).magnitude()) < 0.05
-
-
 def test_soft_tissue_turns_it_as_much_as_asked() -> None:
     made = two_imu_arm(upper_wobble_deg=5.0)
     still = two_imu_arm()
@@ -289,24 +253,6 @@ def test_soft_tissue_turns_it_as_much_as_asked() -> None:
         made.upper_motion.imu_pose(t)[0].transpose(0, 2, 1) @ still.upper_motion.imu_pose(t)[0]
     )
     assert np.degrees(np.sqrt(np.mean(turn.magnitude() ** 2))) == pytest.approx(5.0, rel=0.15)
-
-
-def test_the_wrist_and_the_camera_do_not_notice_it() -> None:
-    both = two_imu_arm("realistic").recording
-    one = two_imu_arm("realistic", imus="wrist").recording
-    assert one.upper_imu is None
-    np.testing.assert_array_equal(both.imu.acc, one.imu.acc)
-    np.testing.assert_array_equal(both.arm.position, one.arm.position)
-
-
-def test_its_clock_is_its_own() -> None:
-    made = two_imu_arm(upper_clock_s=0.2, upper_clock_ppm=100.0)
-    imu = made.recording.upper_imu
-    assert imu is not None
-    offset = imu.t_s - made.recording.imu.t_s
-    assert offset[0] == pytest.approx(0.2, abs=1e-5) and offset[-1] - offset[0] == pytest.approx(
-        8e-4, rel=0.01
-    )
 
 
 def test_the_end_is_occluded() -> None:
@@ -357,20 +303,6 @@ def test_the_gyroscope_feels_what_the_shoulders_show(side: str) -> None:
     assert np.degrees(np.arccos(along)).max() < 20.0
 
 
-def test_the_arm_turns_with_the_trunk() -> None:
-    """The wrist's gyroscope and truth stay one motion."""
-    made = trunk_arm(trunk_turn_deg=12.0)
-    truth, imu = made.recording.truth, made.ideal_imu
-    assert truth is not None
-    R = Rotation.from_quat(truth.quaternion, scalar_first=True)
-    turned = (R[:-1].inv() * R[1:]).as_rotvec() / np.diff(truth.t_s)[:, None]
-    off = 0.5 * (imu.gyro[1:] + imu.gyro[:-1]) - turned
-    assert np.sqrt(np.mean(off**2)) < 0.02  # means over samples against a difference of means
-    elbow, wrist, hand = (truth.joints[joint] for joint in ("elbow", "wrist", "hand"))
-    for a, b in ((elbow, wrist), (wrist, hand)):
-        assert np.ptp(np.linalg.norm(a - b, axis=1)) < 1e-9
-
-
 CLEAN = ArmSimulation.preset("clean", protocol="random", duration_s=6.0, imu_rate_hz=50)
 
 
@@ -407,12 +339,3 @@ def test_a_worn_imu_turns_with_its_limb_and_the_tables_does_not() -> None:
         sensed = np.interp(arm.t_s[seen], worn.stream.t_s, rate)
         # differences over two frames: a few per cent where the rate changes
         assert (turning[2:-2] <= 1.05 * sensed[2:-2] + 0.05).all()
-
-
-def test_arms_of_one_person_sway_together() -> None:
-    settings = CLEAN.model_copy(update={"sway_m": 0.03})
-    scene = simulate_people(PeopleSimulation(hanging=1.0), settings, 4)
-    shoulder = {(body, side): arm.position[:, JOINTS.index("shoulder")] for body, side, arm in scene.arms}
-    for body in range(2):
-        right, left = (x - x.mean(axis=0) for x in (shoulder[body, "right"], shoulder[body, "left"]))
-        assert np.sqrt(np.mean((right - left) ** 2)) < 0.3 * np.sqrt(np.mean(right**2))
