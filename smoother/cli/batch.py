@@ -11,7 +11,7 @@ import typer
 from ..table import Table, centimetres
 from . import options as o
 from .arm_output import end_strictly
-from .load import camera_frame_of, damage
+from .load import camera_frame_of
 from .output import (
     check_outputs,
     print_notes,
@@ -278,7 +278,7 @@ def _print(rows: pa.Table, tally: Tally, figures: dict[str, Any]) -> None:
         for row in figures["untrusted"][:MOST_FAILURES]:
             say(f"  {row['recording']}: {row['verdict']}")
         say_more(figures["not_trusted"], MOST_FAILURES, rest)
-    damaged = damage(note for each in done["note_texts"].to_pylist() for note in each or [])
+    damaged = [note for each in done["damage"].to_pylist() for note in each or []]
     print_notes(damaged[:MOST_FAILURES])
     say_more(len(damaged), MOST_FAILURES, f"damaged files {rest}")
     failures = [(row["recording"], row["error"]) for row in figures["failures"]]

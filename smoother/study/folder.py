@@ -24,6 +24,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..errors import UnoccludeError
+from ..io.mcap.messages import damage
 from ..measures import Measures
 from ..result import Recovery
 from ..runtime.outputs import remove_stale_tempfiles, writing
@@ -76,6 +77,7 @@ COLUMNS: tuple[tuple[str, str, str, str], ...] = (
     ("clock_offset_sigma_s", "double", "s", "one standard deviation of it"),
     ("notes", "int64", "", "notes of the result: number of sentences"),
     ("note_texts", "list", "", "the sentences"),
+    ("damage", "list", "", "of them those on a damaged file"),
     ("arms", "int64", "", "recovered arms; the figures are the worst of them, and sums of gaps and samples"),
     ("arm_figures", "string", "", "with several arms: JSON, a list with these columns' figures of each"),
     ("trusted", "bool", "", "the result is to be trusted; of several arms, each of them"),
@@ -157,6 +159,7 @@ def figures_of(recording: Recording, recovery: Recovery) -> Row:
         "gaps_untrusted": sum(gap["trusted"] is False for gap in gaps),
         "notes": len(notes),
         "note_texts": notes,
+        "damage": damage(notes),
     }
 
 
@@ -186,6 +189,7 @@ def figures_of_arms(results: Sequence[tuple[Recording, Recovery]]) -> Row:
     together["self_check"] = " ".join(f"{label.capitalize()}: {check}" for label, check in checks if check)
     # a clock belongs to one arm's IMU: those of several are with the arms
     together |= {"clock_offset_s": None, "clock_offset_sigma_s": None}
+    together["damage"] = list(dict.fromkeys(note for arm in arms for note in arm["damage"]))
     together |= {"note_texts": texts, "notes": len(texts), "arms": len(arms)}
     together["side"] = ", ".join(recovery.arm_label.replace(" arm", "") for _, recovery in results)
     each = [{"body": recovery.body, **arm} for (_, recovery), arm in zip(results, arms, strict=True)]

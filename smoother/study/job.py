@@ -71,8 +71,8 @@ class Job:
         for column in ("error", "verdict"):
             if text := row.get(column):
                 row[column] = without_places(str(text), names)
-        if notes := row.get("note_texts"):
-            row["note_texts"] = [without_places(text, names) for text in notes]
+        for column in ("note_texts", "damage"):
+            row[column] = [without_places(text, names) for text in row.get(column) or ()] or row.get(column)
         return row
 
     def _names(self) -> dict[str, str]:

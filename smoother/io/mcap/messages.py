@@ -38,18 +38,18 @@ def ros_stamps(block: Block, layout: MessageLayout) -> IntArray:
     return seconds_part * SECOND_NS + layout.get(block, "nsec")[:, 0].astype(np.int64)
 
 
-#: What a note on a damaged file begins with, so that it is known where it is repeated, also from a result.
-_DAMAGED = "damaged file"
+class DamageNote(str):
+    """A note on a file that was cut off or is damaged, known as such where it is repeated."""
 
 
-def damage_note(name: str, what: str) -> str:
+def damage_note(name: str, what: str) -> DamageNote:
     """A note on a file that was cut off or is damaged."""
-    return f"{_DAMAGED} {name}: {what.removeprefix(_DAMAGED).lstrip()}"
+    return DamageNote(f"damaged file {name}: {what}")
 
 
 def damage(notes: Iterable[str]) -> list[str]:
     """Of some notes those on a file that was cut off or is damaged."""
-    return [note for note in notes if note.startswith(_DAMAGED)]
+    return [note for note in notes if isinstance(note, DamageNote)]
 
 
 def told_behind(notes: Sequence[str]) -> str:

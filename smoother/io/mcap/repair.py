@@ -64,8 +64,9 @@ def repair_container(
             for name, values in container.metadata.items():
                 if name != REPAIRED:
                     file.metadata(name, values)
-            earlier = _noted(container.metadata)
-            if notes := list(dict.fromkeys([*earlier, *container.notes])):
+            name = damage_note(container.path.name, "")
+            told = [note.removeprefix(name) for note in container.notes]
+            if notes := list(dict.fromkeys([*_noted(container.metadata), *told])):
                 file.metadata(
                     REPAIRED, {"notes": json.dumps(notes), "missing": json.dumps(container.missing)}
                 )

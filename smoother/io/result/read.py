@@ -20,7 +20,7 @@ from ...recording import JointTracks
 from ...result import Draws, Estimates, FrameResiduals, Recovery
 from ...result.segment_motion import SegmentMotion, TrunkMotion
 from ..mcap.container import Container
-from ..mcap.messages import plain_name, seconds, told_behind
+from ..mcap.messages import DamageNote, plain_name, seconds, told_behind
 from ..recording.read import METADATA
 from .tables import SAMPLES, SEGMENT, TRUNK, Columns, read_table
 from .write import RESULT, STATED
@@ -129,7 +129,10 @@ def _assembled(values: dict[str, Any], tables: dict[str, Columns], notes: tuple[
     hints, samples, frames = get_type_hints(Recovery), tables["samples"], tables["frames"]
     stated = {name: restored(hints[name], values[name]) for name in STATED}
     origin, seeds = stated["origin_ns"], values["draws"]
-    stated["notes"] += notes
+    of_files = values["damage"]
+    stated["notes"] = (
+        tuple(DamageNote(note) if note in of_files else note for note in stated["notes"]) + notes
+    )
     residuals, draws = None, None
     if (reasons := values["rejected_for"]) is not None:
         columns = tables["residuals"]

@@ -18,6 +18,7 @@ from ...result import Recovery, arm_tags
 from ...runtime.outputs import check_output, writing
 from ..mcap.container import Container
 from ..mcap.merge import Output, OutputStream
+from ..mcap.messages import damage
 from ..recording.read import METADATA, open_recording
 from ..recording.streams import RecordingFile
 from ..recording.write import CAMERA
@@ -160,6 +161,7 @@ def recovery_values(recovery: Recovery, version: str) -> dict[str, str]:
         "segments": {name: _without(motion, SEGMENT) for name, motion in recovery.segments.items()},
         "trunk": None if trunk is None else _without(trunk, TRUNK),
         "draws": None if draws is None else {"count": len(draws), "seed": draws.seed},
+        "damage": damage(recovery.notes),
         "rejected_for": None if residuals is None else [reason.sentence for reason in residuals.reasons],
     }
     return {key: to_json(value) for key, value in values.items()}

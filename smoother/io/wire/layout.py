@@ -172,7 +172,5 @@ def runs(data: Buffer, size: int) -> NDArray[np.void]:
 
 def _cut(block: Block, offset: int, dtype: np.dtype, count: int) -> NDArray:
     """Values (rows, count) that are in each row from a byte on, wherever that is."""
-    if not len(block):
-        return np.empty((0, count), dtype)
     shape, strides = (len(block), count), (block.strides[0], dtype.itemsize)
     return np.ndarray(shape, dtype, block, offset, strides).copy()

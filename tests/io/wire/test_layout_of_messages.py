@@ -6,69 +6,7 @@ import numpy as np
 import pytest
 
 from smoother.io.wire import layout as module
-from smoother.io.wire.layout import Grouper, MessageLayout, axes, copy_runs, cut_out, joined
-
-
-def rows(*payloads: bytes) -> np.ndarray:
-    return np.array([np.frombuffer(each, np.uint8) for each in payloads])
-
-
-@pytest.mark.parametrize(
-    ("raw", "value"),
-    [
-        (b"\x05", 5),
-        (b"\x80\x01", 128),
-        (b"\xac\x02", 300),
-        (b"\x85\x80\x80\x00", 5),
-        (b"\xff" * 9 + b"\x01", -1),
-        (b"\xff" * 8 + b"\x7f", 2**63 - 1),
-    ],
-)
-def test_a_varint(raw: bytes, value: int) -> None:
-    data = b"ab" + raw + b"c"
-    layout = MessageLayout.of(data)
-    layout.varints["n"] = (2, len(raw))
-    block = rows(data, data)
-    assert layout.integer(block, "n").tolist() == [value, value]
-    assert layout.integer(block, "absent").tolist() == [0, 0]
-    assert layout.integer(block, "n").dtype == np.int64
-
-
-def test_fields_of_several_rows() -> None:
-    """First occurrence, all occurrences, and doubles that protobuf left out."""
-    numbers = np.array([[1.5, 2.5, -3.0, 4.0], [5.0, 6.0, 7.0, 8.0], [0.0, -0.5, 1e300, 2.0]])
-    payloads = [b"xyz" + each.astype("<f8").tobytes() + b"\x07\0" for each in numbers]
-    block = rows(*payloads)
-    layout = MessageLayout.of(payloads[0])
-    layout.add("pair", 3, "<f8", 2)
-    layout.add("pair", 19, "<f8", 2)
-    layout.add("p.x", 3, "<f8", 1)
-    layout.add("p.z", 11, "<f8", 1)
-    layout.add("n", 35, "<u2", 1)
-    np.testing.assert_array_equal(layout.get(block, "pair"), numbers[:, :2])
-    np.testing.assert_array_equal(layout.many(block, "pair"), numbers.reshape(3, 2, 2))
-    np.testing.assert_array_equal(layout.get(block, "n"), [[7]] * 3)
-    expected = np.column_stack([numbers[:, 0], np.zeros(3), numbers[:, 1]])
-    np.testing.assert_array_equal(layout.vector(block, axes("p")), expected)
-    assert layout.get(block[:0], "pair").shape == (0, 2) and layout.get(block[:0], "pair").dtype == np.float64
-    values = layout.get(block, "pair")
-    values[:] = 0.0  # a copy: the message stays
-    np.testing.assert_array_equal(layout.get(block, "pair"), numbers[:, :2])
-
-
-def test_names_of_components() -> None:
-    assert axes("p") == ["p.x", "p.y", "p.z"] and axes("q", "wz") == ["q.w", "q.z"]
-
-
-def test_only_what_was_fixed_is_compared() -> None:
-    """Whole bytes, or some bits of them, that were fixed one after the other."""
-    layout = MessageLayout.of(b"\x81\x42\x10\x33")
-    layout.fix(0, 1, 0x80)
-    layout.fix(3, 4)
-    layout.fix(0, 1, 0x01)
-    layout.finish()
-    block = rows(b"\x81\0\0\x33", b"\xff\0\0\x33", b"\x80\0\0\x33", b"\x01\0\0\x33", b"\x81\0\0\x32")
-    assert layout.matches(block).tolist() == [True, True, False, False, False]
+from smoother.io.wire.layout import Grouper, MessageLayout, copy_runs, joined
 
 
 def walk(data: bytes) -> MessageLayout:
@@ -103,17 +41,6 @@ def test_groups_hold_every_message_once() -> None:
                 assert row.tobytes() == payloads[i] and payloads[i][0] == layout.counts["kind"]
 
 
-def test_payloads_inside_a_buffer() -> None:
-    data = b"--\x01ab-\x01cd\x02e-"
-    start, stop = np.array([2, 6, 9]), np.array([5, 9, 11])
-    groups = list(Grouper(walk).groups_in(data, start, stop))
-    assert [(index.tolist(), block.tobytes()) for index, block, _ in groups] == [
-        ([2], b"\x02e"),
-        ([0, 1], b"\x01ab\x01cd"),
-    ]
-    assert list(Grouper(walk).groups([])) == []
-
-
 def test_a_stream_without_regularity_is_not_remembered() -> None:
     """Sixty-four layouts of a size, no more: the rest are walked again each time."""
     walked = []
@@ -138,14 +65,6 @@ def test_what_a_walk_may_raise_is_counted(error: type[Exception]) -> None:
     assert list(grouper.groups([b"a", b"bb"])) == [] and grouper.broken == 7
     with pytest.raises(KeyError):
         list(Grouper(lambda _: {}["no walk"]).groups([b"a"]))
-
-
-def test_bytes_cut_out_of_a_buffer() -> None:
-    np.testing.assert_array_equal(cut_out(b"abcdef", np.array([3, 0]), 2), rows(b"de", b"ab"))
-    assert cut_out(b"abc", np.array([1, 2]), 0).shape == (2, 0)
-    nothing = cut_out(b"", np.zeros(0, np.int64), 4)
-    assert nothing.shape == (0, 4) and nothing.dtype == np.uint8
-    assert cut_out(b"abc", np.array([0]), 3).tobytes() == b"abc"
 
 
 @pytest.mark.parametrize("seed", range(3))

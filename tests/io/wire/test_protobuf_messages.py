@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import re
-import struct
 from importlib.resources import files
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -99,17 +97,6 @@ def test_every_cut_is_noticed() -> None:
                 decode.walk(raw[:size], Skeleton)
 
 
-def test_a_field_that_reaches_beyond_its_message() -> None:
-    """A double whose last bytes lie behind the end of the message around it."""
-    inside = b"\x09" + bytes(8)
-    whole = b"\x1a" + bytes([len(inside)]) + inside
-    assert "linear_acceleration.x" in decode.walk(whole, Imu).fields
-    with pytest.raises(IndexError):
-        decode.walk(b"\x1a" + bytes([len(inside) - 1]) + inside, Imu)
-    with pytest.raises(IndexError):
-        decode.walk(b"\x1a\x0a" + inside, Imu)
-
-
 @pytest.mark.parametrize(
     "unknown",
     [
@@ -130,36 +117,17 @@ def test_fields_that_nobody_knows_are_passed_over(unknown: bytes) -> None:
         assert layout.fields[name] == (moved, dtype, count)
 
 
-@pytest.mark.parametrize("kind", [3, 4, 6, 7])
-def test_other_wire_types_are_refused(kind: int) -> None:
-    with pytest.raises(ValueError):
-        decode.walk(bytes([15 << 3 | kind, 0]), Skeleton)
-
-
-def test_a_varint_without_an_end() -> None:
-    """Ten bytes hold any number; an eleventh is no protobuf."""
-    decode.walk(b"\x18" + b"\x80" * 9 + b"\x01", Skeleton)
-    with pytest.raises(struct.error):
-        decode.walk(b"\x18" + b"\x80" * 10 + b"\x01", Skeleton)
-
-
-def test_doubles_that_are_not_whole() -> None:
-    """A packed field of no double, or of half of one, says nothing; a double that is not packed is one."""
-
-    def joint(body: bytes) -> bytes:
-        return b"\x22" + bytes([len(body)]) + body
-
-    name = "joints.0.position_covariance"
-    for size in (0, 4, 12):
-        assert name not in decode.walk(joint(b"\x2a" + bytes([size]) + bytes(size)), Skeleton).fields
-    raw = joint(b"\x2a\x10" + struct.pack("<2d", 1.5, -2.5))
-    assert one(decode.walk(raw, Skeleton), raw, name) == [1.5, -2.5]
-    raw = joint(b"\x29" + struct.pack("<d", 3.5))
-    assert one(decode.walk(raw, Skeleton), raw, name) == [3.5]
-
-
-def test_text_that_is_not_utf_8() -> None:
-    assert decode.walk(b"\x12\x02a\xff", Skeleton).texts == {"frame_id": "a\ufffd"}
+@pytest.mark.parametrize(
+    "raw",
+    [
+        b"\x18" + b"\x80" * 10 + b"\x01",  # a varint of eleven bytes
+        b"\x1a\x08\x09" + bytes(8),  # a double whose last byte lies behind the end of its message
+        *(bytes([15 << 3 | kind, 0]) for kind in (3, 4, 6, 7)),  # wire types that are no more
+    ],
+)
+def test_what_is_no_protobuf(raw: bytes) -> None:
+    with pytest.raises(BROKEN):
+        decode.walk(raw, Imu)
 
 
 @pytest.mark.parametrize(
@@ -177,16 +145,6 @@ def test_stamps(stamp: bytes, expected: int) -> None:
     stamp = bytes([stamp[0], len(stamp) - 2]) + stamp[2:]
     layout = decode.walk(stamp, Imu)
     assert decode.stamps(np.frombuffer(stamp, np.uint8)[None], layout, np.array([77])).tolist() == [expected]
-
-
-def test_stamps_beyond_nanoseconds_are_held() -> None:
-    for sign in (1, -1):
-        raw = Imu()
-        raw.timestamp.seconds = sign * 10**12
-        data = raw.SerializeToString()
-        layout = decode.walk(data, Imu)
-        stamp = decode.stamps(np.frombuffer(data, np.uint8)[None], layout, np.array([0]))[0]
-        assert stamp == sign * 9_000_000_000 * 10**9
 
 
 # -- written ------------------------------------------------------------------------------------------------
@@ -240,25 +198,7 @@ def test_bytes_and_elements_of_a_list() -> None:
         assert entity.timestamp.nanos == k and (first.x, last.x, last.z) == (0.0, 3.0 * k, 3.0 * k + 2.0)
 
 
-def test_rows_that_are_alike() -> None:
-    codes = np.array([[1, -1], [0, 3], [1, -1], [-1, 254], [0, 3], [-1, 253], [254, -1], [1, -1]])
-    groups = {key: rows.tolist() for key, rows in encode.alike(codes)}
-    expected: dict[tuple[int, ...], list[int]] = {}
-    for k, row in enumerate(codes.tolist()):
-        expected.setdefault(tuple(row), []).append(k)
-    assert groups == expected and list(encode.alike(codes[:0])) == []
-    assert [key for key, _ in encode.alike(np.array([[True, False], [True, False]]))] == [(True, False)]
-
-
 # -- schemas ------------------------------------------------------------------------------------------------
-
-
-def test_classes_of_both_packages() -> None:
-    assert message_class("foxglove.Odometry").DESCRIPTOR.full_name == "foxglove.Odometry"
-    assert message_class("unocclude.Residuals").DESCRIPTOR.full_name == "unocclude.Residuals"
-    assert message_class("foxglove.Vector3") is message_class("foxglove.Vector3")
-    with pytest.raises((AttributeError, ModuleNotFoundError)):
-        message_class("foxglove.Nothing")
 
 
 @pytest.mark.parametrize("name", ["foxglove.SceneUpdate", "unocclude.Skeleton"])
@@ -275,7 +215,6 @@ FOLDER = files("smoother.io.wire")
 #: A message of each file.
 FILES = {
     "unocclude": "unocclude.Imu",
-    "unocclude_draws": "unocclude.Draws",
     "unocclude_pixels": "unocclude.Keypoints2D",
 }
 SCALARS = {1: "double", 6: "fixed64", 8: "bool", 9: "string", 12: "bytes", 13: "uint32"}
@@ -303,20 +242,3 @@ def test_the_compiled_messages_are_those_of_the_file(name: str):
     assert compiled == described
     assert file.package == "unocclude" and "package unocclude;" in text
     assert [each.name for each in file.dependencies] == re.findall(r'import "(.*)";', text)
-
-
-@pytest.mark.parametrize("name", FILES)
-def test_protoc_makes_the_same(tmp_path: Path, name: str):
-    protoc = pytest.importorskip("grpc_tools.protoc")
-    (tmp_path / "foxglove").write_bytes(schema_data("foxglove.SceneUpdate"))
-    command = [
-        "protoc",
-        f"--descriptor_set_in={tmp_path / 'foxglove'}",
-        f"-Iunocclude={FOLDER}",
-    ]
-    assert protoc.main([*command, f"-o{tmp_path / 'out'}", f"unocclude/{name}.proto"]) == 0
-    (made,) = FileDescriptorSet.FromString((tmp_path / "out").read_bytes()).file
-    for message in made.message_type:
-        for field in message.field:
-            field.ClearField("json_name")
-    assert made.SerializeToString() == message_class(FILES[name]).DESCRIPTOR.file.serialized_pb
