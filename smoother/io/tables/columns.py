@@ -681,15 +681,12 @@ def _guess_times(table: Table, guess: Guess, used: set[int]) -> tuple[FloatArray
         unit, why = _time_unit(table, at, 0.3 if table.labels else 0.95)
         if unit:
             return _set_time(table, guess, at, unit, why), None
-    others = {table.name(at).removeprefix("column "): at for at in free if at not in (*timed, *counted)}
-    for at in others.values():
-        if _time_unit(table, at, 0.95)[0] == "iso":
-            return _set_time(table, guess, at, "iso", "dates"), None
-    numeric = {name: table.numbers(at) for name, at in others.items() if table.is_numeric(at)}
+    others = [at for at in free if at not in (*timed, *counted)]
     try:
-        name, unit = time_among(numeric, SENSOR_RATES, table.path, table.notes)
-        if name:
-            return _set_time(table, guess, others[name], unit, "it alone rises evenly"), None
+        found, unit = time_among(table, others, SENSOR_RATES, table.notes)
+        if found is not None:
+            why = "dates" if unit == "iso" else "it alone rises evenly"
+            return _set_time(table, guess, found, unit, why), None
     except RecordingError as error:
         guess.unsure.append(str(error))
     rate = stated_rate(table)

@@ -6,7 +6,6 @@ Tables with a header and one row per frame are a row of `SKELETON_FORMATS` each.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
 from itertools import pairwise
@@ -242,15 +241,11 @@ def _take_time(table: Table, columns: JointColumns, raw: RawSkeleton) -> bool:
     """Whether a column of no known name is the time; it is the skeleton's then."""
     used = {columns.frame, columns.body, *columns.confidence.values()}
     used |= {at for triple in (*columns.axes.values(), *(each for _, each in columns.rest)) for at in triple}
-    free: dict[str, FloatArray] = {}
-    for at, name in enumerate(table.names):
-        if at not in used:
-            with suppress(RecordingError):  # of words, not of times
-                free[name] = table.times(at)[0]
-    name, unit = time_among(free, CAMERA_RATES, table.path, raw.notes)
-    if name:
-        raw.time, raw.time_scale = free[name], SECONDS[unit]
-    return bool(name)
+    free = [at for at in range(table.width) if at not in used]
+    at, unit = time_among(table, free, CAMERA_RATES, raw.notes)
+    if at is not None:
+        raw.time, raw.time_scale = table.times(at)[0], SECONDS.get(unit, 1.0)
+    return at is not None
 
 
 def _words(names: Sequence[str]) -> set[str]:

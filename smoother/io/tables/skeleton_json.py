@@ -16,7 +16,15 @@ from ...errors import RecordingError
 from ...recording import CameraFrame
 from ...runtime.inputs import check_input
 from ..recording.keypoints import states_of_scores
-from .joints import AZURE, BLAZEPOSE, POINT_SETS, joint_name
+from .joints import (
+    AZURE,
+    BLAZEPOSE,
+    POINT_SETS,
+    TIME_WORDS,
+    column_named,
+    joint_name,
+    time_unit_of,
+)
 from .skeleton_formats import (
     AZURE_AXES,
     STATE_WORDS,
@@ -145,12 +153,14 @@ class _Rows:
     scale: float | None = None  # s in a unit of `time`
     world: bool = False  # They are called world landmarks
 
-    def time_of(self, frame: Any, known: Iterable[tuple[str, float | None]]) -> float:
+    def time_of(self, frame: Any) -> float:
         """The time of a frame, whose unit is kept."""
-        there = (pair for pair in (*known, *_TIMES) if isinstance(frame, Mapping) and pair[0] in frame)
-        name, scale = next(there, ("", None))
-        self.scale = self.scale or scale
-        return number(frame[name]) if name else NAN
+        names = [str(key) for key in frame] if isinstance(frame, Mapping) else []
+        at = column_named(names, TIME_WORDS)
+        if at is None:
+            return NAN
+        self.scale = self.scale or time_unit_of(names[at])
+        return number(frame[names[at]])
 
     def raw(self, path: Path, states: StateReader) -> RawSkeleton:
         """The skeleton of all rows."""
@@ -165,22 +175,9 @@ class _Rows:
         return raw
 
 
-#: Names of a frame's time whose unit its rate shows.
-_TIMES = tuple(
-    (name, None)
-    for name in (
-        *("time_in_ms", "unix_ms", "unix", "epoch", "kinect_time", "hostTime", "systemTime", "captured_at"),
-        *("Tick", "ticks", "TimeSpan", "relative_time", "relativeTime", "timestamp_ns", "deviceTimestamp"),
-    )
-)
-
 # ------------------------------------------------------------------------------- body tracking of a Kinect
 
 _POSITIONS = ("joint_positions", "jointPositions", "joints", "positions", "skeleton")
-_KINECT_TIMES = (
-    ("timestamp_usec", 1e-6), ("timestamp_us", 1e-6), ("device_timestamp_usec", 1e-6),
-    ("timestamp_ms", 1e-3), ("timestamp_s", 1.0), ("timestamp", None), ("time", None),
-)  # fmt: skip
 _BODY = ("body_id", "bodyId", "id", "body_idx", "tracking_id", "trackingId")
 _CONFIDENCES = ("confidence_levels", "joint_confidences", "joint_confidence", "confidences", "confidence")
 _KINECT_EXPECTED = "JSON of body tracking (frames with bodies and joint_positions)"
@@ -209,7 +206,7 @@ def _read_kinect_json(path: Path) -> list[SkeletonTable]:
             continue
         bodies = frame.get("bodies", frame.get("skeletons", []))
         there = [body for body in bodies if isinstance(body, Mapping)] if isinstance(bodies, list) else []
-        time = rows.time_of(frame, _KINECT_TIMES)
+        time = rows.time_of(frame)
         bodies_or_none: list[Mapping[str, Any] | None] = [*there] or [None]
         for body in bodies_or_none:
             rows.time.append(time)
@@ -259,11 +256,6 @@ _POINTS = (
 _FRAMES = (
     "frames", "positions", "poses", "results", "data", "motion", "pose_data", "instance_info", "records",
 )  # fmt: skip
-_POSE_TIMES = (
-    ("timestamp_ms", 1e-3), ("timestampMs", 1e-3), ("time_ms", 1e-3), ("timestamp_us", 1e-6),
-    ("timestamp_s", 1.0), ("time_s", 1.0), ("time_sec", 1.0), ("timestamp", None), ("time", None),
-    ("t", None),
-)  # fmt: skip
 _NUMBERS = ("frame", "frame_number", "frameNumber", "frame_index", "frame_id", "frame_idx", "index")
 _RATES = ("fps", "frame_rate", "frameRate", "framerate", "sampling_rate", "video_fps")
 _MARK = re.compile(
@@ -283,7 +275,7 @@ def _read_pose_json(path: Path) -> list[SkeletonTable]:
     value = read_json(path, _POSE_EXPECTED)
     rows, listed = _Rows(), _frames_of(value)
     for key, frame in listed:
-        rows.time.append(rows.time_of(frame, _POSE_TIMES))
+        rows.time.append(rows.time_of(frame))
         count = first_number(frame, _NUMBERS) if isinstance(frame, Mapping) else NAN
         digits = re.search(r"\d+(\.\d+)?", key)
         rows.frame.append(

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
-from pathlib import Path
 from typing import TypeVar
 
 import numpy as np
@@ -24,23 +23,11 @@ from ...measurements.timestamps import (
     unwrapped,
 )
 from .imu import ImuTable, turn_notes, with_settled_unit
-from .joints import words_of
+from .joints import TIME_WORDS, column_named, words_of
 from .skeletons import SkeletonTable
 from .table import Table, amount, shown
 from .units import SECONDS, TIME, from_1970, plain_unit, time_unit, unit_of_step
 
-#: Labels of a column of times, the best first; units behind them (time_ms) are taken off already.
-TIMES = (
-    *("epoch", "epoc"),  # MetaMotion's dates beside it are of a time zone
-    *("timestamp", "time", "t", "sensor_timestamp", "sensortimestamp", "event_timestamp", "eventtimestamp"),
-    *("timestamp_nano", "unix_time", "unixtime", "seconds_elapsed", "seconds", "elapsed", "ts"),
-    *("elapsedrealtime", "elapsedrealtimenanos", "elapsed_realtime_nanos", "time since start in ms"),
-    *("datetime", "date", "milliseconds", "nanoseconds", "systemtime", "system_time", "phone_time"),
-    *("time_in", "time in", "unix", "unix timestamp", "unix_timestamp", "kinect_time", "kinecttime"),
-    *("host_time", "hosttime", "captured_at", "capturedat", "capture_time", "timespan", "tick", "ticks"),
-    *("time_in_ms", "time_in_us", "time_in_ns", "time_in_s", "filetime"),
-    *("zeit", "zeitstempel", "temps", "tiempo", "tempo"),
-)
 #: Units that a label ends with, where they are not taken off.
 _SUFFIX = re.compile(r"(?:_|\s|\b)(ns|nano\w*|us|micro\w*|ms|milli\w*|s|sec\w*)$")
 #: This share of the steps of a column of times rises, and lies within these parts of the usual one.
@@ -53,7 +40,7 @@ def time_column(table: Table) -> int | None:
     """The column that is the time by its name; without names the first."""
     if not table.labels:
         return 0
-    exact = table.find(*TIMES)
+    exact = column_named(table.names, TIME_WORDS)
     if exact is not None:
         return exact
     return 0 if table.labels[0].startswith(("time", "timestamp", "elapsed", "epoch")) else None
@@ -90,36 +77,45 @@ def seconds(table: Table, column: int | None, unit: str = "s") -> FloatArray | N
 
 
 def time_among(
-    columns: Mapping[str, FloatArray], rates_hz: tuple[float, float], source: Path, notes: list[str]
-) -> tuple[str, str]:
-    """The column that is the time, and its unit, among those (n,) that nothing else is known of."""
-    for name, values in columns.items():
-        if {"x", "y", "z", "w"} & set(words_of(name)):
+    table: Table, free: Sequence[int], rates_hz: tuple[float, float], notes: list[str]
+) -> tuple[int | None, str]:
+    """The column that is the time and its unit ("iso" of dates), of those that nothing else is known of."""
+    for at in free:
+        name = shown(table.name(at).removeprefix("column "), 60)
+        try:
+            values, dates = table.times(at)
+        except RecordingError:  # of words, not of times
             continue
         step = np.diff(values[np.isfinite(values)])
         moved = step[step != 0]
-        if len(values) < _FEWEST or len(moved) < 0.3 * (len(values) - 1) or not (moved > 0).mean() > _RISES:
+        rises = len(moved) and (moved > 0).mean() > _RISES
+        if {"x", "y", "z", "w"} & set(words_of(name)) or len(values) < _FEWEST or not rises:
+            continue
+        if dates:
+            return at, "iso"
+        if len(moved) < 0.3 * (len(values) - 1):
             continue
         usual = float(np.median(moved))
         unit = unit_of_step(usual, rates_hz, "", float(np.nanmedian(values)))
         if usual == 1 and (values % 1 == 0)[np.isfinite(values)].all() and np.nanmax(values) < 1e11:
-            notes.append(f"The column {shown(name, 60)} counts rows or packets and is not the time.")
+            notes.append(f"The column {name} counts rows or packets and is not the time.")
             continue
         even = ((step > _EVEN[0] * usual) & (step < _EVEN[1] * usual)).mean() > _EVEN_SHARE
         if unit is None and not even:
             continue
         if unit is None or not even or not (step > 0).all() or not np.isfinite(values).all():
             raise RecordingError(
-                f"{source} has no time by its name, and its column {shown(name, 60)} rises like one, but it"
-                " is not certain that it is, or in which unit; call it time_s, time_ms, time_us, time_ns or"
-                f" time_ticks, or describe it in a recording.toml (`unocclude import describe {source}`)."
+                f"{table.path} has no time by its name, and its column {name} rises like one, but it is not"
+                " certain that it is, or in which unit; call it time_s, time_ms, time_us, time_ns or"
+                " time_ticks, or describe it in a recording.toml (`unocclude import describe"
+                f" {table.path}`)."
             )
         notes.append(
-            f"The column {shown(name, 60)} was taken for the time, in {unit}: it alone rises evenly, with"
+            f"The column {name} was taken for the time, in {unit}: it alone rises evenly, with"
             f" {1 / (usual * SECONDS[unit]):.4g} rows per second."
         )
-        return name, unit
-    return "", ""
+        return at, unit
+    return None, ""
 
 
 #: Rows at the start with a stamp of zero are not times where the next stamp is this much later, s.
