@@ -216,13 +216,13 @@ BODY_WORDS = _phrases(
     " pose index, pose idx, id"
 )
 TIME_WORDS = _phrases(
-    "epoch, epoc, timestamp, time stamp, timestamps, time, t, times, ts, sensor timestamp, event timestamp,"
-    " timestamp nano, unix time, seconds elapsed, seconds, elapsed, elapsed realtime, elapsed time, date"
-    " time, datetime, date, device, device timestamp, relative time, milliseconds, nanoseconds, system time, phone"
-    " time, zeit, zeitstempel, zeitpunkt, temps, horodatage, tiempo, tempo, marca de tiempo, fecha, datum,"
-    " clock, tick, ticks, system timestamp, frame time, time in, time since start in, unix, unix timestamp,"
-    " epoch time, kinect time, host time, host timestamp, sensor time, captured at, capture time, time span,"
-    " timespan, filetime"
+    "epoch, epoc, timestamp, time stamp, timestamps, time, t, times, ts, sensor timestamp, event"
+    " timestamp, timestamp nano, unix time, seconds elapsed, seconds, elapsed, elapsed realtime, elapsed"
+    " time, date time, datetime, date, device, device timestamp, relative time, milliseconds, nanoseconds,"
+    " system time, phone time, zeit, zeitstempel, zeitpunkt, temps, horodatage, tiempo, tempo, marca de"
+    " tiempo, fecha, datum, clock, tick, ticks, system timestamp, frame time, time in, time since start"
+    " in, unix, unix timestamp, epoch time, kinect time, host time, host timestamp, sensor time, captured"
+    " at, capture time, time span, timespan, filetime"
 )
 FRAME_WORDS = _phrases("frame, frame number, frame no, frame index, frame idx, frame id, framenumber, index")
 _UNIT_WORDS = {

@@ -85,7 +85,8 @@ def _loaded(path: Path) -> list[dict[str, Any]]:
             f"{path}: XDF files are read by the library pyxdf; install it with: pip install pyxdf"
         ) from None
     try:
-        logging.getLogger("pyxdf").setLevel(logging.CRITICAL)  # what is wrong is said in our words
+        logger = logging.getLogger("pyxdf")  # its warnings stay off the terminal
+        logger.propagate, logger.handlers = False, [logging.NullHandler()]
         streams, _ = pyxdf.load_xdf(str(path), dejitter_timestamps=False, verbose=False)
     except Exception as error:  # whatever a damaged file leads the library into
         raise RecordingError(

@@ -4,13 +4,11 @@ from __future__ import annotations
 
 import builtins
 import json
-import struct
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-import ros_bags as ros
 import skeleton_files as made
 from importers import streams, turning
 from library_files import ZERO, write_bag
@@ -20,7 +18,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from smoother.errors import RecordingError
 from smoother.io import open_recording
 from smoother.io.tables.imu import find_sensors
-from smoother.io.tables.joints import AZURE, KINECT_V2
+from smoother.io.tables.joints import KINECT_V2
 from smoother.recording import CameraFrame, JointState
 
 FRAMES = 60
@@ -75,94 +73,6 @@ def test_mcap_with_json_is_refused_by_its_topic(tmp_path: Path, schema: str, fie
         open_recording(path)
     with pytest.raises(RecordingError, match="/wrist: JSON messages are not read"):
         streams(path, "mcap")
-
-
-class Xcdr2:
-    """Packs a message by XCDR2's rules for final types (DDS-XTypes 1.3, 7.4.3.5): 4 bytes align at most."""
-
-    def __init__(self, order: str):
-        self.order, self.data = order, bytearray()
-
-    def number(self, kind: str, *values: float) -> None:
-        size = min(struct.calcsize(kind), 4)
-        self.data += bytes(-len(self.data) % size)
-        self.data += struct.pack(f"{self.order}{len(values)}{kind}", *values)
-
-    def text(self, value: str) -> None:
-        self.number("I", len(value) + 1)
-        self.data += value.encode() + b"\0"
-
-    def header(self, ns: int, frame: str) -> None:
-        self.number("i", ns // 10**9)
-        self.number("I", ns % 10**9)
-        self.text(frame)
-
-    def whole(self) -> bytes:
-        return (b"\0\7\0\0" if self.order == "<" else b"\0\6\0\0") + bytes(self.data)
-
-
-def xcdr2_imu(ns: int, acc: np.ndarray, gyro: np.ndarray, order: str) -> bytes:
-    pack = Xcdr2(order)
-    pack.header(ns, "wrist")
-    pack.number("d", 0, 0, 0, 1, *[0] * 9)
-    pack.number("d", *gyro, *[0] * 9)
-    pack.number("d", *acc, *[0] * 9)
-    return pack.whole()
-
-
-def xcdr2_markers(ns: int, points: np.ndarray, order: str) -> bytes:
-    pack = Xcdr2(order)
-    inner = Xcdr2(order)
-    inner.data += bytes(4)  # as if behind the size, so that alignment is the message's
-    inner.number("I", len(points))
-    for joint, xyz in enumerate(points):
-        inner.header(ns, "depth")
-        inner.text("")
-        inner.number("i", 100 + joint, 2, 0)
-        inner.number("d", *xyz, 0, 0, 0, 1, 1, 1, 1)
-        inner.number("f", 1, 1, 1, 1)
-        inner.number("i", 0)
-        inner.number("I", 0)
-        inner.number("B", 0)
-        for _ in range(2):  # sequences of structures: their size, then how many
-            inner.number("I", 4)
-            inner.number("I", 0)
-        inner.text("")
-        inner.text("")
-        inner.number("B", 0)
-    pack.number("I", len(inner.data) - 4)
-    pack.data += inner.data[4:]
-    return pack.whole()
-
-
-@pytest.mark.parametrize("order", ["<", ">"])
-def test_mcap_with_xcdr2(tmp_path: Path, order: str) -> None:
-    t, acc, gyro = turning(200, 100.0)
-    points = np.stack([made.optical(made.part(name, FRAMES)) for name in AZURE], axis=1)
-    path = tmp_path / "a.mcap"
-    with open(path, "wb") as file:
-        writer = Writer(file)
-        writer.start(profile="ros2")
-        kinds = {
-            "/imu": ("sensor_msgs/msg/Imu", ros.IMU),
-            "/body": ("visualization_msgs/msg/MarkerArray", ros.marker_array(False)),
-        }
-        channels = {}
-        for topic, (name, text) in kinds.items():
-            schema = writer.register_schema(name=name, encoding="ros2msg", data=text.encode())
-            channels[topic] = writer.register_channel(topic=topic, message_encoding="cdr", schema_id=schema)
-        for at in range(len(t)):
-            ns = ZERO + round(t[at] * 1e9)
-            writer.add_message(channels["/imu"], ns, xcdr2_imu(ns, acc[at], gyro[at], order), ns)
-        for at in range(FRAMES):
-            ns = ZERO + round(at / 30 * 1e9)
-            writer.add_message(channels["/body"], ns, xcdr2_markers(ns, points[at], order), ns)
-        writer.finish()
-    (body,), (imu,) = streams(path, "mcap")
-    assert_array_equal(imu.acc, acc)
-    assert_array_equal(imu.gyro, gyro)
-    assert_array_equal(body.position["wrist_left"], points[:, AZURE.index("WRIST_LEFT")])
-    assert body.body == 1
 
 
 def test_mcap_with_joint_states_alone(tmp_path: Path) -> None:
