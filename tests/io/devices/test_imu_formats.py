@@ -16,28 +16,6 @@ from smoother.io.tables.table import read_head
 from smoother.io.tables.times import repaired_imu
 
 # ---------------------------------------------------------------------------------------- Xsens DOT
-PREAMBLE = (
-    "sep=,",
-    "DeviceTag:,left wrist",
-    "FirmwareVersion:,2.4.0",
-    "OutputRate:,100Hz",
-    "Measurement Mode:,Custom Mode 5",
-    "StartTime: ,2021-08-20_20:21:13_835 GMT+8",
-    "(c) somebody 2021",
-    "",
-)
-
-
-@pytest.mark.parametrize("preamble", [PREAMBLE, ()])
-def test_dot(tmp_path: Path, preamble: tuple[str, ...]):
-    header = ",".join(["PacketCounter", "SampleTimeFine", *xyz("Acc"), *xyz("Gyr"), *xyz("Mag"), "Status"])
-    body = rows(np.arange(1, COUNT + 1), MICROS, ACC, DEG, ACC, np.zeros(COUNT, int))
-    (table,) = tables(written(tmp_path, *preamble, header, *body, newline="\r\n"), "xsens-dot")
-    check(table, printed(ACC), np.radians(printed(DEG)), MICROS * 1e-6)
-    assert table.name == ("left wrist" if preamble else "")
-    assert table.rate_hz == (100.0 if preamble else None)
-    assert np.array_equal(table.counter, np.arange(1, COUNT + 1)) and table.counter_wraps == 2**32
-    assert table.units == "m/s^2, deg/s" and table.mag is not None and not table.notes
 
 
 def test_dot_with_dates_and_columns_in_another_order(tmp_path: Path):
@@ -72,18 +50,6 @@ def test_dot_of_fusion_says_what_to_record(tmp_path: Path):
 
 
 # ---------------------------------------------------------------------------------------- Xsens MT
-@pytest.mark.parametrize("rate", ["// Update Rate: 100.0Hz", "// Sample rate: 100.0Hz"])
-def test_mtw(tmp_path: Path, rate: str):
-    counter = (65_500 + np.arange(COUNT)) % 65_536
-    header = "\t".join(
-        ["Counter", *xyz("Acc"), *xyz("Gyr"), *xyz("Mag"), "Quat_w", "Quat_x", "Quat_y", "Quat_z"]
-    )
-    body = rows(counter, ACC, GYRO, ACC, np.ones((COUNT, 4)), separator="\t", end="\t")
-    lines = ("// Start Time: 0", rate, "// Firmware Version: 2.5.1", header, *(f" {row}" for row in body))
-    (table,) = tables(written(tmp_path, *lines), "xsens-mt")
-    check(table, printed(ACC), printed(GYRO))
-    assert table.t_s is None and table.rate_hz == 100.0 and table.counter_wraps == 65_536
-    assert np.array_equal(table.counter, counter)
 
 
 def test_mtw_with_empty_columns_and_as_csv_of_dot_like_names(tmp_path: Path):
@@ -129,14 +95,6 @@ def shimmer(
     return written(tmp_path, f'"sep={separator}"', *header, *body, newline="\r\n")
 
 
-@pytest.mark.parametrize("separator", [",", "\t", ";"])
-def test_shimmer(tmp_path: Path, separator: str):
-    (table,) = tables(shimmer(tmp_path, separator=separator), "shimmer")
-    check(table, printed(ACC), np.radians(printed(DEG)), 1.6294033377807312e9 + TIME)
-    assert table.name == "Shimmer_952D" and table.units == "m/s^2, deg/s"
-    assert "wide-range" in " ".join(table.notes)
-
-
 def test_shimmer_of_low_noise_and_of_two_sensors(tmp_path: Path):
     (table,) = tables(shimmer(tmp_path, "Accel_WR"), "shimmer")
     check(table, printed(ACC / 2), np.radians(printed(DEG)))
@@ -160,35 +118,9 @@ def test_shimmer_uncalibrated_or_without_gyroscope(tmp_path: Path):
 
 
 # ---------------------------------------------------------------------------------------- APDM
-@pytest.mark.parametrize("units", [True, False])
-def test_apdm_each_sensor_one_imu(tmp_path: Path, units: bool):
-    names, said, columns = ["Time"], ["s"], [TIME]
-    for at, sensor in enumerate(("Right Wrist", "Sternum")):
-        for quantity, unit, values in (("Acceleration", "m/s^2", ACC), ("Angular Velocity", "rad/s", GYRO)):
-            names += [f"{sensor}/{quantity}/{axis}" for axis in "XYZ"]
-            said += [unit] * 3
-            columns.append(np.roll(values, at, axis=0))
-    filler = "," * (len(names) - 3)
-    preamble = ("Test Name:,7" + filler + ",", "Sample Rate:,100,Hz" + filler)
-    lines = (*preamble, ",".join(names), *([",".join(said)] if units else []), *rows(*columns))
-    first, second = tables(written(tmp_path, *lines), "apdm")
-    check(first, printed(ACC), printed(GYRO), TIME)
-    check(second, printed(np.roll(ACC, 1, axis=0)), printed(np.roll(GYRO, 1, axis=0)), TIME)
-    assert (first.name, second.name, first.rate_hz) == ("Right Wrist", "Sternum", 100.0)
 
 
 # ---------------------------------------------------------------------------------------- x-io, NilsPod
-@pytest.mark.parametrize("time_name, unit", [("Timestamp (us)", 1e-6), ("Time (s)", 1.0)])
-def test_ximu(tmp_path: Path, time_name: str, unit: float):
-    t = MICROS if unit < 1 else MICROS * 1e-6
-    header = [
-        time_name,
-        *(f"Gyroscope {a} (deg/s)" for a in "XYZ"),
-        *(f"Accelerometer {a} (g)" for a in "XYZ"),
-    ]
-    (table,) = tables(written(tmp_path, ",".join(header), *rows(t, DEG, ACC / GRAVITY)), "x-imu")
-    check(table, printed(ACC / GRAVITY) * GRAVITY, np.radians(printed(DEG)), MICROS * 1e-6)
-    assert table.units == "g, deg/s"
 
 
 def test_nilspod(tmp_path: Path):
@@ -301,21 +233,6 @@ def test_sensorlog_without_gyroscope(tmp_path: Path):
     body = [f"2020-01-10 14:23:05.{k:03d} +0100,{row}" for k, row in enumerate(rows(ACC / GRAVITY))]
     with pytest.raises(RecordingError, match="Device Motion"):
         tables(written(tmp_path, header, *body), "sensorlog")
-
-
-@pytest.mark.parametrize("separator", [",", ";", "\t"])
-def test_phyphox(tmp_path: Path, separator: str):
-    names = [
-        "Time (s)",
-        *(f"Acceleration {a} (m/s^2)" for a in "xyz"),
-        *(f"Gyroscope {a} (rad/s)" for a in "xyz"),
-    ]
-    header = separator.join(f'"{name}"' for name in [*names, "Absolute (rad/s)"])
-    body = rows(TIME, ACC, GYRO, np.ones(COUNT), separator=separator, form="{:.9E}")
-    if separator != ",":
-        body = [row.replace(".", ",") for row in body]
-    (table,) = tables(written(tmp_path, header, *body), "phyphox")
-    check(table, ACC, GYRO, TIME)
 
 
 def test_phyphox_in_two_files(tmp_path: Path):

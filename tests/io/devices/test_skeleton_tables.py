@@ -81,18 +81,6 @@ def test_bodies_one_after_the_other(tmp_path: Path) -> None:
     assert np.isfinite(second.position["wrist_left"]).all()
 
 
-@pytest.mark.parametrize("separator", [",", ";", "\t", " "])
-def test_azure_without_header(tmp_path: Path, separator: str) -> None:
-    rows = [
-        [f"{1000 * value:.4f}" for name in AZURE for value in made.optical(made.part(name, FRAMES))[at]]
-        for at in range(FRAMES)
-    ]
-    (table,) = tables(write(tmp_path / "a.txt", rows, separator), "kinect-numbers")
-    assert (table.t_s, table.rate_hz, table.frame) == (None, 30.0, CameraFrame.OPTICAL)
-    for joint in ARM:
-        assert_allclose(table.position[joint], made.expected(joint, FRAMES, "optical"), atol=1e-7)
-
-
 @pytest.mark.parametrize(("per_joint", "leading"), [(3, 0), (7, 0), (7, 1), (4, 1), (8, 2)])
 def test_kinect_v2_without_header(tmp_path: Path, per_joint: int, leading: int) -> None:
     joints = made.kinect_v2(FRAMES)
@@ -205,12 +193,6 @@ def test_world_landmarks_beside_those_in_the_image(tmp_path: Path) -> None:
     both = [[*row, *other[2:]] for row, other in zip(rows, beside, strict=True)]
     (table,) = tables(write(tmp_path / "a.csv", both), "mediapipe")
     assert_allclose(table.position["wrist_right"], points[:, BLAZEPOSE.index("right_wrist")], atol=1e-9)
-
-
-def test_landmarks_in_the_image_are_refused(tmp_path: Path) -> None:
-    path = write(tmp_path / "a.csv", mediapipe_rows(0.5 + 0.2 * made.landmarks(FRAMES), "{name}_{axis}"))
-    with pytest.raises(RecordingError, match=r"a\.csv.*not metres; export pose_world_landmarks"):
-        tables(path, "mediapipe")
 
 
 def test_low_visibility_is_inferred(tmp_path: Path) -> None:
