@@ -15,7 +15,7 @@ from ...errors import RecordingError
 from ...runtime.inputs import crashes_in_subprocess
 from ...units import STANDARD_GRAVITY
 from .imu import ImuTable, holds_gravity
-from .table import FileHead, Format, amount, begins, shown
+from .table import Format, amount, begins, shown
 
 
 def _read_apdm_hdf(path: Path) -> list[ImuTable]:
@@ -224,9 +224,7 @@ _ACC, _GYRO, _MAG = "sensorAcceleration", "sensorAngularVelocity", "sensorMagnet
 _EXPORT = "export it again with sensor data 'acceleration' and 'angular velocity' (calibrated sensor data) on"
 
 
-def _is_mvnx(head: FileHead) -> bool:
-    """Whether the XML's root is mvnx."""
-    return bool(re.match(r"\s*(<\?xml.*?\?>\s*)?(<!--.*?-->\s*)*<mvnx\b", head.text[:4000], re.DOTALL))
+_ROOT = re.compile(r"\s*(<\?xml.*?\?>\s*)?(<!--.*?-->\s*)*<mvnx\b", re.DOTALL)
 
 
 def _read_mvnx(path: Path) -> list[ImuTable]:
@@ -291,7 +289,7 @@ MVNX = Format(
     title="Xsens MVNX",
     kind="imu",
     recognised_by="XML whose root is mvnx",
-    recognises=_is_mvnx,
+    recognises=lambda head: bool(_ROOT.match(head.text[:4000])),
     read=_read_mvnx,
 )
 

@@ -7,6 +7,7 @@ import unicodedata
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
+from itertools import pairwise
 
 
 def _listed(names: str) -> list[str]:
@@ -310,6 +311,27 @@ def find_joint_columns(names: Sequence[str]) -> JointColumns:
     }
     _bookkeeping(names, result)
     return result
+
+
+#: Words, and pairs of words, in names of joints that one program alone has.
+_ONLY_OF: dict[str, set[str | tuple[str, str]]] = {
+    "azure": {"navel", "naval", "clavicle", "k4abt"},
+    "kinect": {
+        ("spine", "base"),
+        ("spine", "shoulder"),
+        ("spine", "mid"),
+        ("hand", "tip"),
+        ("joint", "type"),
+    },
+    "blazepose": {"pinky", "mouth", "visibility"},
+}
+
+
+def program_of(names: Sequence[str]) -> str:
+    """Whose joints names are: `azure`, `kinect`, `blazepose`, or "" where nothing shows it."""
+    listed = [words_of(name) for name in names]
+    found = {word for words in listed for word in (*words, *pairwise(words))}
+    return next((program for program, own in _ONLY_OF.items() if found & own), "")
 
 
 @lru_cache(maxsize=4096)

@@ -439,24 +439,14 @@ def _is_c3d(head: FileHead) -> bool:
     return len(parameters) < 4 or parameters[3] in _PROCESSORS
 
 
-def _read_c3d_skeleton(path: Path) -> list[SkeletonTable]:
-    return _skeleton_of(_read_segment_origins(path) or read_c3d(path), path, None)
-
-
 C3D_SKELETON = Format(
     key="c3d",
     title="C3D model markers or Theia3D segments",
     kind="skeleton",
     recognised_by="the second byte 0x50, and a block of parameters where the first byte points",
     recognises=_is_c3d,
-    read=_read_c3d_skeleton,
+    read=lambda path: _skeleton_of(_read_segment_origins(path) or read_c3d(path), path, None),
 )
-
-
-def _is_trc(head: FileHead) -> bool:
-    """Whether a line of markers' names is among the first ones."""
-    first = [line.strip(' \t,;"').lower() for line in head.lines[:12]]
-    return any(line.startswith("frame#") for line in first)
 
 
 TRC_SKELETON = Format(
@@ -464,6 +454,6 @@ TRC_SKELETON = Format(
     title="TRC (OpenCap, Pose2Sim, Theia)",
     kind="skeleton",
     recognised_by="a line that begins with Frame#, above the names of markers",
-    recognises=_is_trc,
+    recognises=lambda head: any(_begins(line, "frame#") for line in head.lines[:12]),
     read=lambda path: _skeleton_of(read_trc(path), path, (1, 1)),  # y, as OpenSim has it
 )

@@ -38,7 +38,6 @@ from ..recording.choose import Selection
 from ..recording.keypoints import NAMED_TOPIC, TOPIC, lens_from_plain
 from ..recording.select import select_recording
 from ..recording.streams import (
-    ArmFrames,
     CameraStream,
     KnownLens,
     PoseSamples,
@@ -250,7 +249,10 @@ def open_csv(
         file.poses.append(read_pose_table(folder / description.truth.file))
     for topic, schema, stamp in [
         *((i.topic, "unocclude.Imu", i.stamp_ns) for i in file.imus),
-        *((topic, _schema(arm), arm.stamp_ns) for topic, arm in {a.topic: a for a in file.arms}.items()),
+        *(
+            (topic, f"unocclude.{'Skeleton' if arm.lens is None else 'Keypoints2D'}", arm.stamp_ns)
+            for topic, arm in {each.topic: each for each in file.arms}.items()
+        ),
         *((p.topic, "foxglove.PoseInFrame", p.stamp_ns) for p in file.poses),
     ]:
         file.topics.append(TopicInfo(topic, schema, "csv", len(stamp), int(stamp.min()), int(stamp.max())))
@@ -263,10 +265,6 @@ def read_description(folder: Path) -> _Description:
     there = "the folder does not exist" if not folder.is_dir() else "it describes the files of a recording"
     lacks = f" ({there}); `unocclude import csv --help` shows one."
     return _checked(path, _Description, _toml(path, lacks))
-
-
-def _schema(arm: ArmFrames) -> str:
-    return "unocclude.Skeleton" if arm.lens is None else "unocclude.Keypoints2D"
 
 
 def _check_places(folder: Path, description: _Description, outside: bool) -> None:

@@ -11,7 +11,7 @@ from ...recording import JOINTS
 from ..mcap.messages import seconds
 from ..recording.inertial import LEFT_OUT
 from ..recording.read import open_recording
-from ..recording.streams import ArmFrames, RecordingFile
+from ..recording.streams import ArmFrames
 from .imu import ImuTable
 from .skeletons import SkeletonTable
 from .table import Format, begins, shown
@@ -24,7 +24,11 @@ def read_mcap(path: Path) -> list[ImuTable | SkeletonTable]:
     for arm in file.arms:
         by_body.setdefault((arm.topic, arm.body), []).append(arm)
     tables: list[ImuTable | SkeletonTable] = [_skeleton(arms) for arms in by_body.values()]
-    tables += _imu_tables(file) or file.halves
+    for imu in file.imus:
+        name, t_s = imu.topic.strip("/"), seconds(imu.stamp_ns, 0)
+        one = ImuTable(name, t_s, imu.acc, imu.gyro, imu.mag, units=imu.units, made_of=imu.made_of)
+        tables.append(one)
+    tables += [] if file.imus else file.halves
     if not tables:
         listed = ", ".join(f"{topic.name} ({topic.schema}, {topic.encoding})" for topic in file.topics)
         raise RecordingError(
@@ -49,17 +53,6 @@ MCAP = Format(
     recognises=begins(b"\x89MCAP0\r\n"),
     read=read_mcap,
 )
-
-
-def _imu_tables(file: RecordingFile) -> list[ImuTable]:
-    """The IMUs of a file, in SI units since it was read."""
-    tables = []
-    for imu in file.imus:
-        t_s = seconds(imu.stamp_ns, 0)
-        table = ImuTable(imu.topic.strip("/"), t_s, imu.acc, imu.gyro, imu.mag, units=imu.units)
-        table.made_of = imu.made_of
-        tables.append(table)
-    return tables
 
 
 def _skeleton(arms: list[ArmFrames]) -> SkeletonTable:

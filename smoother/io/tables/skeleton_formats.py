@@ -5,10 +5,9 @@ Tables with a header and one row per frame are a row of `SKELETON_FORMATS` each.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
-from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -30,8 +29,8 @@ from .joints import (
     find_joint_columns,
     joint_name,
     plain_words,
+    program_of,
     time_unit_of,
-    words_of,
 )
 from .skeletons import Conventions, RawSkeleton, SkeletonTable, camera_time_scale, gathered, unit_by_arm
 from .table import FileHead, Format, Table, begins, read_table, table_of
@@ -248,36 +247,12 @@ def _take_time(table: Table, columns: JointColumns, raw: RawSkeleton) -> bool:
     return at is not None
 
 
-def _words(names: Sequence[str]) -> set[str]:
-    return {word for name in names for word in words_of(name)}
-
-
-def _is_azure(names: Sequence[str], _: JointColumns) -> bool:
-    """Whether the header names joints that only this SDK has."""
-    return bool(_words(names) & {"navel", "naval", "clavicle", "k4abt"}) or "WRIST_RIGHT (c)" in names
-
-
-def _is_kinect_v2(names: Sequence[str], _: JointColumns) -> bool:
-    """Whether the header names joints that only this SDK has."""
-    pairs = {pair for name in names for pair in pairwise(words_of(name))}
-    return bool(pairs & {("spine", "base"), ("spine", "shoulder"), ("spine", "mid"), ("hand", "tip")})
-
-
-def _is_mediapipe(names: Sequence[str], columns: JointColumns) -> bool:
-    """Whether the header numbers landmarks, or names some that only BlazePose has."""
-    return columns.numbered or columns.world or bool(_words(names) & {"pinky", "mouth", "visibility"})
-
-
-def _wide_format(
-    key: str,
-    title: str,
-    recognised_by: str,
-    fits: Callable[[Sequence[str], JointColumns], bool],
-    wide: _Wide,
-) -> Format:
+def _wide_format(key: str, title: str, recognised_by: str, program: str, wide: _Wide) -> Format:
     def recognises(head: FileHead) -> bool:
         columns = find_joint_columns(_header_of(head))
-        return columns.has_arm() and fits(_header_of(head), columns)
+        is_numbered = columns.numbered or columns.world
+        found = program_of(_header_of(head)) or ("blazepose" if is_numbered else "")
+        return columns.has_arm() and program in ("", found)
 
     return Format(key, title, "skeleton", recognised_by, recognises, partial(_read_wide, wide=wide))
 
@@ -290,7 +265,7 @@ SKELETON_FORMATS = (
         "azure-kinect",
         "Azure Kinect or Orbbec body tracking, table",
         "columns x, y, z of joints by the SDK's names (SPINE_NAVEL, CLAVICLE_LEFT, WRIST_RIGHT ..)",
-        _is_azure,
+        "azure",
         _Wide(azure_states, AZURE_AXES, guesses=True),
     ),
     # Positions in m, x left, y up, z forward; tracking states 0, 1, 2 or in words where there are any.
@@ -298,7 +273,7 @@ SKELETON_FORMATS = (
         "kinect-v2",
         "Kinect v2 joints, table",
         "columns x, y, z of joints by the SDK's names (SpineBase, SpineShoulder, WristRight ..)",
-        _is_kinect_v2,
+        "kinect",
         _Wide(kinect_states, KINECT_AXES),
     ),
     # BlazePose's 33 landmarks by number or name; world landmarks are metres about the hips.
@@ -306,7 +281,7 @@ SKELETON_FORMATS = (
         "mediapipe",
         "MediaPipe world landmarks, table",
         "columns x, y, z of 33 numbered landmarks, or of landmarks such as right_pinky, mouth_left",
-        _is_mediapipe,
+        "blazepose",
         _Wide(
             share_states,
             lambda raw, columns: landmarks_in_metres(raw, columns.world, columns.normalised),
@@ -317,7 +292,7 @@ SKELETON_FORMATS = (
         "joint-table",
         "table of joints by name (FreeMoCap, Pose2Sim and others)",
         "columns x, y, z of an elbow and a wrist of one side, such as right_wrist_x or RWrist_X",
-        lambda names, columns: True,
+        "",
         _Wide(kinect_states, Conventions()),
     ),
 )
@@ -377,12 +352,6 @@ JOINT_ROWS = Format(
     recognises=lambda head: bool(_joint_columns(_header_of(head))),
     read=_read_joint_rows,
 )
-#: Parts of names, in small letters without signs, that show whose joints they are.
-_TELLTALES = (
-    ("azure", ("navel", "clavicle")),
-    ("kinect", ("spinebase", "spineshoulder", "jointtype")),
-    ("blazepose", ("pinky", "mouth")),
-)
 
 
 def _joints(table: Table, column: int) -> tuple[list[str], str]:
@@ -390,9 +359,7 @@ def _joints(table: Table, column: int) -> tuple[list[str], str]:
     cells = table.texts(column)
     different = set(cells)
     if not all(cell.isdigit() for cell in different):
-        lower = {"".join(c for c in cell.lower() if c.isalnum()) for cell in different}
-        kinds = (kind for kind, parts in _TELLTALES if any(part in cell for cell in lower for part in parts))
-        return cells, next(kinds, "")
+        return cells, program_of(sorted(different))
     last = max(int(cell) for cell in different)
     for order, kind in ((KINECT_V2, "kinect"), (AZURE, "azure"), (BLAZEPOSE, "blazepose")):
         if last == len(order) - 1:

@@ -265,11 +265,6 @@ _MARK = re.compile(
 )
 
 
-def _is_pose_json(head: FileHead) -> bool:
-    """Whether the fields' names are in the first 64 kB."""
-    return head.text.lstrip().startswith(("{", "[")) and bool(_MARK.search(head.text))
-
-
 def _read_pose_json(path: Path) -> list[SkeletonTable]:
     """Frames of landmarks: in a list or by number, landmarks in a list or by name."""
     value = read_json(path, _POSE_EXPECTED)
@@ -307,7 +302,7 @@ POSE_JSON = Format(
     title="MediaPipe or OpenPose landmarks in space, JSON",
     kind="skeleton",
     recognised_by="JSON with pose_world_landmarks, pose_keypoints_3d, or a wrist by name",
-    recognises=_is_pose_json,
+    recognises=lambda head: head.text.lstrip()[:1] in ("{", "[") and bool(_MARK.search(head.text)),
     read=_read_pose_json,
 )
 

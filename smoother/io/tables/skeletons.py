@@ -197,11 +197,6 @@ def without_position(state: NDArray[np.int8], position: FloatArray) -> NDArray[n
     return np.where(np.isfinite(position).all(axis=1), state, np.int8(JointState.NOT_TRACKED)).astype(np.int8)
 
 
-def tracked_where_finite(position: FloatArray) -> NDArray[np.int8]:
-    """States (N,) of a format without states: tracked where there is a position."""
-    return without_position(np.full(len(position), JointState.TRACKED, np.int8), position)
-
-
 #: Rate of a file without times, Hz: that of the cameras' usual mode.
 USUAL_RATE_HZ = 30.0
 
@@ -255,10 +250,10 @@ class RawSkeleton:
         frame, down = self._axes(conventions)
         time, seconds, rate = self._times(conventions)
         self.position = {joint: rows * metres for joint, rows in self.position.items()}
+        count = len(next(iter(self.position.values())))
+        tracked = np.full(count, JointState.TRACKED, np.int8)
         self.state = {
-            joint: without_position(self.state[joint], rows)
-            if joint in self.state
-            else tracked_where_finite(rows)
+            joint: without_position(self.state.get(joint, tracked), rows)
             for joint, rows in self.position.items()
         }
         pattern = SkeletonTable(0, None, {}, {}, frame, down, rate, conventions.relative, unit)

@@ -136,11 +136,8 @@ def decode(raw: bytes) -> str:
         text = raw.decode("cp1252", errors="replace")
     start = text[:4000]
     control = sum(1 for character in start if ord(character) < 32 and character not in "\t\r\n\f")
-    return "" if control > _CONTROL_SHARE * len(start) else plain_minus(text)
-
-
-def plain_minus(text: str) -> str:
-    """Text in which typographic minus signs, and dashes before a number, are the plain minus."""
+    if control > _CONTROL_SHARE * len(start):
+        return ""
     text = text.replace("\u2212", "-")
     return _DASH.sub("-", text) if "\u2012" in text or "\u2013" in text else text
 
@@ -525,7 +522,7 @@ _STAMP = re.compile(
 )
 #: This many lines may be between the names and the rows; cells of them that state no unit.
 _BELOW_NAMES, _NO_UNIT = 3, ("", "-", "--", "n/a", "none", "no_units", "nounits", "unitless")
-_SEP_LINE = re.compile(r'"?sep=.{0,3}', re.IGNORECASE)
+_SEP_LINE = re.compile(r'"?sep=.{0,3}"?', re.IGNORECASE)
 
 
 def is_data(cell: str) -> bool:
@@ -558,10 +555,15 @@ def layout_of(lines: Sequence[str], path: Path = Path()) -> Table | None:
     if first is None:
         return None
     # Rows in which most sensors have no value yet stand between the header and the first full row.
-    while first > 0 and _is_sparse_row(split_line(start[first - 1], separator), width):
+    while first > 0 and len(cells := split_line(start[first - 1], separator)) >= width:
+        data, text = _count(cells)
+        if not data or text:
+            break
         first -= 1
     header, units_line = _header(start, first, separator, width)
-    if header >= 0 and _is_numbering(split_line(start[first], separator)):
+    cells = split_line(start[first], separator)
+    counted = [str(at) for at in range(len(cells) + 1)]
+    if header >= 0 and len(cells) >= 4 and cells in (counted[:-1], counted[1:]):  # it counts the columns
         first = next((at for at in range(first + 1, len(start)) if start[at].strip()), first)
     written = _stripped(split_line(start[header], separator)) if header >= 0 else []
     if written:
@@ -576,10 +578,11 @@ def layout_of(lines: Sequence[str], path: Path = Path()) -> Table | None:
     under = split_line(start[units_line], separator) if units_line >= 0 else []
     under = ["" if cell.lower() in _NO_UNIT else cell for cell in under] + [""] * (width - len(under))
     parts = [split_unit(name) for name in names]
+    above = start[: max(header, 0) if names else first]
     return Table(
         path,
         separator,
-        tuple(line for line in start[: max(header, 0) if names else first] if _is_preamble(line)),
+        tuple(line for line in above if line.strip() and not _SEP_LINE.fullmatch(line.strip())),
         names,
         tuple(below or behind for (_, behind), below in zip(parts, under, strict=False)) or ("",) * width,
         tuple(plain_label(label) for label, _ in parts),
@@ -622,11 +625,6 @@ def _first_row(lines: tuple[str, ...], is_row: Callable[[str], bool]) -> int | N
     return None
 
 
-def _is_sparse_row(cells: list[str], width: int) -> bool:
-    data, text = _count(cells)
-    return data >= 1 and text == 0 and len(cells) >= width
-
-
 def _header(lines: tuple[str, ...], first: int, separator: str, width: int) -> tuple[int, int]:
     """Indices of the header and of the line of units; -1 where there is none."""
     rows = ((at, split_line(lines[at], separator)) for at in range(first - 1, -1, -1))
@@ -649,12 +647,6 @@ def _repeats(cells: list[str]) -> bool:
     return len(filled) >= 4 and 2 * len(set(filled)) <= len(filled)
 
 
-def _is_numbering(cells: list[str]) -> bool:
-    """Whether a line counts the columns."""
-    counted = [str(at) for at in range(len(cells) + 1)]
-    return len(cells) >= 4 and cells in (counted[:-1], counted[1:])
-
-
 def _is_units_line(cells: list[str]) -> bool:
     filled = [cell for cell in cells if cell]
     return bool(filled) and sum(map(is_unit, filled)) > len(filled) / 2
@@ -663,10 +655,6 @@ def _is_units_line(cells: list[str]) -> bool:
 def _is_header(cells: list[str], width: int) -> bool:
     data, text = _count(cells)
     return text >= 2 and text > 4 * data and len(cells) >= width / 2 and not _SEP_LINE.fullmatch(cells[0])
-
-
-def _is_preamble(line: str) -> bool:
-    return bool(line.strip()) and not _SEP_LINE.fullmatch(line.strip().strip('"'))
 
 
 def _stripped(cells: list[str], least: int = 0) -> list[str]:
@@ -794,7 +782,9 @@ def _workbook_text(path: Path, rows: int | None, mtime_ns: int, size: int) -> st
                 raise RecordingError(f"{path} is a workbook without a sheet of cells; save it as CSV.")
             for sheet in sheets:
                 sheet.reset_dimensions()  # some programs state the wrong ones
-            sheet = max(sheets, key=_count_numbers)
+            heads = [islice(sheet.iter_rows(values_only=True), _LOOKED_AT) for sheet in sheets]
+            numbers = [sum(isinstance(v, int | float) for row in rows for v in row) for rows in heads]
+            sheet = sheets[numbers.index(max(numbers))]
             lines = (_line(path, row) for row in islice(sheet.iter_rows(values_only=True), rows))
             return "\n".join(lines) + "\n"
         finally:
@@ -829,12 +819,6 @@ def _check_size(path: Path, packed: int) -> None:
             f"{path} is a workbook of {total / 1e6:,.0f} MB unpacked (from {packed / 1e6:,.1f} MB), which is"
             " more than is read; save the sheet with the measurements as CSV."
         )
-
-
-def _count_numbers(sheet: Any) -> int:
-    """How many numbers the first rows of a sheet contain."""
-    rows = islice(sheet.iter_rows(values_only=True), _LOOKED_AT)
-    return sum(isinstance(value, int | float) for row in rows for value in row)
 
 
 def _line(path: Path, row: tuple[Any, ...]) -> str:

@@ -20,7 +20,7 @@ from .imu import (
     unit_of,
     with_halves_joined,
 )
-from .joints import find_joint_columns, words_of
+from .joints import find_joint_columns, program_of
 from .skeleton_formats import kinect_states, states_of
 from .skeletons import Conventions, RawSkeleton, SkeletonTable
 from .table import Format, begins, shown
@@ -166,12 +166,8 @@ def _xdf_skeletons(stream: _Stream, path: Path) -> list[SkeletonTable]:
     if raw.body is not None and not np.isfinite(raw.body).any():
         raw.body = None
     raw.notes.append(f"Joints are of the stream {stream.name} ({stream.kind}).")
-    words = {word for label in stream.labels for word in words_of(label)}
-    frame = (
-        CameraFrame.OPTICAL if words & {"navel", "clavicle"}
-        else CameraFrame.KINECT if "spine" in words and words & {"base", "mid"}
-        else None
-    )  # fmt: skip
+    frames = {"azure": CameraFrame.OPTICAL, "kinect": CameraFrame.KINECT}
+    frame = frames.get(program_of(stream.labels))
     stated = stream.units[next(iter(columns.axes.values()))[0]].strip().lower()
     unit = {1.0: "m", 0.01: "cm", 0.001: "mm"}.get(METRES.get(stated, 0.0), "")
     return raw.skeletons(Conventions(unit, frame))
