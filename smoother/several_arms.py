@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import os
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from functools import partial
 
 from .calibration import ArmCalibration
 from .config import Config
@@ -16,17 +17,8 @@ from .result.draws import USUAL_DRAWS
 from .runtime.pool import WORTH_FRAMES, Pool, Progress
 from .smoothing import smooth
 
-
-@dataclass(frozen=True)
-class ArmJob:
-    """An arm to recover."""
-
-    recording: Recording
-    calibration: ArmCalibration | None
-    config: Config
-    clock: Clock | None
-    draws: int = 0  # As `smooth` takes them
-    seed: int = 0  # As `smooth` takes them
+#: An arm, and what was given of it.
+Arm = tuple[Recording, ArmCalibration | None, Clock | None]
 
 
 def smooth_arms(
@@ -73,61 +65,35 @@ def smooth_arms(
         raise RecordingError("there is no arm to recover: give at least one recording")
     config = config or Config()
     none = [None] * len(recordings)
-    given = zip(recordings, calibrations or none, clocks or none, strict=True)
-    jobs = [
-        ArmJob(recording, calibration, config, clock, draws, seed) for recording, calibration, clock in given
-    ]
+    arms: list[Arm] = list(zip(recordings, calibrations or none, clocks or none, strict=True))
     count = config.windows.processes if processes is None else processes
-    beside = min(count or os.cpu_count() or 1, len(jobs))
+    beside = min(count or os.cpu_count() or 1, len(arms))
+    report = progress or (lambda fraction, text: None)
+    recovered = partial(_recovered, config=config, draws=draws, seed=seed)
+    answers: list[Recovery | UnoccludeError] = []
     if beside > 1 and max(len(recording.arm) for recording in recordings) <= WORTH_FRAMES:
-        answers = _side_by_side(jobs, beside, progress)
+        # one arm per process: none has enough frames to keep several busy
+        with Pool(beside, sum(len(recording.arm) for recording in recordings)) as workers:
+            for answer in workers.map(partial(recovered, processes=1), arms):
+                answers.append(answer)
+                report(len(answers) / len(arms), "recovering")
     else:
-        answers = _in_turn(jobs, count, progress)
+        for arm in arms:
+
+            def share(done: float, word: str, number: int = len(answers)) -> None:
+                report((number + done) / len(arms), word)
+
+            answers.append(recovered(arm, processes=count, progress=share))
     return together(recordings, answers)
 
 
-def _side_by_side(
-    jobs: Sequence[ArmJob], processes: int, progress: Progress | None
-) -> list[Recovery | UnoccludeError]:
-    """One arm per process: none has enough frames to keep several busy."""
-    answers = []
-    with Pool(processes, sum(len(job.recording.arm) for job in jobs)) as workers:
-        for number, answer in enumerate(workers.map(recover_arm, jobs), start=1):
-            answers.append(answer)
-            if progress is not None:
-                progress(number / len(jobs), "recovering")
-    return answers
-
-
-def _in_turn(
-    jobs: Sequence[ArmJob], processes: int, progress: Progress | None
-) -> list[Recovery | UnoccludeError]:
-    answers = []
-    for number, job in enumerate(jobs):
-
-        def share(done: float, word: str, number: int = number) -> None:
-            if progress is not None:
-                progress((number + done) / len(jobs), word)
-
-        answers.append(recover_arm(job, share, processes))
-    return answers
-
-
-def recover_arm(
-    job: ArmJob, progress: Progress | None = None, processes: int = 1
+def _recovered(
+    arm: Arm, config: Config, draws: int, seed: int, processes: int, progress: Progress | None = None
 ) -> Recovery | UnoccludeError:
     """The recovery of an arm, or why there is none."""
+    recording, calibration, clock = arm
     try:
-        return smooth(
-            job.recording,
-            job.calibration,
-            job.config,
-            progress,
-            processes,
-            job.clock,
-            job.draws,
-            job.seed,
-        )
+        return smooth(recording, calibration, config, progress, processes, clock, draws, seed)
     except UnoccludeError as error:
         return error
 
