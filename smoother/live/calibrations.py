@@ -24,12 +24,10 @@ from ..measurements.visibility import joints_needed
 from ..recording import CameraFrame, Recording
 from ..runtime.pool import (
     Pool,
-    blank_main,
     end_if_one_died,
     end_workers,
-    interrupts_wait,
-    one_thread_each,
     prepare_worker,
+    starting_processes,
 )
 from ..selfcal.excerpts import informative_excerpts
 from ..selfcal.further_imu import calibrate_further_imus, without_joints_of
@@ -160,7 +158,7 @@ class BackgroundCalibrator(InlineCalibrator):
     def submit(self, job: CalibrationJob) -> None:
         """As of `InlineCalibrator`."""
         # spawn: GTSAM's threads do not survive a fork, and macOS and Windows have no other way
-        with blank_main(), one_thread_each(), interrupts_wait(), suppress(BrokenProcessPool):
+        with starting_processes(), suppress(BrokenProcessPool):
             if self._executor is None:
                 context = multiprocessing.get_context("spawn")
                 self._executor = ProcessPoolExecutor(1, mp_context=context, initializer=_prepare)

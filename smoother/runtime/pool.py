@@ -76,23 +76,6 @@ def end_with_parent() -> None:
             os._exit(1)
 
 
-@contextmanager
-def interrupts_wait() -> Iterator[None]:
-    """Hold SIGINT and SIGHUP back for a moment, and in threads and processes that start meanwhile."""
-    if not hasattr(signal, "pthread_sigmask"):  # Windows
-        yield
-        return
-    held = {signal.SIGINT, signal.SIGHUP}
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, held)
-    try:
-        # it lets Ctrl-C through again as it starts; the end of a terminal would end it before its users
-        resource_tracker.ensure_running()
-        signal.pthread_sigmask(signal.SIG_BLOCK, held)
-        yield
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
-
-
 #: With fewer frames than this in all, starting processes costs more than it saves.
 WORTH_FRAMES = 4000
 #: How often a worker that died in the middle of an answer is looked for, s.
@@ -102,27 +85,27 @@ THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
 
 @contextmanager
-def blank_main() -> Iterator[None]:
-    """Keep new workers from running the caller's script again, whether or not it guards its main part."""
-    main = sys.modules["__main__"]
-    sys.modules["__main__"] = ModuleType("__main__")
+def starting_processes() -> Iterator[None]:
+    """Keep the caller's script, Ctrl-C and further threads from processes that start meanwhile."""
+    main, missing = sys.modules["__main__"], [name for name in THREADS if name not in os.environ]
+    has_masks = hasattr(signal, "pthread_sigmask")  # Windows has none
+    held = {signal.SIGINT, signal.SIGHUP} if has_masks else set()
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, held) if has_masks else set()
     try:
+        if has_masks:
+            # it lets Ctrl-C through again as it starts; the end of a terminal would end it before its users
+            resource_tracker.ensure_running()
+            signal.pthread_sigmask(signal.SIG_BLOCK, held)
+        # a script is not run again, whether or not it guards its main part
+        sys.modules["__main__"] = ModuleType("__main__")
+        os.environ.update(dict.fromkeys(missing, "1"))
         yield
     finally:
+        for name in missing:
+            os.environ.pop(name, None)
         sys.modules["__main__"] = main
-
-
-@contextmanager
-def one_thread_each() -> Iterator[None]:
-    """Keep the libraries of processes that start meanwhile from starting threads of their own."""
-    before = {name: os.environ.get(name) for name in THREADS}
-    os.environ.update({name: "1" for name, value in before.items() if value is None})
-    try:
-        yield
-    finally:
-        for name, value in before.items():
-            if value is None:
-                os.environ.pop(name, None)
+        if has_masks:
+            signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 def _start_method() -> Literal["fork", "spawn"]:
@@ -183,7 +166,7 @@ class Pool:
     def _started(self) -> ProcessPoolExecutor:
         """Workers that load their libraries, where they have to, while the caller prepares."""
         context = multiprocessing.get_context(_start_method())
-        with blank_main(), one_thread_each(), interrupts_wait(), suppress(BrokenProcessPool):
+        with starting_processes(), suppress(BrokenProcessPool):
             executor = ProcessPoolExecutor(self._count, mp_context=context, initializer=prepare_worker)
             for _ in range(self._count):
                 executor.submit(_wake)
@@ -193,7 +176,7 @@ class Pool:
         """The future of a job; None where a worker has died meanwhile."""
         assert self._executor is not None
         try:
-            with blank_main(), one_thread_each(), interrupts_wait():
+            with starting_processes():
                 return self._executor.submit(job, item)
         except BrokenProcessPool:
             return None

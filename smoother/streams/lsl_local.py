@@ -19,7 +19,7 @@ from queue import Full
 from ..errors import UnoccludeError
 from ..live.answers import LiveOutput
 from ..measurements.visibility import Gap
-from ..runtime.pool import blank_main, interrupts_wait, one_thread_each, prepare_worker
+from ..runtime.pool import prepare_worker, starting_processes
 from .arrivals import FrameRows, SourceInfo
 from .lsl import LslOutlet, lsl_module, user_settings
 
@@ -43,7 +43,7 @@ class LocalLslOutlet:
         ready = context.Event()
         arguments = (name, info, self._waiting, ready)
         self._process = context.Process(target=_send, args=arguments, name="lsl-out", daemon=True)
-        with blank_main(), one_thread_each(), interrupts_wait():
+        with starting_processes():
             self._process.start()
         for _ in range(round(10 * _BEGINS_S)):
             if ready.wait(0.1) or not self._process.is_alive():

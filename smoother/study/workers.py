@@ -16,7 +16,7 @@ from multiprocessing.connection import Connection
 from typing import TYPE_CHECKING, Any
 
 from ..errors import UnoccludeError, debugging
-from ..runtime.pool import blank_main, check_allowance, interrupts_wait, prepare_worker
+from ..runtime.pool import check_allowance, prepare_worker, starting_processes
 from .folder import Row
 from .job import Job, run_job
 
@@ -75,7 +75,7 @@ def run_apart(job: Job) -> Row | None:
 def _start() -> tuple[SpawnProcess, Connection]:
     """A process that does jobs, and the pipe to it."""
     context = multiprocessing.get_context("spawn")
-    with _starting, blank_main(), interrupts_wait():
+    with _starting, starting_processes():
         pipe, theirs = context.Pipe()
         process = context.Process(target=do_jobs, args=(theirs,), daemon=True)
         process.start()
