@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import re
 from collections.abc import Mapping, Sequence
@@ -484,15 +483,14 @@ def toml_of(path: Path, guess: Guess, name: str) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _toml_value(value: object) -> str:
+def _toml_value(value: Any) -> str:
+    import tomlkit
+
     if isinstance(value, dict):
-        pairs = (f"{_toml_value(str(key))} = {_toml_value(one)}" for key, one in value.items())
-        return "{ " + ", ".join(pairs) + " }"
-    if isinstance(value, list):
-        return "[" + ", ".join(_toml_value(one) for one in value) + "]"
-    if isinstance(value, str):  # JSON lets one control character stand that TOML does not
-        return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
-    return f"{value:g}"
+        pairs = tomlkit.inline_table()
+        pairs.update(value)
+        return pairs.as_string()
+    return tomlkit.item(value).as_string()
 
 
 def guess_of(table: Table) -> Guess:
@@ -689,7 +687,9 @@ def _guess_times(table: Table, guess: Guess, used: set[int]) -> tuple[FloatArray
             return _set_time(table, guess, found, unit, why), None
     except RecordingError as error:
         guess.unsure.append(str(error))
-    rate = stated_rate(table)
+    lines = (line for line in table.preamble if re.search(r"rate|freq|hz", line, re.IGNORECASE))
+    rates = (float(number[1]) for line in lines if (number := re.search(r"(\d+(?:\.\d+)?)", line)))
+    rate = next((each for each in rates if SENSOR_RATES[0] <= each <= SENSOR_RATES[1]), None)
     for at in counted:
         if table.is_numeric(at) and np.median(np.diff(table.numbers(at))) >= 1:
             guess.columns["t"] = named(table, at)
@@ -738,13 +738,6 @@ def _time_unit(table: Table, column: int, least: float) -> tuple[str, str]:
         return unit or stated, f"stated ({table.unit(column) or stated})"
     typical = float(np.median(step))
     return unit, unit and f"steps of {typical:g} make {1 / (typical * SECONDS[unit]):.1f} samples per second"
-
-
-def stated_rate(table: Table) -> float | None:
-    """A rate in Hz that the lines above the table state."""
-    lines = (line for line in table.preamble if re.search(r"rate|freq|hz", line, re.IGNORECASE))
-    rates = (float(number[1]) for line in lines if (number := re.search(r"(\d+(?:\.\d+)?)", line)))
-    return next((rate for rate in rates if SENSOR_RATES[0] <= rate <= SENSOR_RATES[1]), None)
 
 
 def guess_skeleton(table: Table, joints: JointColumns) -> Guess:

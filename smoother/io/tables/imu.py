@@ -234,13 +234,6 @@ def gravity_unit(size: float, low: float = 0.7, high: float = 1.4) -> str:
     return next((unit for unit, one in sizes.items() if low < size / one < high), "")
 
 
-def acceleration_unit(values: FloatArray) -> str:
-    """Unit of an accelerometer (n, 3) that states none, by gravity in it; "" where it shows none."""
-    size = usual_size(values)
-    in_si = _NO_GRAVITY < size / STANDARD_GRAVITY < _MOST_GRAVITY
-    return gravity_unit(size) or ("m/s^2" if in_si else "")
-
-
 def unit_of(
     kind: str,
     values: FloatArray,
@@ -260,7 +253,9 @@ def unit_of(
     if usual:
         return usual, "that of this device"
     if kind == "acc":
-        return acceleration_unit(values), f"it reads {usual_size(values):.3g} as a rule"
+        size = usual_size(values)
+        in_si = _NO_GRAVITY < size / STANDARD_GRAVITY < _MOST_GRAVITY
+        return gravity_unit(size) or ("m/s^2" if in_si else ""), f"it reads {size:.3g} as a rule"
     return turning_unit(values, force, t_s, rate)
 
 

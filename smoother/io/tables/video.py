@@ -34,8 +34,6 @@ _MARKS = ((4, b"ftyp"), (0, b"\x1aE\xdf\xa3"), (8, b"AVI "))
 _PASSES_BY_S = 1.0
 #: A trunk that is this much longer across the picture than along it is horizontal.
 _ACROSS = 1.5
-#: A person that moves by more than this part of the picture's width from one picture to the next is another.
-_JUMP = 0.25
 
 
 def is_video(raw: bytes) -> bool:
@@ -124,13 +122,6 @@ def _about(video: Video, poses: list[list[Pose]], numbers: list[list[int]], seen
         notes.append(
             f"{len(seen)} people are in the video; the motion shows who wears the IMU, or choose --body 0 to"
             f" {len(seen) - 1} (0 was seen most often)."
-        )
-    trunk = np.array([pose.trunk for pose in mine])
-    jumps = int((np.abs(np.diff(trunk, axis=0)).max(axis=1, initial=0.0) > _JUMP * video.width).sum())
-    if jumps and len(seen) == 1:
-        notes.append(
-            f"The person found jumps across the picture {jumps} times: another one may have been taken for"
-            " him or her; cut the video, or cover the other person."
         )
     return notes + _lies(mine)
 
