@@ -93,9 +93,13 @@ def advice(recovery: Recovery, estimates: ArmEstimates | None) -> list[str]:
     """What to do better next time, one sentence each, what helps most first."""
     if recovery.estimates.trusted is False:
         return _set_up(recovery)
-    rows = rejected(recovery)
-    sentences = [
-        *_what_was_wrong(recovery),
+    rows, sentences = rejected(recovery), list[str]()
+    reasons = list(dict.fromkeys(why for each in recovery.estimates.untrusted for why in each.reasons))
+    if reasons:
+        more = f"; and {len(reasons) - _MOST_REASONS} more" if len(reasons) > _MOST_REASONS else ""
+        named = "; ".join(reasons[:_MOST_REASONS])
+        sentences.append(f"Avoid the causes of the parts that are not to be trusted: {named}{more}.")
+    sentences += [
         *_motion(estimates),
         *_gaps([each for each in gap_summaries(recovery) if each.trusted is not False]),
         *_clock(estimates),
@@ -115,15 +119,6 @@ def _set_up(recovery: Recovery) -> list[str]:
     if named := [remedy for remedy in estimates.remedies if remedy not in what]:
         sentences.append(f"Run `unocclude smooth` again with {' or '.join(named)}.")
     return sentences
-
-
-def _what_was_wrong(recovery: Recovery) -> Iterator[str]:
-    """Why some times are not to be trusted, to be avoided next time."""
-    reasons = list(dict.fromkeys(why for each in recovery.estimates.untrusted for why in each.reasons))
-    if reasons:
-        more = f"; and {len(reasons) - _MOST_REASONS} more" if len(reasons) > _MOST_REASONS else ""
-        named = "; ".join(reasons[:_MOST_REASONS])
-        yield f"Avoid the causes of the parts that are not to be trusted: {named}{more}."
 
 
 def _motion(estimates: ArmEstimates | None) -> Iterator[str]:

@@ -219,12 +219,16 @@ class RealGaps:
 def compare_real_gaps(recordings: Sequence[Recording], table: GapTable, method: str = "graph") -> RealGaps:
     """Movement in real gaps against hidden ones, over some recordings."""
     by_name = {recording.name: recording for recording in recordings}
-    real = [
-        movement
-        for recording in recordings
-        for start_s, end_s in _real_gaps(recording)
-        if (movement := _movement(recording, start_s, end_s)) is not None
-    ]
+    real = []
+    for recording in recordings:
+        arm, imu = recording.arm, recording.imu
+        if not len(arm) or not len(imu):
+            continue
+        ends = float(max(arm.t_s[0], imu.t_s[0])), float(min(arm.t_s[-1], imu.t_s[-1]))
+        for gap in find_gaps(arm.t_s, visible_frames(arm, accepted_samples(arm)), *ends):
+            movement = _movement(recording, gap.start_s, gap.end_s)
+            if not (gap.open_start or gap.open_end or gap.length_s < SHORTEST_S or movement is None):
+                real.append(movement)
     rows = [row for row in table.rows if not row.failure]
     hidden = [
         (row, movement)
@@ -239,17 +243,6 @@ def compare_real_gaps(recordings: Sequence[Recording], table: GapTable, method: 
     power = _growth([row for row, _ in hidden], moved[:, 0])
     error = None if power is None else max(turning, 1e-6) ** power
     return RealGaps(len(real), turning, acceleration, error)
-
-
-def _real_gaps(recording: Recording) -> list[tuple[float, float]]:
-    """Start and end of the gaps with the arm seen on both sides, on the camera's clock, s."""
-    arm, imu = recording.arm, recording.imu
-    if not len(arm) or not len(imu):
-        return []
-    start_s, end_s = max(arm.t_s[0], imu.t_s[0]), min(arm.t_s[-1], imu.t_s[-1])
-    gaps = find_gaps(arm.t_s, visible_frames(arm, accepted_samples(arm)), float(start_s), float(end_s))
-    closed = [gap for gap in gaps if not gap.open_start and not gap.open_end]
-    return [(gap.start_s, gap.end_s) for gap in closed if gap.length_s >= SHORTEST_S]
 
 
 def _movement(recording: Recording, start_s: float, end_s: float) -> tuple[float, float] | None:

@@ -59,6 +59,8 @@ def write_long(rows: Sequence[Mapping[str, Any]], path: Path) -> None:
 
 def group_measures(rows: Sequence[Mapping[str, Any]]) -> list[GroupMeasure]:
     """The main measures over the persons, without what is not to be trusted."""
+    from scipy.stats import t
+
     values: dict[tuple[str, str, str], dict[str, dict[int, float]]] = {}
     about: dict[str, tuple[str, str]] = {}
     for row in rows:
@@ -69,30 +71,21 @@ def group_measures(rows: Sequence[Mapping[str, Any]]) -> list[GroupMeasure]:
         persons.setdefault(row["person"], {})[row["session_number"]] = float(row["value"])
     keys = first_of(list(about), MOST_MEASURES)
     chosen = sorted((key for key in values if key[2] in keys), key=lambda key: (*key[:2], keys.index(key[2])))
-    return [_of_group(key, about[key[2]], values[key]) for key in chosen]
-
-
-def _of_group(
-    key: tuple[str, str, str], about: tuple[str, str], persons: Mapping[str, Mapping[int, float]]
-) -> GroupMeasure:
-    from scipy.stats import t
-
-    first = [each[min(each)] for each in persons.values()]
-    several = [each for each in persons.values() if len(each) > 1]
-    last = [each[max(each)] for each in several]
-    changes = [each[max(each)] - each[min(each)] for each in several]
-    spread = _spread(changes)
-    half = math.nan
-    if spread.count > 1:
-        half = float(t.ppf(0.975, spread.count - 1)) * spread.sd / math.sqrt(spread.count)
-    low, high = spread.mean - half, spread.mean + half
-    return GroupMeasure(*key, *about, _spread(first), _spread(last), spread.mean, low, high)
+    found = []
+    for key in chosen:
+        sessions = [[each[number] for number in sorted(each)] for each in values[key].values()]
+        several = [each for each in sessions if len(each) > 1]
+        change = _spread([each[-1] - each[0] for each in several])
+        half = math.nan
+        if change.count > 1:
+            half = float(t.ppf(0.975, change.count - 1)) * change.sd / math.sqrt(change.count)
+        first, last = _spread([each[0] for each in sessions]), _spread([each[-1] for each in several])
+        ends = (change.mean - half, change.mean + half)
+        found.append(GroupMeasure(*key, *about[key[2]], first, last, change.mean, *ends))
+    return found
 
 
 def _spread(values: Sequence[float]) -> Spread:
     count = len(values)
-    return Spread(
-        count,
-        float(np.mean(values)) if count else math.nan,
-        float(np.std(values, ddof=1)) if count > 1 else math.nan,
-    )
+    mean = float(np.mean(values)) if count else math.nan
+    return Spread(count, mean, float(np.std(values, ddof=1)) if count > 1 else math.nan)

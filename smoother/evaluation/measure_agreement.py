@@ -168,7 +168,15 @@ class MeasureComparison:
         for pair in self.together:
             groups.setdefault((pair.scope, pair.key), []).append(pair)
         order = {"session": 0, "movement": 1, "repetition": 2}
-        return tuple(_agreement(groups[each]) for each in sorted(groups, key=lambda each: order[each[0]]))
+        found = []
+        for scope, key in sorted(groups, key=lambda each: order[each[0]]):
+            pairs = groups[scope, key]
+            inside = [pair.inside for pair in pairs if pair.inside is not None]
+            values = np.array([(pair.value, pair.reference) for pair in pairs])
+            recordings = len({(pair.recording, pair.side) for pair in pairs})
+            about = (scope, key, pairs[0].name, pairs[0].unit, recordings, sum(inside), len(inside))
+            found.append(KeyAgreement(*about, pair_agreement(*values.T)))
+        return tuple(found)
 
     def to_dict(self) -> dict[str, Any]:
         """Plain values by name, as `--json` writes them; another `validate` may pool them."""
@@ -221,18 +229,6 @@ def _notes(
             " detectable change are too narrow."
         )
     return notes
-
-
-def _agreement(pairs: Sequence[MeasurePair]) -> KeyAgreement:
-    first = pairs[0]
-    inside = [pair.inside for pair in pairs if pair.inside is not None]
-    return KeyAgreement(
-        *(first.scope, first.key, first.name, first.unit),
-        recordings=len({(pair.recording, pair.side) for pair in pairs}),
-        inside=sum(inside),
-        intervals=len(inside),
-        agreement=pair_agreement(*np.array([(pair.value, pair.reference) for pair in pairs]).T),
-    )
 
 
 def pair_table(title: str, comparison: MeasureComparison, keys: Collection[str] | None = None) -> Table:

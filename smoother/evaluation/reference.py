@@ -123,7 +123,13 @@ def align_reference(
 ) -> tuple[Truth, ReferenceAlignment]:
     """A motion capture as a truth: its clock, its frame, the plate on the IMU."""
     clock = align_clock(recovery, motion)
-    notes = [*motion.notes, _clock_words(clock), *clock.notes]
+    notes = [
+        *motion.notes,
+        f"The truth's clock was aligned by {clock.by} (correlation {clock.correlation:.3f}): t_imu = t_truth"
+        f" {clock.offset_s:+.4f} s, sigma {1000 * clock.sigma_s:.2f} ms, skew {1e6 * clock.skew:.0f} +-"
+        f" {1e6 * clock.skew_sigma:.0f} ppm. What the answer's own clock is off against the IMU is not seen.",
+        *clock.notes,
+    ]
     if clock.R_A_P is not None:
         motion = replace(motion, R_A_P=clock.R_A_P)
         notes.append(
@@ -133,7 +139,12 @@ def align_reference(
     kind: Literal["calibration", "solved"] = "solved" if frame is None else "calibration"
     if frame is None:
         frame = solve_frame(recovery, motion, clock)
-        notes.append(_frame_words(frame))
+        notes.append(
+            f"No calibration was given: the truth's frame was solved from {frame.by} (sigma"
+            f" {frame.rotation_sigma_deg:.2f} degrees, {1000 * frame.translation_sigma_m:.1f} mm at the arm,"
+            f" rms {1000 * frame.residual_m:.1f} mm). Constant errors of the camera are not seen; errors here"
+            " are smaller than against an independent frame."
+        )
     else:
         notes.append(f"The camera-to-mocap transform is {frame.by}.")
         away = far_off_m(recovery, motion, clock, frame)
@@ -147,23 +158,18 @@ def align_reference(
         away_m = float(np.linalg.norm(p_A_P))
         solved = CENTRED_M <= away_m <= LARGEST_PLATE_M
         motion = replace(motion, p_A_P=p_A_P if solved else np.zeros(3))
-        notes.append(_place_words(away_m, solved))
-    truth, landmarks = _aligned(motion, clock, frame, recovery)
-    return truth, ReferenceAlignment(kind, clock, frame, landmarks, tuple(notes))
-
-
-def _place_words(away_m: float, solved: bool) -> str:
-    if solved:
-        return (
+        why = "within its own error" if away_m < CENTRED_M else "farther than a plate reaches"
+        how = (
             "The IMU's place on the plate was solved from the answer while the camera saw the arm"
             f" ({1000 * away_m:.0f} mm from its mean): a constant error of the answer's place in the IMU's"
-            " axes is not seen. State it in the map, [imu_plate]."
+            " axes is not seen."
+            if solved
+            else "The mean of the plate's markers is taken as the IMU's position: the visible answer has the"
+            f" IMU {1000 * away_m:.1f} mm from there, {why}."
         )
-    why = "within its own error" if away_m < CENTRED_M else "farther than a plate reaches"
-    return (
-        "The mean of the plate's markers is taken as the IMU's position: the visible answer has the IMU"
-        f" {1000 * away_m:.1f} mm from there, {why}. State it in the map, [imu_plate]."
-    )
+        notes.append(f"{how} State it in the map, [imu_plate].")
+    truth, landmarks = _aligned(motion, clock, frame, recovery)
+    return truth, ReferenceAlignment(kind, clock, frame, landmarks, tuple(notes))
 
 
 def _aligned(
@@ -193,20 +199,3 @@ def likely_frame(recovery: Recovery) -> CameraFrame | None:
     if not np.isfinite(down).all() or abs(down[1]) < 0.7:
         return None
     return CameraFrame.OPTICAL if down[1] > 0 else CameraFrame.KINECT
-
-
-def _clock_words(clock: MocapClock) -> str:
-    return (
-        f"The truth's clock was aligned by {clock.by} (correlation {clock.correlation:.3f}): t_imu = t_truth"
-        f" {clock.offset_s:+.4f} s, sigma {1000 * clock.sigma_s:.2f} ms, skew {1e6 * clock.skew:.0f} +-"
-        f" {1e6 * clock.skew_sigma:.0f} ppm. What the answer's own clock is off against the IMU is not seen."
-    )
-
-
-def _frame_words(frame: CameraFromMocap) -> str:
-    return (
-        f"No calibration was given: the truth's frame was solved from {frame.by} (sigma"
-        f" {frame.rotation_sigma_deg:.2f} degrees, {1000 * frame.translation_sigma_m:.1f} mm at the arm, rms"
-        f" {1000 * frame.residual_m:.1f} mm). Constant errors of the camera are not seen; errors here are"
-        " smaller than against an independent frame."
-    )

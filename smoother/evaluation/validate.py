@@ -305,6 +305,13 @@ def validated(
         *_notes(errors, figures["all"]),
         *(angles.notes if angles else ()),
     )
+    # of the IMU's position, or of the wrist where the truth has no IMU
+    shared = [joint for joint in ("wrist", "hand", "elbow") if joint in errors.joint_difference_m]
+    answer, position = recovery.position, truth.position
+    if not errors.scored.any() and shared:
+        answer, position = recovery.joints[shared[0]], truth.joints[shared[0]]
+    known = np.where(truth.score[:, None], position, np.nan)
+    lag = lag_s(recovery.t_s, answer, known, truth.t_s) if errors.scored.any() or shared else None
     validation = Validation(
         figures["all"],
         figures["occluded"],
@@ -314,7 +321,7 @@ def validated(
         gaps=tuple(_gaps(recovery, errors)),
         angles=angles,
         angle_figures={name: angles.figures(chosen) for name, chosen in parts.items()} if angles else {},
-        lag_s=_lag(recovery, truth, errors),
+        lag_s=lag,
         alignment=alignment,
     )
     return validation, errors
@@ -355,17 +362,6 @@ def _gaps(recovery: Recovery, errors: SampleErrors) -> list[tuple[Gap, Figures]]
         if figures.samples or any(value is not None for value in figures.joint_rms_m.values()):
             rows.append((gap, figures))
     return rows
-
-
-def _lag(recovery: Recovery, truth: Truth, errors: SampleErrors) -> float | None:
-    """Lag of the IMU's position, or of the wrist where the truth has no IMU."""
-    answer, position = recovery.position, truth.position
-    if not errors.scored.any():
-        shared = [joint for joint in ("wrist", "hand", "elbow") if joint in errors.joint_difference_m]
-        if not shared:
-            return None
-        answer, position = recovery.joints[shared[0]], truth.joints[shared[0]]
-    return lag_s(recovery.t_s, answer, np.where(truth.score[:, None], position, np.nan), truth.t_s)
 
 
 def _refuse_without_overlap(recovery: Recovery, truth: Truth, errors: SampleErrors) -> None:

@@ -183,15 +183,19 @@ def zone_figures_of(motion: Motion, rows: slice, settings: Reach) -> dict[str, F
     """Whether the hand reached mouth, head and back, and how near it came; the elbow's distance."""
     figures = {f"{key}_{what}": UNKNOWN for key in ZONE_KEYS for what in ("reached", "distance_m")}
     figures |= {f"elbow_trunk_distance_{what}_m": UNKNOWN for what in ("max", "mean")}
-    stature = stature_of(motion)
-    if not np.isfinite(stature) or motion.R_K_T is None:
+    lengths = bone_lengths(motion)
+    if not {"upper_arm", "forearm"} <= lengths.keys() or motion.R_K_T is None:
+        return figures
+    stature = (lengths["upper_arm"] + lengths["forearm"]) / (UPPER_ARM + FOREARM)
+    if not np.isfinite(stature):
         return figures
     shoulder, elbow = motion.joints["shoulder"], motion.joints["elbow"]
     hand_T, elbow_T = motion.in_trunk(motion.hand - shoulder), motion.in_trunk(elbow - shoulder)
     assert hand_T is not None and elbow_T is not None
     hand_T, elbow_T, occluded = hand_T[rows], elbow_T[rows], motion.occluded[rows]
+    mouth = stature * np.array([MOUTH_AHEAD, MOUTH_UP, -HALF_BREADTH])
     distances = {
-        "hand_to_mouth": mouth_distance(hand_T, stature) - settings.mouth_m,
+        "hand_to_mouth": np.linalg.norm(hand_T - mouth, axis=1) - settings.mouth_m,
         "hand_to_head": head_distance(hand_T, stature) - settings.head_m,
         "hand_behind_back": back_distance(hand_T, stature, settings.behind_m),
     }
@@ -207,14 +211,6 @@ def zone_figures_of(motion: Motion, rows: slice, settings: Reach) -> dict[str, F
     return figures
 
 
-def stature_of(motion: Motion) -> float:
-    """The person's height by the lengths of upper arm and forearm, m; nan where they are not known."""
-    lengths = bone_lengths(motion)
-    if not {"upper_arm", "forearm"} <= lengths.keys():
-        return float("nan")
-    return (lengths["upper_arm"] + lengths["forearm"]) / (UPPER_ARM + FOREARM)
-
-
 def bone_lengths(motion: Motion) -> dict[str, float]:
     """Median lengths of upper arm, forearm and from wrist to hand, m; what is not known is left out."""
     ends = {"upper_arm": ("shoulder", "elbow"), "forearm": ("elbow", "wrist"), "hand": ("wrist", "hand")}
@@ -223,12 +219,6 @@ def bone_lengths(motion: Motion) -> dict[str, float]:
         for bone, (a, b) in ends.items()
         if a in motion.joints and b in motion.joints
     }
-
-
-def mouth_distance(hand_T: FloatArray, stature: float) -> FloatArray:
-    """From the hand (n, 3) to the mouth, m; places from the shoulder in the thorax's axes."""
-    mouth = stature * np.array([MOUTH_AHEAD, MOUTH_UP, -HALF_BREADTH])
-    return np.asarray(np.linalg.norm(hand_T - mouth, axis=1))
 
 
 def head_distance(hand_T: FloatArray, stature: float) -> FloatArray:

@@ -59,7 +59,10 @@ class Layout:
         """As an answer's motion has it."""
         places = find_movements(motion.speed, motion.grid, settings.movements)
         repetitions = find_repetitions(motion, settings.repetitions)
-        t = motion.grid.t_s
+        t, voxel_m, hand = motion.grid.t_s, settings.reach.voxel_m, _from_shoulder(motion)
+        hand = hand[np.isfinite(hand).all(axis=1)]
+        while len(hand) > MOST_PLACES and len(voxel_means(hand, voxel_m)) > MOST_PLACES:
+            voxel_m *= 1.25
         rounds = [np.searchsorted(t, [each.start_s, each.end_s]).tolist() for each in repetitions]
         return cls(
             settings,
@@ -69,7 +72,7 @@ class Layout:
             repetitions,
             {name: np.isfinite(angle) for name, angle in motion.angles.items()},
             {name: centre_of(angle) for name, angle in motion.angles.items()},
-            _voxel(motion, settings.reach.voxel_m),
+            voxel_m,
         )
 
     def figures(self, motion: Motion) -> dict[Place, Figures]:
@@ -142,9 +145,10 @@ class Layout:
         figures |= self._reach(motion, place)
         figures |= zone_figures_of(motion, place, self.settings.reach)
         for key in (*_MEANS, *_MEDIANS):
-            figures[key] = _together(
-                [each[key] for each in of_movements], np.median if key in _MEDIANS else np.mean
-            )
+            known = [each[key] for each in of_movements if np.isfinite(each[key].value)]
+            values, shares = ([figure[k] for figure in known] for k in (0, 1))
+            middle = np.median if key in _MEDIANS else np.mean
+            figures[key] = Figure(float(middle(values)), float(np.mean(shares))) if known else UNKNOWN
         return figures
 
     def _of_movement(
@@ -185,15 +189,6 @@ def _from_shoulder(motion: Motion) -> FloatArray:
     return motion.hand - motion.joints["shoulder"] if "shoulder" in motion.joints else motion.hand
 
 
-def _voxel(motion: Motion, voxel_m: float) -> float:
-    """The size asked for, or as much more as leaves no more than `MOST_PLACES` places."""
-    places = _from_shoulder(motion)
-    places = places[np.isfinite(places).all(axis=1)]
-    while len(places) > MOST_PLACES and len(voxel_means(places, voxel_m)) > MOST_PLACES:
-        voxel_m *= 1.25
-    return voxel_m
-
-
 def _inside(motion: Motion, place: slice) -> tuple[slice, ...]:
     """The grid's runs within some rows, counted from the first of these."""
     parts = [
@@ -201,13 +196,3 @@ def _inside(motion: Motion, place: slice) -> tuple[slice, ...]:
         for run in motion.grid.runs
     ]
     return tuple(part for part in parts if part.stop > part.start)
-
-
-def _together(figures: list[Figure], middle: object) -> Figure:
-    """Mean or median of a measure over some movements."""
-    known = [figure for figure in figures if np.isfinite(figure.value)]
-    if not known or not callable(middle):
-        return UNKNOWN
-    return Figure(
-        float(middle([each.value for each in known])), float(np.mean([each.share for each in known]))
-    )

@@ -150,16 +150,13 @@ class Measuring:
         low, high, sigma = self.interval(place, key, figure.value)
         start_s, end_s = self.times(place)
         untrusted = float(np.nan_to_num(self.untrusted.get(place, {}).get(key, UNKNOWN).share))
-        words = self._on_gaps(untrusted) if np.isfinite(figure.value) else self._why(key)
+        words = "" if np.isfinite(figure.value) else self._why(key)
+        # of a recording that is not trusted at all, the verdict says so
+        if not words and untrusted > 0.0 and self.recovery.estimates.trusted is not False:
+            words = f"Rests to {max(100.0 * untrusted, 1.0):.0f} % on gaps that are not trusted."
         count = self.drawn.count if np.isfinite(low) else 0
         what = (key, definition.name, definition.unit, figure.value, low, high, sigma, figure.share)
         return Measure(*what, scope, number, start_s, end_s, count, words, untrusted)
-
-    def _on_gaps(self, untrusted: float) -> str:
-        """In words how much rests on gaps that are not trusted; "" where all of the recording is not."""
-        if untrusted <= 0.0 or self.recovery.estimates.trusted is False:
-            return ""
-        return f"Rests to {max(100.0 * untrusted, 1.0):.0f} % on gaps that are not trusted."
 
     def interval(self, place: Place, key: str, value: float) -> tuple[float, float, float]:
         """The 95 % interval about a measure's value, and its standard deviation; nan without draws."""

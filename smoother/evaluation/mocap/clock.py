@@ -63,7 +63,12 @@ class MocapClock:
 
 def align_clock(recovery: Recovery, motion: MocapMotion) -> MocapClock:
     """Find the mocap's clock."""
-    least_s = _least_overlap(recovery.t_s, motion.t_s)
+    if len(recovery) < 2 or len(motion.t_s) < 2:
+        raise RecordingError(
+            "the answer or the truth contains fewer than two samples, so no clock can be aligned"
+        )
+    shorter_s = float(min(np.ptp(recovery.t_s), np.ptp(motion.t_s)))
+    least_s = max(min(LEAST_OVERLAP_S, shorter_s / 3.0), SHORTEST_S)
     signals = _signals(recovery, motion)
     lag, correlation, rivals = _coarse(signals, recovery.t_s, motion.t_s, least_s)
     if not np.isfinite(correlation):
@@ -152,15 +157,6 @@ def way_m(t_known: FloatArray, position: FloatArray, t: FloatArray) -> FloatArra
     return np.asarray(np.linalg.norm(position_at(t_known, position, t + 0.5 * STEP_S) - before, axis=1))
 
 
-def _least_overlap(a: FloatArray, b: FloatArray) -> float:
-    """What answer and truth must share, s."""
-    if len(a) < 2 or len(b) < 2:
-        raise RecordingError(
-            "the answer or the truth contains fewer than two samples, so no clock can be aligned"
-        )
-    return max(min(LEAST_OVERLAP_S, float(min(np.ptp(a), np.ptp(b))) / 3.0), SHORTEST_S)
-
-
 def _coarse(
     signals: _Signals, t_answer: FloatArray, t_truth: FloatArray, least_s: float
 ) -> tuple[float, float, list[float]]:
@@ -196,8 +192,10 @@ def _refine(
     offset, skew = lag, 0.0
     mount = signals.mount
     solves_mount = signals.is_turns and mount is None
-    if solves_mount:
-        mount = _first_mount(measured, signals.truth(t - lag))
+    if solves_mount:  # Kabsch without centring
+        plate = signals.truth(t - lag)
+        good = np.isfinite(measured).all(axis=1) & np.isfinite(plate).all(axis=1)
+        mount = nearest_rotation(measured[good].T @ plate[good])
 
     def mounted(values: FloatArray) -> FloatArray:
         return values if mount is None else values @ mount.T
@@ -265,9 +263,3 @@ def summed_covariance(t: FloatArray, gradient: FloatArray) -> FloatArray:
     sums = np.zeros((second.max() + 1, gradient.shape[1]))
     np.add.at(sums, second, gradient)
     return np.asarray(sums.T @ sums)
-
-
-def _first_mount(answer: FloatArray, plate: FloatArray) -> FloatArray:
-    """`R_A_P` (3, 3) that brings the plate's turns to the IMU's (Kabsch without centring)."""
-    good = np.isfinite(answer).all(axis=1) & np.isfinite(plate).all(axis=1)
-    return nearest_rotation(answer[good].T @ plate[good])

@@ -104,15 +104,10 @@ def solve_frame(recovery: Recovery, motion: MocapMotion, clock: MocapClock) -> C
             " rotation about it undetermined; map more joints, or give --calibration with"
             " [camera_from_mocap]"
         )
-    stated = [_typical_variance(covariance[rows]) for _, _, covariance in points]
-    return _robust_transform(K, E, t_imu, owner, np.array(stated))
-
-
-def _typical_variance(covariance: FloatArray) -> float:
-    """Mean variance per axis, m^2, of a point while it is seen; zero where none is stated."""
-    known = np.trace(covariance, axis1=1, axis2=2) / 3.0
-    known = known[np.isfinite(known)]
-    return float(np.median(known)) if len(known) else 0.0
+    # mean variances per axis while seen; zero where none is stated
+    stated = [np.trace(covariance[rows], axis1=1, axis2=2) / 3.0 for _, _, covariance in points]
+    typical = [np.nanmedian(each) if np.isfinite(each).any() else 0.0 for each in stated]
+    return _robust_transform(K, E, t_imu, owner, np.array(typical))
 
 
 def _robust_transform(

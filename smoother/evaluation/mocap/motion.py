@@ -76,18 +76,18 @@ def motion_of_markers(markers: Markers, marker_map: MarkerMap) -> MocapMotion:
     _check_unit(positions, markers)
     if marker_map.plate:
         plate = _with_plate(plate, places(marker_map.plate), marker_map)
-    shares = []
+    filled = []
     for joint in [each for each in positions if each in ON_FOREARM and plate.R_E_P is not None]:
         positions[joint], count = _filled(plate, positions[joint])
         if count:
-            shares.append(f"{joint} {100 * count / positions[joint][..., 0].size:.1f} %")
+            filled.append(f"{joint} {100 * count / positions[joint][..., 0].size:.1f} %")
     joints = {joint: each.mean(axis=1) for joint, each in positions.items()}
     landmarks = {name: places([marker])[:, 0] for name, marker in marker_map.landmarks.items()}
     notes = list(plate.notes)
-    if shares:
+    if filled:
         notes.append(
             f"Markers hidden for up to {LONGEST_S:g} s were filled in the axes of the IMU's plate"
-            f" ({', '.join(shares)})."
+            f" ({', '.join(filled)})."
         )
     for joint, centre in joints.items():
         if not np.isfinite(centre).any():
@@ -96,7 +96,11 @@ def motion_of_markers(markers: Markers, marker_map: MarkerMap) -> MocapMotion:
                 " never seen together; correct the map"
             )
     notes += _exchanged(joints)
-    return replace(plate, joints=joints, landmarks=landmarks, notes=(*notes, *_incomplete(joints)))
+    shares = [np.isfinite(centre).all(axis=1).mean() for centre in joints.values()]
+    poor = [f"{name} {100 * share:.0f} %" for name, share in zip(joints, shares, strict=True) if share < 0.8]
+    if poor:
+        notes.append(f"The truth's joint centres are complete only part of the time: {', '.join(poor)}.")
+    return replace(plate, joints=joints, landmarks=landmarks, notes=tuple(notes))
 
 
 def _check_unit(positions: dict[str, FloatArray], markers: Markers) -> None:
@@ -165,14 +169,6 @@ def motion_of_truth(truth: Truth, source: str) -> MocapMotion:
     R_E_P[known] = Rotation.from_quat(quaternion[known], scalar_first=True).as_matrix()
     position = np.where(truth.score[:, None], truth.position, np.nan)
     return MocapMotion(truth.t_s, truth.joints, {}, R_E_P, position, np.eye(3), np.zeros(3), source=source)
-
-
-def _incomplete(joints: dict[str, FloatArray]) -> list[str]:
-    shares = {name: np.isfinite(value).all(axis=1).mean() for name, value in joints.items()}
-    poor = [f"{name} {100 * share:.0f} %" for name, share in shares.items() if share < 0.8]
-    return (
-        [f"The truth's joint centres are complete only part of the time: {', '.join(poor)}."] if poor else []
-    )
 
 
 def _with_plate(motion: MocapMotion, positions: FloatArray, marker_map: MarkerMap) -> MocapMotion:
