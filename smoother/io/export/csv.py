@@ -8,14 +8,15 @@ from typing import NamedTuple
 import numpy as np
 
 from ...array_types import FloatArray
-from ...body import SEGMENTS, BodySegment
+from ...body import SEGMENTS
 from ...result import Recovery
-from ...result.segment_motion import SegmentMotion, TrunkMotion
 from ...result.untrusted import usable
 from ..mcap.messages import nanoseconds
 from .rows import write_rows
 
 _JOINTS = ("elbow", "wrist", "shoulder")
+_ONE, _XYZ, _WXYZ = ("",), ("_x", "_y", "_z"), ("_qw", "_qx", "_qy", "_qz")
+_POSITION, _SIGMA = "position in the camera's frame", "one standard deviation, per axis of the camera"
 
 
 class ColumnGroup(NamedTuple):
@@ -49,84 +50,47 @@ def csv_columns(recovery: Recovery) -> tuple[list[str], FloatArray]:
 
 def column_groups(recovery: Recovery) -> list[ColumnGroup]:
     """The numbers of an export, in the order of their columns."""
-    count = len(recovery)
-    nothing = np.full((count, 3), np.nan)
-    position, sigma = (
-        ("m", "position in the camera's frame"),
-        ("m", "one standard deviation, per axis of the camera"),
-    )
-    sigma_deg = "square root of the trace of the orientation's covariance"
-    groups: list[tuple[list[str], FloatArray, str, str]] = [
-        (_xyz("imu"), recovery.position, *position),
-        (
-            [f"imu_q{part}" for part in "wxyz"],
-            recovery.quaternion,
-            "1",
-            "rotation IMU axes to camera, quaternion",
-        ),
+    r, nothing = recovery, np.full((len(recovery), 3), np.nan)
+    rows: list[tuple[str, tuple[str, ...], FloatArray, str, str]] = [
+        ("imu", _XYZ, r.position, "m", _POSITION),
+        ("imu", _WXYZ, r.quaternion, "1", "rotation IMU axes to camera, quaternion"),
+        *((joint, _XYZ, r.joints.get(joint, nothing), "m", _POSITION) for joint in _JOINTS),
+        ("sigma", _XYZ, r.sigma_m, "m", _SIGMA),
+        ("sigma_deg", _ONE, r.sigma_deg, "deg", "square root of the trace of the orientation's covariance"),
     ]
-    groups += [(_xyz(joint), recovery.joints.get(joint, nothing), *position) for joint in _JOINTS]
-    groups.append((_xyz("sigma"), recovery.sigma_m, *sigma))
-    groups.append((["sigma_deg"], recovery.sigma_deg, "deg", sigma_deg))
     for joint in ("wrist", "elbow", "shoulder"):
-        spread = recovery.joint_covariance.get(joint)
+        spread = r.joint_covariance.get(joint)
         deviation = nothing if spread is None else np.sqrt(np.einsum("nii->ni", spread))
-        groups.append((_xyz(f"{joint}_sigma"), deviation, *sigma))
-    groups.append((["vx", "vy", "vz"], recovery.velocity, "m/s", "velocity of the IMU in the camera's frame"))
-    if "hand" in recovery.joints:
-        groups.append((_xyz("hand"), recovery.joints["hand"], *position))
-    angles = recovery.angles()
+        rows.append((f"{joint}_sigma", _XYZ, deviation, "m", _SIGMA))
+    rows.append(("v", ("x", "y", "z"), r.velocity, "m/s", "velocity of the IMU in the camera's frame"))
+    if "hand" in r.joints:
+        rows.append(("hand", _XYZ, r.joints["hand"], "m", _POSITION))
+    angles = r.angles()
     for angle in angles.angles:
-        groups.append(([angle.column], angles.values[angle.name], "deg", angle.meaning))
-        groups.append(([angle.sigma_column], angles.sigmas[angle.name], "deg", "one standard deviation"))
-    for name, motion in recovery.segments.items():
-        groups += _segment(SEGMENTS[name], motion)
-    if recovery.trunk is not None:
-        groups += _trunk(recovery.trunk)
-    groups += [
-        (
-            [f"seen_by_{camera.name}"],
-            camera.saw_at(recovery.t_s).astype(float),
-            "1",
-            "that camera saw the forearm",
+        rows.append((angle.column, _ONE, angles.values[angle.name], "deg", angle.meaning))
+        rows.append((angle.sigma_column, _ONE, angles.sigmas[angle.name], "deg", "one standard deviation"))
+    for name, motion in r.segments.items():
+        segment = SEGMENTS[name]
+        of, sigma, imu = segment.prefix, segment.sigma_name, f"{segment.label.replace(' ', '-')} IMU"
+        rows += [
+            (f"{of}_imu", _XYZ, motion.position, "m", f"position of the {imu} in the camera's frame"),
+            (f"{of}_imu", _WXYZ, motion.quaternion, "1", f"rotation {imu} axes to camera, quaternion"),
+            (sigma, _XYZ, motion.sigma_m, "m", _SIGMA),
+            (f"{sigma}_deg", _ONE, motion.sigma_deg, "deg", f"as sigma_deg, of the {imu}"),
+        ]
+    if (trunk := r.trunk) is not None:
+        about = "rotation thorax axes (ISB) to camera, quaternion"
+        rows.append(("trunk", _WXYZ, trunk.quaternion, "1", about))
+        rows.append(("trunk_sigma_deg", _ONE, trunk.sigma_deg, "deg", "as sigma_deg, of the thorax"))
+    for camera in r.estimates.cameras:
+        if camera.takes_part:
+            saw = camera.saw_at(r.t_s).astype(float)
+            rows.append((f"seen_by_{camera.name}", _ONE, saw, "1", "that camera saw the forearm"))
+    return [
+        ColumnGroup(
+            [stem + ending for ending in endings],
+            np.where(np.isfinite(values), values, np.nan).reshape(len(r), -1),
+            *said,
         )
-        for camera in recovery.estimates.cameras
-        if camera.takes_part
+        for stem, endings, values, *said in rows
     ]
-    return [
-        ColumnGroup(names, np.where(np.isfinite(values), values, np.nan).reshape(count, -1), *said)
-        for names, values, *said in groups
-    ]
-
-
-def _segment(segment: BodySegment, motion: SegmentMotion) -> list[tuple[list[str], FloatArray, str, str]]:
-    """Columns of an IMU on a further segment."""
-    of, imu = segment.prefix, f"{segment.label.replace(' ', '-')} IMU"
-    return [
-        (_xyz(f"{of}_imu"), motion.position, "m", f"position of the {imu} in the camera's frame"),
-        (
-            [f"{of}_imu_q{part}" for part in "wxyz"],
-            motion.quaternion,
-            "1",
-            f"rotation {imu} axes to camera, quaternion",
-        ),
-        (_xyz(segment.sigma_name), motion.sigma_m, "m", "one standard deviation, per axis of the camera"),
-        ([f"{segment.sigma_name}_deg"], motion.sigma_deg, "deg", f"as sigma_deg, of the {imu}"),
-    ]
-
-
-def _trunk(trunk: TrunkMotion) -> list[tuple[list[str], FloatArray, str, str]]:
-    """Columns of the thorax."""
-    return [
-        (
-            [f"trunk_q{part}" for part in "wxyz"],
-            trunk.quaternion,
-            "1",
-            "rotation thorax axes (ISB) to camera, quaternion",
-        ),
-        (["trunk_sigma_deg"], trunk.sigma_deg, "deg", "as sigma_deg, of the thorax"),
-    ]
-
-
-def _xyz(name: str) -> list[str]:
-    return [f"{name}_{axis}" for axis in "xyz"]

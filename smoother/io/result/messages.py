@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ...array_types import IntArray
+from ...array_types import FloatArray, IntArray
 from ...measurements.visibility import Gap
-from ...result import GapVerdict, Recovery
-from ...result.segment_motion import SegmentMotion
+from ...result import GapVerdict
 from ...rotation import Rotation
 from ..wire.protobuf_encode import alike
 from ..wire.schemas import message_class
@@ -55,57 +53,34 @@ def gap_messages(
     return events, lines
 
 
-def segment_poses(r: Recovery, motion: SegmentMotion) -> Recovery:
-    """A further IMU's poses, without velocities, in the forearm's place."""
-    return replace(
-        r,
-        position=motion.position,
-        quaternion=motion.quaternion,
-        pose_covariance=motion.pose_covariance,
-        velocity=np.full_like(r.velocity, np.nan),
-    )
-
-
-def thorax_poses(r: Recovery) -> Recovery | None:
-    """The thorax's orientation, drawn at the arm's shoulder, likewise."""
-    if r.trunk is None:
-        return None
-    known = np.asarray(np.isfinite(r.trunk.quaternion).all(axis=1))
-    covariance = np.zeros((len(r), 6, 6))
-    covariance[:, 3:, 3:] = r.trunk.covariance
-    at = np.nan_to_num(r.joints["shoulder"]) if "shoulder" in r.joints else np.zeros((len(r), 3))
-    return replace(
-        r,
-        position=np.where(known[:, None], at, np.nan),
-        quaternion=r.trunk.quaternion,
-        pose_covariance=covariance,
-        velocity=np.full_like(r.velocity, np.nan),
-    )
-
-
-def odometry(r: Recovery, frame_id: str, body: str, stamp: IntArray) -> Iterator[AlikeRows]:
+def odometry(
+    poses: tuple[FloatArray, FloatArray, FloatArray],  # (n, 3) m; (n, 4); (n, 6, 6)
+    velocity: FloatArray,  # (n, 3) m/s
+    spread: FloatArray,  # (n, 3, 3): its covariance
+    frame_id: str,
+    body: str,
+    stamp: IntArray,
+) -> Iterator[AlikeRows]:
     """The samples with a position, those with orientation and velocity apart, as foxglove.Odometry."""
-    has_position = np.isfinite(r.position).all(axis=1)
-    has = np.isfinite(r.quaternion).all(axis=1), np.isfinite(r.velocity).all(axis=1)
-    for pattern, mine in alike(np.stack([has_position, *has], axis=1)):
-        _, turned, moving = pattern
-        if not pattern[0]:
+    position, quaternion, covariance = poses
+    has = [np.isfinite(each).all(axis=1) for each in (position, quaternion, velocity)]
+    for pattern, mine in alike(np.stack(has, axis=1)):
+        placed, turned, moving = pattern
+        if not placed:
             continue
 
         def columns(rows: IntArray, turned: int = turned, moving: int = moving) -> dict[str, NDArray]:
-            velocity, spread = r.velocity[rows], r.velocity_covariance[rows]
+            speed, whole = velocity[rows], np.zeros((len(rows), 6, 6))
+            whole[:, :3, :3] = spread[rows]
             if turned:
-                back = Rotation.from_quat(r.quaternion[rows], scalar_first=True).inv().as_matrix()
-                velocity = np.einsum("nij,nj->ni", back, velocity)
-                spread = back @ spread @ back.transpose(0, 2, 1)
-            whole = np.zeros((len(rows), 6, 6))
-            whole[:, :3, :3] = spread
-            each = {"timestamp": stamp[rows], "pose.position": r.position[rows]}
-            each |= {"pose.orientation": r.quaternion[rows][:, [1, 2, 3, 0]]} if turned else {}
-            each |= {"linear_velocity": velocity} if moving else {}
-            covariance = np.nan_to_num(r.pose_covariance[rows], nan=0.0)
+                back = Rotation.from_quat(quaternion[rows], scalar_first=True).inv().as_matrix()
+                speed = np.einsum("nij,nj->ni", back, speed)
+                whole[:, :3, :3] = back @ whole[:, :3, :3] @ back.transpose(0, 2, 1)
+            each = {"timestamp": stamp[rows], "pose.position": position[rows]}
+            each |= {"pose.orientation": quaternion[rows][:, [1, 2, 3, 0]]} if turned else {}
+            each |= {"linear_velocity": speed} if moving else {}
             return each | {
-                "pose_covariance": covariance.reshape(-1, 36),
+                "pose_covariance": np.nan_to_num(covariance[rows], nan=0.0).reshape(-1, 36),
                 "velocity_covariance": np.nan_to_num(whole, nan=0.0).reshape(-1, 36),
             }
 

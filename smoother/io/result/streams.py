@@ -21,7 +21,7 @@ from ..recording.write import arm_messages, joints_there
 from ..wire.protobuf_encode import alike, encoded
 from . import drawing as scene
 from .drawing import AlikeRows, arm_point_clouds, world_transform
-from .messages import gap_messages, odometry, segment_poses, thorax_poses
+from .messages import gap_messages, odometry
 
 #: Pictures a second where the camera's rate is not known.
 PICTURES_HZ = 30.0
@@ -79,14 +79,23 @@ class _Streams:
 
     def poses(self, r: Recovery) -> Iterator[OutputStream]:
         """Of the forearm's IMU, and where there are, of those on further segments and the trunk."""
-        poses = {"forearm": (r, self.body)}
+        stamp, nothing = self._stamps(r.t_s), np.full((len(r), 3), np.nan)
+        poses = {"forearm": ((r.position, r.quaternion, r.pose_covariance), self.body)}
         for name, motion in r.segments.items():
-            poses[name] = segment_poses(r, motion), self.body.replace("forearm", name)
-        if (thorax := thorax_poses(r)) is not None:
-            poses["trunk"] = thorax, self.body.replace("forearm_imu", "thorax")
-        stamp = self._stamps(r.t_s)
-        for topic, (moving, body) in poses.items():
-            for rows in odometry(moving, self.frame_id, body, stamp):
+            pose = (motion.position, motion.quaternion, motion.pose_covariance)
+            poses[name] = pose, self.body.replace("forearm", name)
+        if (trunk := r.trunk) is not None:  # the thorax, drawn at the arm's shoulder
+            covariance = np.zeros((len(r), 6, 6))
+            covariance[:, 3:, 3:] = trunk.covariance
+            place = np.nan_to_num(r.joints.get("shoulder", nothing))
+            place[~np.isfinite(trunk.quaternion).all(axis=1)] = np.nan
+            poses["trunk"] = (place, trunk.quaternion, covariance), self.body.replace("forearm_imu", "thorax")
+        unknown = np.full((len(r), 3, 3), np.nan)
+        for topic, (pose, body) in poses.items():
+            is_forearm = topic == "forearm"
+            velocity = r.velocity if is_forearm else nothing
+            spread = r.velocity_covariance if is_forearm else unknown
+            for rows in odometry(pose, velocity, spread, self.frame_id, body, stamp):
                 yield self._stream(topic, "foxglove.Odometry", stamp, rows)
 
     def skeleton(self, r: Recovery) -> Iterator[OutputStream]:
