@@ -93,13 +93,6 @@ class CameraClock:
             self._newest_s = frame.t_s + self.correction_s
         return self._corrected(ready), Shift(jump_s, self._cause)
 
-    def later(self, seconds: float) -> None:
-        """The last jump was the latency's: the stamps were right, and frames come later now."""
-        self.correction_s -= seconds
-        self._newest_s -= seconds
-        self._usual.clear()
-        self._delay_s = None
-
     def _cause_of(self, after_s: float, since_s: float, off_s: float) -> ShiftCause:
         """Whether the stamps or the arrivals have a step of this size at a frame."""
         if len(self._intervals) < JUMP_FRAMES:

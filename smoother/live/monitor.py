@@ -185,10 +185,6 @@ class CameraMonitor:
         while len(self._solutions) > 1 and self._solutions[1].newest.t < solution.newest.t - BEFORE_S:
             self._solutions.popleft()
 
-    def solution_before(self, t_s: float) -> LagSolution | None:
-        """The last solution that is remembered with its newest node before a time; None without one."""
-        return next((each for each in reversed(self._solutions) if each.newest.t < t_s), None)
-
     def judge(
         self,
         t_s: float,

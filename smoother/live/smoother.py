@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
-from dataclasses import replace
 from types import TracebackType
 
 import numpy as np
@@ -94,33 +93,20 @@ class LiveSmoother:
         """Take a frame in, in any order; one older than half a second before the newest is dropped."""
         frames, jump = self._camera.take(frame)
         if jump is not None:
-            frames = self._jumped(frames, jump)
+            self._jumped(jump)
         for each in frames:
             is_new, tracker = self._frames.add(each), self._handover.tracker
             if is_new and tracker is not None and each.t_s <= tracker.cursor_s:
                 self._late.append(each)
 
-    def _jumped(self, frames: list[SkeletonFrame], jump: Shift) -> list[SkeletonFrame]:
-        """Frames that come at other times after their stamps: was the clock set, or is the camera later?"""
-        tracker, jump_s, sigma_s = self._handover.tracker, jump.seconds, JUMP_SIGMA_S
-        is_late = jump.cause is ShiftCause.LATENCY
-        if jump.cause is ShiftCause.OPEN:
-            sigma_s, clock, latency = abs(jump_s), np.nan, np.nan
-            if tracker is not None:
-                clock, latency = tracker.misfit(frames, 0.0), tracker.misfit(frames, -jump_s)
-            if max(clock, latency) > 2.0 * min(clock, latency) + 1.0:
-                sigma_s = JUMP_SIGMA_S  # else a still arm looks the same at both times
-            is_late = latency < clock
-            if is_late:
-                self._camera.later(jump_s)
-                frames = [replace(each, t_s=each.t_s - jump_s) for each in frames]
-        if jump.cause is not ShiftCause.LATENCY:
-            self._calibrations.clock_jumped(sigma_s)
-        if is_late:
-            self._notes.append(f"the camera's frames come {jump_s:+.3f} s later than before")
-        else:
-            self._notes.append(f"the camera's clock jumped by {-jump_s:.3f} s; the answer follows it")
-        return frames
+    def _jumped(self, jump: Shift) -> None:
+        """Frames come at other times after their stamps: was the clock set, or is the camera later?"""
+        if jump.cause is ShiftCause.LATENCY:
+            self._notes.append(f"the camera's frames come {jump.seconds:+.3f} s later than before")
+            return
+        # where neither stamps nor arrivals say, the clock may be right: it is uncertain by all of the jump
+        self._calibrations.clock_jumped(JUMP_SIGMA_S if jump.cause is ShiftCause.CLOCK else abs(jump.seconds))
+        self._notes.append(f"the camera's clock jumped by {-jump.seconds:.3f} s; the answer follows it")
 
     def step(self, now_s: float) -> LiveOutput:
         """Work in what has arrived, and answer for the present."""

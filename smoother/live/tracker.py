@@ -26,7 +26,7 @@ from ..window.solution import LagSolution, NodeState
 from .buffers import ImuBuffer, SkeletonFrame
 from .frame_history import FrameHistory
 from .further_imus import SegmentFollower
-from .monitor import CameraMonitor, Culprit, Finding, residuals_of
+from .monitor import CameraMonitor, Culprit, Finding
 from .signal import BEFORE_S, DoubtfulSignal, LiveSignal, increments_between, propagated
 
 #: A first state is read from this much around it, s.
@@ -157,23 +157,6 @@ class Tracker:
         if accepted.any() and not finding.accepted.any():
             self.left_out.append(stamp_s)
         return finding.accepted
-
-    def misfit(self, frames: Sequence[SkeletonFrame], shift_s: float) -> float:
-        """How badly frames fit to the last solution if their stamps were later by some time."""
-        first_s = min((frame.t_s for frame in frames), default=np.nan) + self.offset_s + min(shift_s, 0.0)
-        solution = self.monitor.solution_before(first_s)
-        if solution is None:
-            return float("nan")
-        signal, values = self.signal.since(solution.newest.t), []
-        for frame in frames:
-            t_s = frame.t_s + self.offset_s + shift_s
-            position, accepted = frame.position - self.model.joint_bias.error_m, self.accepted(frame)
-            if not solution.newest.t < t_s <= signal.end_s:
-                continue
-            residuals = residuals_of(solution, signal, t_s, position, accepted, self.model, self.noise)
-            if residuals is not None:
-                values.append(float(np.mean(residuals.squared)))
-        return float(np.mean(values)) if len(values) >= 4 else float("nan")
 
     def go_on(self, t_s: float) -> None:
         """Add a node without a frame."""

@@ -11,7 +11,7 @@ from smoother.streams.arrivals import SourceInfo
 INFO = SourceInfo("wrist", "kinect", "right", ("shoulder", "elbow", "wrist"), 0, CameraFrame.OPTICAL)
 
 
-def answer(t_s: float, bent_deg: float, state: LiveState = LiveState.VISIBLE) -> LiveOutput:
+def answer(t_s: float, bent_deg: float) -> LiveOutput:
     """An upper arm that hangs, and a forearm bent so far in the camera's plane."""
     bent = np.radians(bent_deg)
     shoulder = np.array([0.0, 0.0, 2.0])
@@ -20,7 +20,7 @@ def answer(t_s: float, bent_deg: float, state: LiveState = LiveState.VISIBLE) ->
     joints = {"shoulder": shoulder, "elbow": elbow, "wrist": wrist}
     spread = dict.fromkeys(joints, 1e-4 * np.eye(3))
     estimate = LiveEstimate(
-        t_s, "now", state, None if state is LiveState.VISIBLE else t_s - 0.5, wrist,
+        t_s, "now", LiveState.VISIBLE, None, wrist,
         np.array([1.0, 0.0, 0.0, 0.0]), np.zeros(3), 1e-4 * np.eye(6), joints, spread, np.zeros(3),
     )  # fmt: skip
-    return LiveOutput(t_s, state, estimate)
+    return LiveOutput(t_s, LiveState.VISIBLE, estimate)

@@ -13,7 +13,7 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-import pylsl
+from lsl_lab import imu_outlet
 
 from smoother.errors import UnoccludeError
 from smoother.streams.lsl import LslInlet
@@ -24,14 +24,7 @@ PATIENCE_S = 25.0
 
 def send(source_id: str, unit: str) -> None:
     """Send for ever."""
-    info = pylsl.StreamInfo("wrist", "IMU", 6, 100, "double64", source_id)
-    channels = info.desc().append_child("channels")
-    for kind, kind_unit in (("acc", unit), ("gyro", "rad/s")):
-        for axis in "xyz":
-            channel = channels.append_child("channel")
-            channel.append_child_value("label", f"{kind}_{axis}")
-            channel.append_child_value("unit", kind_unit)
-    outlet = pylsl.StreamOutlet(info)
+    outlet = imu_outlet("wrist", unit=unit, source_id=source_id)
     while True:
         outlet.push_sample([0.0] * 6)
         time.sleep(0.02)

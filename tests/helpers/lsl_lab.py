@@ -29,10 +29,10 @@ def config(folder: Path, session: str) -> Path:
     return file
 
 
-def imu_outlet(name: str, bare: bool = False, unit: str = "m/s^2"):
+def imu_outlet(name: str, bare: bool = False, unit: str = "m/s^2", source_id: str = ""):
     import pylsl
 
-    info = pylsl.StreamInfo(name, "IMU", 6, 100, "double64", f"id-{name}")
+    info = pylsl.StreamInfo(name, "IMU", 6, 100, "double64", source_id or f"id-{name}")
     if not bare:
         channels = info.desc().append_child("channels")
         for label, axis_unit in (("acc", unit), ("gyro", "rad/s")):

@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from smoother.linalg import length, middle, skew, skew_of
 from smoother.measurements.inertial import InertialSignal, integrate, integrate_each, integrate_one
 from smoother.recording import ImuStream
 from smoother.rotation import Rotation, matrix_of, rotvec_of
@@ -19,16 +18,6 @@ def test_one_rotation_is_that_of_the_stack(angle):
         matrix = matrix_of(rotvec)
         np.testing.assert_allclose(matrix, Rotation.from_rotvec(rotvec).as_matrix(), atol=1e-14)
         np.testing.assert_allclose(rotvec_of(matrix), Rotation.from_matrix(matrix).as_rotvec(), atol=1e-11)
-
-
-def test_one_vector_is_that_of_the_stack():
-    rng = np.random.default_rng(4)
-    v = rng.normal(size=3)
-    np.testing.assert_array_equal(skew_of(v), skew(v))
-    assert length(v) == pytest.approx(np.linalg.norm(v), rel=1e-15)
-    for count in (1, 2, 7, 60):
-        values = rng.normal(size=count)
-        assert middle(values) == np.median(values)
 
 
 def test_intervals_one_by_one_are_those_of_the_loop():
