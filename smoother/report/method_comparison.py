@@ -196,9 +196,9 @@ def curves(spreads: Spreads) -> go.Figure:
         plot.add_trace(trace.update(mode="lines+markers", error_y=bars))
     ticks = [f"{length:g}" for length in spreads]
     plot.update_xaxes(type="log", title_text="gap, s", tickvals=list(spreads), ticktext=ticks)
-    plot.update_yaxes(type="log", title_text="error in a gap, rms, cm", dtick="D2", exponentformat="none")
+    plot.update_yaxes(type="log", title_text="error in a gap, rms, cm", exponentformat="none")
     dress(plot, 620, head=70)
-    return plot.update_layout(legend={"traceorder": "reversed"})
+    return plot.update_layout(legend={"traceorder": "reversed"}, showlegend=True)
 
 
 def _sections(spreads: Spreads, remarks: Iterable[str]) -> Iterator[Section]:

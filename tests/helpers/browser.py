@@ -58,7 +58,6 @@ class Browser:
         self._session = attached["sessionId"]
         for domain in ("Page", "Runtime", "Log", "Network"):
             self.call(f"{domain}.enable")
-        self.call("Performance.enable", timeDomain="threadTicks")
 
     def close(self) -> None:
         """End the program."""
@@ -121,11 +120,6 @@ class Browser:
         self.call("Page.navigate", url=path.resolve().as_uri())
         self.wait("document.documentElement?.dataset.drawn === 'yes'")
         return time.monotonic() - begin
-
-    def computed_s(self) -> float:
-        """Time that the page's main thread has computed since it was opened, s."""
-        metrics = self.call("Performance.getMetrics")["metrics"]
-        return next(each["value"] for each in metrics if each["name"] == "TaskDuration")
 
     def wait(self, condition: str) -> None:
         """Wait until a JavaScript expression holds."""
