@@ -12,7 +12,6 @@ from __future__ import annotations
 import errno
 import hashlib
 import json
-import os
 import re
 import secrets
 from collections.abc import Iterable, Iterator, Sequence
@@ -328,9 +327,9 @@ class StudyFolder:
         return self.results / f"{text_hash(name)[:24]}.parquet"
 
     def rows(self, columns: Iterable[str] | None = None, damaged: list[str] | None = None) -> pa.Table:
-        """The latest row of each recording, by name; files that cannot be read are set aside and named.
+        """The latest row of each recording, by name; files that cannot be read are named as `damaged`.
 
-        Without a list for the `damaged` ones they are refused.
+        Without a list for them they are refused. The same study writes them anew.
         """
         import pyarrow as pa
 
@@ -342,15 +341,10 @@ class StudyFolder:
             except (pa.ArrowException, OSError) as error:
                 if damaged is None:
                     raise UnoccludeError(
-                        f"{file} cannot be read; the same `unocclude batch` sets it aside"
+                        f"{file} cannot be read; the same `unocclude batch` writes it anew"
                     ) from error
-                aside = self.mark.parent / "damaged"
-                aside.mkdir(exist_ok=True)
-                os.replace(file, aside / file.name)
-                damaged.append(
-                    f"{file.name} among the results was damaged and is in .unocclude/damaged now; its"
-                    " recordings are computed again."
-                )
+                file.unlink(missing_ok=True)
+                damaged.append(f"{file.name} among the results was damaged; its recording is computed again.")
         table = pa.concat_tables(tables).sort_by("finished")
         latest = {name: place for place, name in enumerate(table["recording"].to_pylist())}
         return table.take(np.array([latest[name] for name in sorted(latest)], np.int64))
