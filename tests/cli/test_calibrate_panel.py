@@ -148,21 +148,6 @@ def refused(options: list[str], folder: Path, capsys, *words: str, picture: bool
         assert cv2.imread(str(output.parent / "cal.seen.png")).shape[1] >= 1000
 
 
-def test_mirrored_definition(session: Path, tmp_path: Path, capsys):
-    panel = edited(
-        session / "s" / "panel.toml",
-        tmp_path / "p.toml",
-        ("0.35]", "-0.35]"),
-        ("[[-0.05, -0.05], [0.55, 0.4]]", "[[-0.05, -0.40], [0.55, 0.05]]"),
-    )
-    refused([*pose(session), *known(session, panel=panel)], tmp_path, capsys, "mirror image")
-
-
-def test_wrong_size_of_the_intrinsics(session: Path, tmp_path: Path, capsys):
-    lens = edited(session / "s" / "intrinsics.toml", tmp_path / "k.toml", ("width = 512", "width = 640"))
-    refused([*pose(session), *known(session, intrinsics=lens)], tmp_path, capsys, "512 x 424", "640 x 424")
-
-
 def covered(session: Path, target: Path, pixel: np.ndarray) -> Path:
     """The infrared image with a marker painted over in the panel's own shade."""
     image = cv2.imread(str(session / "s" / "pose_01_infrared.png"), cv2.IMREAD_UNCHANGED)
@@ -178,10 +163,55 @@ def marker_pixels(session: Path) -> np.ndarray:
     return np.array(truth["pose"]["01"]["marker_pixels"])
 
 
-def test_three_spots(session: Path, tmp_path: Path, capsys):
-    hidden = covered(session, tmp_path / "i.png", marker_pixels(session)[1])
-    options = [*pose(session, infrared=hidden), *known(session)]
-    refused(options, tmp_path, capsys, "three bright spots", picture=True)
+def no_depth(session: Path, target: Path) -> Path:
+    """The depth image without any under the panel."""
+    depth = cv2.imread(str(session / "s" / "pose_01_depth.png"), cv2.IMREAD_UNCHANGED)
+    x, y = marker_pixels(session).mean(axis=0).astype(int)
+    depth[max(0, y - 150) : y + 150, max(0, x - 150) : x + 150] = 0
+    cv2.imwrite(str(target), depth)
+    return target
+
+
+def three_markers(session: Path, target: Path) -> Path:
+    target.write_text("marker,x,y,z\na,0,0,0\nb,1,0,0\nc,0,1,0\n")
+    return target
+
+
+def grey(session: Path, target: Path) -> Path:
+    cv2.imwrite(str(target), np.zeros((424, 512), np.uint8))
+    return target
+
+
+MIRRORED = (("0.35]", "-0.35]"), ("[[-0.05, -0.05], [0.55, 0.4]]", "[[-0.05, -0.40], [0.55, 0.05]]"))
+#: What is wrong: the option, how its file is made, and the words of the refusal.
+WRONG = {
+    "mirrored": ("panel", lambda s, to: edited(s / "s/panel.toml", to, *MIRRORED), ["mirror image"]),
+    "size": (
+        "intrinsics",
+        lambda s, to: edited(s / "s/intrinsics.toml", to, ("width = 512", "width = 640")),
+        ["512 x 424", "640 x 424"],
+    ),
+    "spots": ("infrared", lambda s, to: covered(s, to, marker_pixels(s)[1]), ["three bright spots"]),
+    "depth": ("depth", no_depth, ["depth is missing under the panel"]),
+    "markers": ("markers", three_markers, ["3 mocap markers"]),
+    "no image": ("depth", lambda s, _: s / "s/panel.toml", ["panel.toml", "not an image"]),
+    "8 bit": ("depth", grey, ["16 bit"]),
+    "definition": (
+        "panel",
+        lambda s, to: edited(s / "s/panel.toml", to, (", [0.0, 0.35]", "")),
+        ["panel.markers"],
+    ),
+}
+
+
+@pytest.mark.parametrize("case", WRONG)
+def test_what_is_wrong_with_a_file(session: Path, tmp_path: Path, capsys, case: str):
+    option, made, words = WRONG[case]
+    ending = {"panel": "toml", "intrinsics": "toml", "markers": "csv"}.get(option, "png")
+    file = {option: made(session, tmp_path / f"x.{ending}")}
+    of_pose = option in ("depth", "infrared", "markers")
+    options = [*pose(session, **(file if of_pose else {})), *known(session, **({} if of_pose else file))]
+    refused(options, tmp_path, capsys, *words, picture=case == "spots")
 
 
 def test_five_spots_that_make_two_panels(tmp_path: Path, capsys):
@@ -199,35 +229,9 @@ def test_five_spots_that_make_two_panels(tmp_path: Path, capsys):
     refused(options, tmp_path, capsys, "more than one way", picture=True)
 
 
-def test_no_depth_under_the_panel(session: Path, tmp_path: Path, capsys):
-    depth = cv2.imread(str(session / "s" / "pose_01_depth.png"), cv2.IMREAD_UNCHANGED)
-    x, y = marker_pixels(session).mean(axis=0).astype(int)
-    depth[max(0, y - 150) : y + 150, max(0, x - 150) : x + 150] = 0
-    cv2.imwrite(str(tmp_path / "d.png"), depth)
-    options = [*pose(session, depth=tmp_path / "d.png"), *known(session)]
-    refused(options, tmp_path, capsys, "depth is missing under the panel")
-
-
 def test_edge_on(tmp_path: Path, capsys):
     done("simulate", "panel", "-o", tmp_path / "s", "--seed", "3", "--set", "tilt_deg=76,80")
     refused([*pose(tmp_path), *known(tmp_path)], tmp_path, capsys, "edge-on")
-
-
-def test_files_that_are_not_what_they_should_be(session: Path, tmp_path: Path, capsys):
-    markers = tmp_path / "m.csv"
-    markers.write_text("marker,x,y,z\na,0,0,0\nb,1,0,0\nc,0,1,0\n")
-    options = [*pose(session, markers=markers), *known(session)]
-    refused(options, tmp_path, capsys, "3 mocap markers")
-    (tmp_path / "out").rmdir()
-    options = [*pose(session, depth=session / "s" / "panel.toml"), *known(session)]
-    refused(options, tmp_path, capsys, "panel.toml", "not an image")
-    (tmp_path / "out").rmdir()
-    panel = edited(session / "s" / "panel.toml", tmp_path / "p.toml", (", [0.0, 0.35]", ""))
-    refused([*pose(session), *known(session, panel=panel)], tmp_path, capsys, "panel.markers")
-    (tmp_path / "out").rmdir()
-    grey = tmp_path / "g.png"
-    cv2.imwrite(str(grey), np.zeros((424, 512), np.uint8))
-    refused([*pose(session, depth=grey), *known(session)], tmp_path, capsys, "16 bit")
 
 
 def test_markers_of_a_file_that_people_make(tmp_path: Path):
