@@ -77,7 +77,7 @@ def _start() -> tuple[SpawnProcess, Connection]:
     context = multiprocessing.get_context("spawn")
     with _starting, starting_processes():
         pipe, theirs = context.Pipe()
-        process = context.Process(target=do_jobs, args=(theirs,), daemon=True)
+        process = context.Process(target=do_jobs, args=(theirs,))
         process.start()
         theirs.close()
         _started.append(process)
