@@ -269,12 +269,6 @@ def test_all_texts_are_used():
     assert asked <= texts.keys()
 
 
-def test_the_page_names_no_other_host():
-    for path in server.WEB.iterdir():
-        text = path.read_text("utf-8").replace("http://www.w3.org/2000/svg", "")
-        assert "http://" not in text and "https://" not in text and "//cdn" not in text
-
-
 def test_the_template_of_the_document(tmp_path: Path, session_files: dict[str, Path]):
     text = (Path(__file__).parents[2] / "docs" / "app.md").read_text("utf-8")
     (block,) = re.findall(r"```toml\n(.*?)```", text, re.DOTALL)
