@@ -88,8 +88,9 @@ class Damage:
 def sentences(damage: Sequence[Damage], zero_ns: int | None) -> list[str]:
     """A clause for each of the first damages, and one for all others."""
     clauses = list(dict.fromkeys(each.sentence(zero_ns) for each in damage[:_MOST]))
-    if rest := len(damage) - _MOST:
-        clauses += [f"{rest} places more are damaged; `unocclude repair` lists them all"] * (rest > 0)
+    if len(damage) > _MOST:
+        more = len(damage) - _MOST
+        clauses.append(f"{more} places more are damaged; `unocclude repair` lists them all")
     return clauses
 
 

@@ -13,9 +13,7 @@ import pytest
 from commands import done, refused
 from results import made, read_mot, read_trc, without_answer
 
-from smoother.cli import export
-from smoother.errors import UnoccludeError
-from smoother.io import prepare_export, read_recovery, write_recovery
+from smoother.io import prepare_export, write_recovery
 
 FORMATS = ("csv", "trc", "mot", "c3d", "parquet")
 
@@ -219,33 +217,11 @@ def test_mocap_goes_into_the_calibration_that_is_named(tmp_path, capsys):
     assert "--force" in said
 
 
-def test_the_formats_are_known_by_one_list():
-    from smoother.cli import export
-    from smoother.io.export import prepare as exports
-
-    ours = (*FORMATS, "sto", "rrd")  # which have tests of their own, as the folder has
-    assert export.FORMATS == (*exports.FORMATS, "bids") == (*ours, "bids")
-    with pytest.raises(UnoccludeError, match="'xls' is not available"):
-        exports.prepare_export(made(), "xls")
-
-
-def test_the_example_of_the_help(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    write_recovery(made(), "recovered.mcap")
-    done("export", "recovered.mcap", "--format", "trc", "-o", "recovered.trc")
-    assert len(read_recovery("recovered.mcap")[0]) == len(read_trc(Path("recovered.trc"))[2])
-
-
 DOCUMENT = Path(__file__).parents[3] / "docs" / "exports.md"
 
 
 def document() -> str:
     return DOCUMENT.read_text(encoding="utf-8")
-
-
-def test_every_format_is_described():
-    for name in export.FORMATS:
-        assert f"| `{name}` |" in document()
 
 
 def test_the_columns_are_those_that_are_written(tmp_path):
