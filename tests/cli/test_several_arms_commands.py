@@ -59,9 +59,9 @@ def test_smooth_recovers_both(folder: Path) -> None:
 
 def test_one_page_has_both_arms(folder: Path) -> None:
     page = (folder / "r.html").read_text()
-    assert page.count('<section id="arm-') == 2 and 'href="#arm-left"' in page
+    assert all(f'id="arm-{side}"' in page and f'href="#arm-{side}"' in page for side in ("left", "right"))
     ids = re.findall(r'<div class="plot" id="(figure-[^"]+)"', page)
-    assert len(ids) == len(set(ids)) and {i.rpartition("-")[2] for i in ids} == {"left", "right"}
+    assert ids and len(ids) == len(set(ids))
     assert page.count('<div class="space player">') == 1  # both move together
     assert "Left arm: The recording lasts" in page and "Right arm: The recording lasts" in page
 
@@ -125,7 +125,7 @@ def test_compare_takes_every_arm(folder: Path) -> None:
     assert [arm["side"] for arm in made["arms"]] == ["left", "right"]
     page = (folder / "c.html").read_text()
     ids = re.findall(r'<div class="plot" id="(figure-[^"]+)"', page)
-    assert ids and len(ids) == len(set(ids)) and "<h1>Left arm</h1>" in page
+    assert ids and len(ids) == len(set(ids)) and "Left arm" in page
 
 
 def test_calibrate_motion_fills_both_arms(folder: Path) -> None:
