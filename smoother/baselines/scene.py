@@ -279,6 +279,7 @@ GRAPH_ESTIMATES = (
     "cause",
     "remedies",
     "untrusted",
+    "findings",
     "pairing",
     "clock_given_s",
 )

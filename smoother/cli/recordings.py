@@ -395,7 +395,8 @@ def checked(
     except (SolveError, CalibrationError) as error:  # what cannot be recovered is the finding
         sentence = str(error)
         figures = {"trusted": False, "verdict": f"Cannot be recovered: {sentence.rstrip('.')}."}
-        figures |= {"reasons": [sentence], "cautions": [], "cause": None, "remedies": [], "signs": []}
+        figures |= {"reasons": [sentence], "cautions": [], "cause": None, "remedies": []}
+        figures |= {"signs": [], "findings": []}
     figures["allows"] = None if allowed is None else allowed.to_dict()
     return {"recording": recording.name, "side": recording.side, **figures}, allowed
 

@@ -189,7 +189,7 @@ def verdict_figures(estimates: Estimates) -> dict[str, object]:
     return {
         "trusted": estimates.trusted,
         "verdict": estimates.verdict,
-        **{name: stated.get(name, []) for name in ("reasons", "cautions", "remedies")},
+        **{name: stated.get(name, []) for name in ("reasons", "cautions", "remedies", "findings")},
         **{name: stated.get(name) for name in ("cause", "self_check", "pairing")},
         **cameras,
     }

@@ -18,7 +18,8 @@ from ..measurements.remedy import AXES, Remedy
 from ..measurements.segment import Segment, down_hint
 from ..measurements.visibility import Gap
 from ..recording import Recording
-from ..result import Recovery, UntrustedInterval
+from ..result import Recovery
+from ..result.verdict import finding
 from ..rotation import Rotation
 from .cause import distrusted, fixed_by, on_upper_arm
 from .explanations import Explanation, explanations
@@ -67,12 +68,11 @@ def with_ambiguities(
     if not is_trusted:
         return recovery
     others = tuple(each for each in others if each.is_mirrored or each.cost < NEARLY_MOUNTED)
-    untrusted = [
-        UntrustedInterval(gap.start_s, gap.end_s, reasons)
+    estimates = estimates.with_findings(
+        finding("ambiguous", why, (gap.start_s, gap.end_s))
         for gap in recovery.gaps
-        if (reasons := _contradictions(recovery, recording, gap, own, others))
-    ]
-    estimates = replace(estimates, untrusted=(*estimates.untrusted, *untrusted))
+        for why in _contradictions(recovery, recording, gap, own, others)
+    )
     return replace(recovery, estimates=estimates)
 
 

@@ -24,7 +24,7 @@ from ..measurements.segment import Segment
 from ..measurements.visibility import MISSING_S, Rejection
 from ..recording import JOINTS, JointState, Recording
 from ..result import Pairing, Recovery
-from ..result.verdict import Sign
+from ..result.verdict import Finding
 from ..selfcal.pairing import find_pairing
 from ..window.solution import BlockShift, Step
 from .camera_faults import camera_faults
@@ -101,7 +101,7 @@ class Solved:
     excluded: Excluded | None = None  # Samples that it was made without; None before anything was left out
     steps_before: Sequence[Step] = ()  # What may have changed for good, before anything was left out
 
-    def steps(self) -> Iterator[Sign]:
+    def steps(self) -> Iterator[Finding]:
         """What changed for good, by all samples and by those that were not left out."""
         return changed_for_good(self.steps_before, self.evidence.steps)
 
@@ -187,7 +187,7 @@ def without_wrong_blocks(
         excluded, contradicting = wanted, suspects(best.evidence)
     recovery = excluded.noted(best.recovery, recording)
     faults = camera_faults(excluded.frames, contradicting, recovery, recording, names)
-    estimates = recovery.estimates.with_signs(faults)
+    estimates = recovery.estimates.with_findings(faults)
     recovery = replace(recovery, estimates=estimates)
     return replace(best, recovery=recovery, excluded=excluded, steps_before=first.evidence.steps)
 

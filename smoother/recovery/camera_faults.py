@@ -11,7 +11,7 @@ from ..linalg import runs
 from ..measurements.visibility import Gap
 from ..recording import JOINTS, JointState, Recording
 from ..result import Recovery
-from ..result.verdict import Sign
+from ..result.verdict import Finding, finding
 
 #: Bones that are off by this share of their usual length, and by this much, m, are another body's.
 OTHER_LENGTH, OTHER_LENGTH_M = 0.15, 0.035
@@ -29,7 +29,7 @@ def camera_faults(
     recovery: Recovery,
     recording: Recording,
     names: Sequence[str],
-) -> Iterator[Sign]:
+) -> Iterator[Finding]:
     """What was left out, and what contradicts even then."""
     frame_t = np.asarray(recovery.arm.t_s)
     for name, own in zip(names, recording.arm.rows_by_camera, strict=True):
@@ -38,7 +38,7 @@ def camera_faults(
             start_s, end_s = float(frame_t[rows[0]]), float(frame_t[rows[-1]])
             looks = _looks_like(run, own, recovery, recording)
             what = f"from {start_s:.1f} to {end_s:.1f} s {name}'s joints contradict the IMU and the rest"
-            yield Sign(f"{what}: {looks}; they were left out")
+            yield finding("camera-left-out", f"{what}: {looks}; they were left out")
             interrupted = np.diff(frame_t[rows[excluded[rows]]], prepend=start_s).max() > HIDDEN_S
             from_s, to_s = _with_gaps(recovery.gaps, start_s, end_s)
             both_sides = interrupted or (start_s - from_s > HIDDEN_S and to_s - end_s > HIDDEN_S)
@@ -46,9 +46,14 @@ def camera_faults(
                 if both_sides or gap.open_start or gap.open_end:
                     times = min(gap.start_s, start_s), max(gap.end_s, end_s)
                     where = "either" if both_sides else "that"
-                    yield Sign(f"{what} ({looks}), and nothing on {where} side confirms the answer", times)
+                    yield finding(
+                        "gap-unconfirmed",
+                        f"{what} ({looks}), and nothing on {where} side confirms the answer",
+                        times,
+                    )
     for start_s, end_s, camera in sorted(contradicting):
-        yield Sign(
+        yield finding(
+            "camera-contradicted",
             f"from {start_s:.1f} to {end_s:.1f} s {names[camera]}'s joints and the IMU contradict each other,"
             " and nothing shows which is right",
             _with_gaps(recovery.gaps, start_s, end_s),

@@ -13,7 +13,7 @@ from ..measurements.outliers import noise_key
 from ..measurements.visibility import MISSING_FRAMES, MISSING_S, enough_joints, joints_needed
 from ..recording import JOINTS, JointTracks
 from ..result import CameraEstimate, Estimates, Recovery
-from ..result.verdict import Sign
+from ..result.verdict import finding
 
 
 def names_of(rig: CameraRig | None, arm: JointTracks) -> tuple[str, ...]:
@@ -38,17 +38,18 @@ def with_cameras(recovery: Recovery, rig: CameraRig | None) -> Recovery:
         keys = {joint: noise_key(joint, numbers.get(row.name, -1)) for joint in JOINTS}
         noise = {joint: sigma[key] for joint, key in keys.items() if key in sigma}
         rows.append(_estimate(row, noise, seen_s.get(row.name, ())))
-    signs = [Sign(sentence) for sentence in rig.cautions]
+    signs = [finding("cameras-doubtful", sentence) for sentence in rig.cautions]
     # the one that was moved may be the first, on which the answer rests
     signs += [
-        Sign(
+        finding(
+            "camera-moved",
             f"{row.name}: {row.reason}",
             (row.moved_s[0] + recovery.clock_offset_s, row.moved_s[1] + recovery.clock_offset_s),
         )
         for row in rig.cameras
         if row.moved_s is not None
     ]
-    estimates = replace(_of_first(recovery), cameras=tuple(rows)).with_signs(signs)
+    estimates = replace(_of_first(recovery), cameras=tuple(rows)).with_findings(signs)
     return replace(recovery, estimates=estimates)
 
 

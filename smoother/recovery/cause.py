@@ -25,6 +25,7 @@ from ..measurements.remedy import AXES, Remedy
 from ..measurements.segment import Timeline, down_hint
 from ..recording import CameraFrame, JointState, Recording
 from ..result import Recovery
+from ..result.verdict import EVER, finding
 from ..selfcal.excerpts import informative_recording
 from ..selfcal.mounting import ClosedForm, closed_form
 from ..selfcal.pairing import synchronise_coarsely
@@ -153,12 +154,15 @@ def with_cause(
 
 def distrusted(recovery: Recovery, cause: Cause) -> Recovery:
     """The recovery not to be trusted, with its cause as the first of the reasons."""
+    remedies = tuple(remedy.options for remedy in cause.remedies)
+    likeliest = finding("cause", cause.sentence, EVER, " or ".join(remedies))
     estimates = replace(
         recovery.estimates,
         trusted=False,
         reasons=(cause.sentence, *recovery.estimates.reasons),
+        findings=(likeliest, *recovery.estimates.findings),
         cause=cause.sentence,
-        remedies=tuple(remedy.options for remedy in cause.remedies),
+        remedies=remedies,
     )
     return replace(recovery, estimates=estimates)
 

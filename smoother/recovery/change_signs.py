@@ -18,7 +18,7 @@ from ..measurements.timestamps import PAUSE_SAMPLES
 from ..measurements.visibility import Rejection
 from ..recording import JOINTS, ImuStream, JointState, Recording
 from ..result import Recovery
-from ..result.verdict import EVER, Sign
+from ..result.verdict import EVER, Finding, finding
 from ..window.solution import Step
 
 #: A step is one where chance, over all kinds and moments that were tried, gives as much so rarely by the
@@ -39,7 +39,7 @@ STILL_RAD_S, STILL_MEAN_S, STILL_S = 0.03, 0.1, 3.0
 STILL_TURN_DEG, STILL_SHARE, STILL_FRAMES = 20.0, 0.2, 30
 
 
-def changed_for_good(steps: Sequence[Step], left: Sequence[Step]) -> Iterator[Sign]:
+def changed_for_good(steps: Sequence[Step], left: Sequence[Step]) -> Iterator[Finding]:
     """The most significant step of all: no answer holds before and after it.
 
     `left` are those without the camera's blocks that the rest contradicts: another body for a while is no
@@ -52,7 +52,7 @@ def changed_for_good(steps: Sequence[Step], left: Sequence[Step]) -> Iterator[Si
     step = max(significant, key=lambda each: each.squared)
     if step.kind == "clock":
         what = f"the clocks of camera and IMU jump by {1e3 * abs(float(step.size[0])):.0f} ms"
-        cause = "samples were lost, or a clock was set"
+        code, cause = "clock-stepped", "samples were lost, or a clock was set"
     else:
         turned_deg, moved_cm = (
             np.degrees(np.linalg.norm(step.size[:-3])),
@@ -60,15 +60,17 @@ def changed_for_good(steps: Sequence[Step], left: Sequence[Step]) -> Iterator[Si
         )
         of = "the sensor on the arm" if step.kind == "mounting" else "all that the camera sees"
         what = f"{of} turns by {turned_deg:.0f} degrees and moves by {moved_cm:.0f} cm, unfelt by the IMU"
-        cause = "the camera was moved, or the strap slipped"
+        code, cause = "moved-or-slipped", "the camera was moved, or the strap slipped"
     shows_still = [each.at_s for each in left if _chance(each) < LEFT_CHANCE]
     if not any(abs(step.at_s - at_s) < LEFT_WITHIN_S for at_s in shows_still):
-        yield Sign(
+        yield finding(
+            code,
             f"at about {step.at_s:.0f} s {what}: {cause}, or another body was seen beside it",
             (step.at_s - BESIDE_S, step.at_s + BESIDE_S),
         )
         return
-    yield Sign(
+    yield finding(
+        code,
         f"at about {step.at_s:.0f} s {what}: {cause}; positions before and after are not in one frame:"
         " cut the recording there (`unocclude cut`) and smooth both parts",
         EVER,
@@ -84,7 +86,7 @@ def imu_lies_still(
     recovery: Recovery,
     recording: Recording,
     gyroscope_bias: FloatArray,  # (3,) rad/s
-) -> Iterator[Sign]:
+) -> Iterator[Finding]:
     """Times at which the IMU does not turn at all while the camera sees the forearm turn."""
     residuals, imu = recovery.residuals, recording.imu
     if residuals is None or len(imu) < 3:
@@ -107,7 +109,8 @@ def imu_lies_still(
         direction = unit(position[seen, wrist] - position[seen, elbow])
         away = direction @ unit(np.median(direction, axis=0))
         if np.mean(away < np.cos(np.radians(STILL_TURN_DEG))) > STILL_SHARE:
-            yield Sign(
+            yield finding(
+                "imu-taken-off",
                 f"from {start_s:.1f} to {end_s:.1f} s the IMU is still while the camera sees the"
                 " forearm turn: it was taken off, or the skeleton is another person's",
                 (start_s, end_s),

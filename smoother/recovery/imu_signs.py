@@ -26,7 +26,7 @@ from ..measurements.timestamps import PAUSE_SAMPLES, synthetic_stamps
 from ..measurements.visibility import Rejection
 from ..recording import JOINTS, ImuStream, Recording
 from ..result import Recovery
-from ..result.verdict import EVER, Sign
+from ..result.verdict import EVER, Finding, finding
 from ..rotation import Rotation, chained
 from ..units import STANDARD_GRAVITY
 
@@ -303,7 +303,7 @@ class ClockStep:
         )
 
 
-def lost_samples(recovery: Recovery, recording: Recording) -> Iterator[Sign]:
+def lost_samples(recovery: Recovery, recording: Recording) -> Iterator[Finding]:
     """Samples or frames that were lost behind stamps that go on as if nothing were; as `clock_steps`."""
     least_s = STEP_SYNTHETIC_S if synthetic_stamps(np.asarray(recording.arm.t_s)) else STEP_S
     steps = [
@@ -313,10 +313,10 @@ def lost_samples(recovery: Recovery, recording: Recording) -> Iterator[Sign]:
     ]
     large = max(steps, key=lambda step: abs(step.step_s), default=None)
     if large is not None and abs(large.step_s) >= LARGE_STEP_S:
-        yield Sign(large.sentence, EVER)
+        yield finding("samples-lost", large.sentence, EVER)
         return
     for step in steps:
-        yield Sign(step.sentence, (step.at_s - NEAR_S, step.at_s + NEAR_S))
+        yield finding("samples-lost", step.sentence, (step.at_s - NEAR_S, step.at_s + NEAR_S))
 
 
 def clock_steps(recovery: Recovery, recording: Recording) -> list[ClockStep]:

@@ -16,7 +16,7 @@ from ..measurements.visibility import REASONS, Gap
 from ..recording import JOINTS, Recording
 from ..result import Draws, Estimates, FrameResiduals, Recovery
 from ..result.segment_motion import SegmentMotion
-from ..result.verdict import Sign
+from ..result.verdict import finding
 from ..runtime.store import large_array
 from ..selfcal.self_calibration import SelfCalibration
 from ..window.draw_plan import DrawPlan
@@ -100,8 +100,8 @@ def merge(
         notes=notes_on(recording, timeline, model, clock, residuals, tuple(gaps), unexplained),
         # the answer is the same on any number of processes
         config=task.config.model_dump(exclude={"windows": {"processes"}}, exclude_none=True),
-        estimates=_estimates(model, np.mean(biases, axis=0)).with_signs(
-            Sign(note, (gap.start_s, gap.end_s))
+        estimates=_estimates(model, np.mean(biases, axis=0)).with_findings(
+            finding("gap-unexplained", note, (gap.start_s, gap.end_s))
             for gap, note in zip(unexplained, unexplained_gaps(unexplained), strict=True)
         ),
         segments=segments,

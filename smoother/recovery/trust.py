@@ -7,7 +7,7 @@ far from what sound recordings show; an answer that shows one is not to be trust
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -21,7 +21,7 @@ from ..measurements.clock import LARGEST_OFFSET_S, Clock
 from ..measurements.visibility import Rejection
 from ..recording import FOREARM_JOINTS, JOINTS, CameraFrame, JointTracks, Recording
 from ..result import Recovery, SelfCheck
-from ..result.verdict import EVER, Sign, gap_verdicts
+from ..result.verdict import EVER, Finding, finding, gap_verdicts
 from ..selfcal.pairing import doubtful, unproved
 from .change_signs import imu_lies_still, skeleton_filled
 from .imu_signs import (
@@ -169,60 +169,67 @@ def with_verdict(
     anatomy: Anatomy,
     misfits: tuple[str, ...] = (),
     open_questions: tuple[str, ...] = (),
-    steps: Sequence[Sign] = (),
+    steps: Sequence[Finding] = (),
     measured: Clock | None = None,
     moved: Clock | None = None,
 ) -> Recovery:
     """The recovery with a verdict among its estimates."""
-    scale = force_scale(recording.imu, _gyroscope_bias(recovery))
-    # what was found is a remark, or contradicts some times, or the whole recording
-    found = replace(recovery.estimates, reasons=()).with_signs(
-        [
-            *steps,
-            *lost_samples(recovery, recording),
-            *imu_lies_still(recovery, recording, _gyroscope_bias(recovery)),
-            *(Sign(each, EVER) for each in _anatomy(recovery.calibration, anatomy)),
-            *map(
-                Sign,
-                (
-                    *doubtful(recovery.estimates.pairing),
-                    *open_questions,
-                    *distance_doubtful(recovery),
-                    *_camera(recovery, NEAR_M),
-                    *rate(recording.imu, SLOW_HZ),
-                    *_hand_as_wrist(recovery.calibration, anatomy),
-                    *clipped(recording.imu, 0.0),
-                    *doubtful_scale(scale),
-                    *spikes(recording.imu),
-                    *paused_in_gaps(recording),
-                    *skeleton_filled(recovery),
-                ),
-            ),
-        ]
-    )
-    reasons = (
-        # what is wrong with the input comes before what follows of it
-        *rate(recording.imu, TOO_SLOW_HZ),
-        *zeros(recording.imu),
-        *clipped(recording.imu, PLATEAU_SHARE),
-        *wrong_scale(scale),
-        *_mirror_image(recording),
-        *(swapped.sentence for swapped in swapped_joints(recording.arm)),
-        *unproved(recovery.estimates.pairing),
-        *misfits,
-        *_measured_clock(recovery, measured),
-        *found.reasons,
-        *_gravity(recovery, recording),
-        *distance_unknown(recovery),
-        *_clock(recovery, moved),
-        *_camera(recovery, FAR_M),
-        *_self_check(recovery.estimates.self_check),
-    )
+    imu, bias = recording.imu, _gyroscope_bias(recovery)
+    scale, pairing, arm = force_scale(imu, bias), recovery.estimates.pairing, recovery.calibration
+    # what is wrong with the input comes before what follows of it
+    against_all = {
+        "imu-slow": rate(imu, TOO_SLOW_HZ),
+        "imu-zeros": zeros(imu),
+        "imu-clipped": clipped(imu, PLATEAU_SHARE),
+        "imu-scale": wrong_scale(scale),
+        "options-cancel": _mirror_image(recording),
+        "joints-swapped": (swapped.sentence for swapped in swapped_joints(recording.arm)),
+        "no-pair": unproved(pairing),
+        "calibration-contradicted": misfits,
+        "clock-contradicted": _measured_clock(recovery, measured),
+    }
+    of_some_times = (*steps, *lost_samples(recovery, recording), *imu_lies_still(recovery, recording, bias))
+    further_against_all = {
+        "impossible-length": _anatomy(arm, anatomy),
+        "gravity": _gravity(recovery, recording),
+        "distance-unknown": distance_unknown(recovery),
+        "clock-limit": _clock(recovery, moved),
+        "camera-elsewhere": _camera(recovery, FAR_M),
+        "self-check": _self_check(recovery.estimates.self_check),
+    }
+    remarks = {
+        "pair-unproved": doubtful(pairing),
+        "mounting-open": open_questions,
+        "distance-doubtful": distance_doubtful(recovery),
+        "camera-elsewhere": _camera(recovery, NEAR_M),
+        "imu-slow": rate(imu, SLOW_HZ),
+        "hand-as-wrist": _hand_as_wrist(arm, anatomy),
+        "imu-clipped": clipped(imu, 0.0),
+        "imu-scale": doubtful_scale(scale),
+        "imu-spikes": spikes(imu),
+        "imu-paused": paused_in_gaps(recording),
+        "skeleton-filled": skeleton_filled(recovery),
+    }
+    found = [
+        *_rows(against_all, EVER),
+        *of_some_times,
+        *_rows(further_against_all, EVER),
+        *_rows(remarks, None),
+    ]
+    reasons = [each.sentence for each in found if each.severity == "recording"]
     if reasons:  # what else is wrong with the input is the likeliest cause
-        reasons = tuple(dict.fromkeys((*input_faults(recording), *reasons)))
-    cautions = tuple(caution for caution in dict.fromkeys(found.cautions) if caution not in reasons)
-    estimates = replace(found, trusted=not reasons, reasons=reasons, cautions=cautions)
-    return replace(recovery, estimates=estimates)
+        faults = list(_rows({"imu-fault": input_faults(recording)}, EVER))
+        found = [*faults, *(each for each in found if each.sentence not in {one.sentence for one in faults})]
+    estimates = replace(recovery.estimates, trusted=True, reasons=()).with_findings(found)
+    cautions = (each for each in dict.fromkeys(estimates.cautions) if each not in estimates.reasons)
+    return replace(recovery, estimates=replace(estimates, cautions=tuple(cautions)))
+
+
+def _rows(
+    sentences: Mapping[str, Iterable[str]], contradicts_s: tuple[float, float] | None
+) -> Iterator[Finding]:
+    """Findings of one severity from their sentences by code."""
+    return (finding(code, each, contradicts_s) for code, some in sentences.items() for each in some)
 
 
 def with_gap_verdicts(recovery: Recovery) -> Recovery:

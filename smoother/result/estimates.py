@@ -11,7 +11,7 @@ from pydantic import Field
 from ..recording import JOINTS
 from .camera_estimate import CameraEstimate
 from .plain import Vector, field_from_plain, plain
-from .verdict import EVER, Pairing, SelfCheck, Sign, UntrustedInterval
+from .verdict import Finding, Pairing, SelfCheck, UntrustedInterval
 
 Joint = Annotated[str, Field(pattern=f"^({'|'.join(JOINTS)})$")]
 
@@ -54,6 +54,8 @@ class Estimates:
         Options that undo the cause ("--mirror x"); of several either one may be meant.
     untrusted : tuple of UntrustedInterval
         Times that are not to be trusted where the rest is.
+    findings : tuple of Finding
+        All that was found, with its kind: what `reasons`, `cautions` and `untrusted` say.
     self_check : SelfCheck, optional
         Visible stretches that were hidden and recovered.
     pairing : Pairing, optional
@@ -85,6 +87,7 @@ class Estimates:
     cause: str | None = None
     remedies: tuple[str, ...] = ()
     untrusted: tuple[UntrustedInterval, ...] = ()
+    findings: tuple[Finding, ...] = ()
     self_check: SelfCheck | None = None
     pairing: Pairing | None = None
     clock_given_s: Annotated[tuple[float, ...], Field(min_length=2, max_length=2)] | None = None
@@ -102,22 +105,24 @@ class Estimates:
             return f"Not to be trusted: {'; '.join(self.reasons)}."
         return f"Usable with care: {'; '.join(self.cautions)}." if self.cautions else "Usable."
 
-    def with_signs(self, signs: Iterable[Sign]) -> Estimates:
+    def with_findings(self, more: Iterable[Finding]) -> Estimates:
         """A remark is a caution; what contradicts some times takes their trust, or that of the whole."""
-        cautions, reasons, untrusted = list(self.cautions), list(self.reasons), list(self.untrusted)
-        for sentence, times in dict.fromkeys(signs):
-            if times is None:
-                cautions.append(sentence)
-            elif times == EVER:
-                reasons.append(sentence)
-            else:
-                untrusted.append(UntrustedInterval(*times, (sentence,)))
+        found = tuple(dict.fromkeys(more))
+        reasons = [each.sentence for each in found if each.severity == "recording"]
         return replace(
             self,
-            trusted=False if reasons else self.trusted,
-            reasons=tuple(reasons),
-            cautions=tuple(cautions),
-            untrusted=tuple(untrusted),
+            trusted=False if reasons or self.reasons else self.trusted,
+            reasons=tuple(dict.fromkeys((*self.reasons, *reasons))),
+            cautions=(*self.cautions, *(each.sentence for each in found if each.severity == "caution")),
+            untrusted=(
+                *self.untrusted,
+                *(
+                    UntrustedInterval(each.start_s, each.end_s, (each.sentence,))
+                    for each in found
+                    if each.start_s is not None and each.end_s is not None
+                ),
+            ),
+            findings=tuple(dict.fromkeys((*self.findings, *found))),
         )
 
     def plain(self) -> dict[str, object]:

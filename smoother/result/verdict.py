@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Literal
 
 import numpy as np
 
@@ -39,11 +39,41 @@ class UntrustedInterval:
 EVER = (-float("inf"), float("inf"))
 
 
-class Sign(NamedTuple):
-    """What was found, and the times, s on the IMU's clock, whose answer it contradicts; None for a remark."""
+@dataclass(frozen=True)
+class Finding:
+    """What was found of a recording or its result.
 
+    Attributes
+    ----------
+    code : str
+        Its kind, as "camera-moved".
+    severity : {"caution", "times", "recording"}
+        A remark, or times whose answer it contradicts, or all of the answer.
+    start_s, end_s : float, s, optional
+        These times, on the IMU's clock; None for a remark and where it is all of it.
+    sentence : str
+        In words, without a full stop.
+    remedy : str
+        Options that undo it; "" where the sentence says what to do.
+    """
+
+    code: str
+    severity: Literal["caution", "times", "recording"]
+    start_s: float | None
+    end_s: float | None
     sentence: str
-    contradicts_s: tuple[float, float] | None = None
+    remedy: str = ""
+
+
+def finding(
+    code: str, sentence: str, contradicts_s: tuple[float, float] | None = None, remedy: str = ""
+) -> Finding:
+    """What was found, and the times, s on the IMU's clock, whose answer it contradicts; None for a remark."""
+    if contradicts_s is None:
+        return Finding(code, "caution", None, None, sentence, remedy)
+    if contradicts_s == EVER:
+        return Finding(code, "recording", None, None, sentence, remedy)
+    return Finding(code, "times", *contradicts_s, sentence, remedy)
 
 
 @dataclass(frozen=True)

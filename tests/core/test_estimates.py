@@ -31,6 +31,24 @@ PLAIN = {
     "cause": "the skeleton seems mirrored (x); run again with --mirror x",
     "remedies": ["--mirror x"],
     "untrusted": [{"start_s": 1.0, "end_s": 2.5, "reasons": ["another body"]}],
+    "findings": [
+        {
+            "code": "gap-unconfirmed",
+            "severity": "times",
+            "start_s": 1.0,
+            "end_s": 2.5,
+            "sentence": "another body",
+            "remedy": "",
+        },
+        {
+            "code": "cause",
+            "severity": "recording",
+            "start_s": None,
+            "end_s": None,
+            "sentence": "the skeleton seems mirrored (x); run again with --mirror x",
+            "remedy": "--mirror x",
+        },
+    ],
     "self_check": {
         "stretches": 6,
         "unanswered": 0,
@@ -114,5 +132,5 @@ values = st.recursive(
 def test_nothing_is_lost_whatever_a_file_states(plain: dict) -> None:
     again = Estimates.from_plain(plain).plain()
     # an empty list says the same as none
-    lists = ("given", "sigma_factors", "reasons", "cautions", "remedies", "untrusted", "cameras")
+    lists = ("given", "sigma_factors", "reasons", "cautions", "remedies", "untrusted", "findings", "cameras")
     assert again == {name: value for name, value in plain.items() if name not in lists or value != []}

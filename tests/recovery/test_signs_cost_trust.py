@@ -15,7 +15,7 @@ from smoother.linalg import runs
 from smoother.recording import JOINTS
 from smoother.recovery.cause import on_upper_arm
 from smoother.result import Estimates
-from smoother.result.verdict import EVER, Sign
+from smoother.result.verdict import EVER, finding
 from smoother.simulation import ArmSimulation, simulate_arm
 from smoother.smoothing import smooth
 from tools.reliability import setup_errors
@@ -91,6 +91,12 @@ def test_a_sign_distrusts_the_gaps_it_touches(
     assert any(words in reason for reason in verdict.reasons), (verdict, recovery.estimates)
     assert (recovery.estimates.trusted is False) == whole
     assert whole or any(each.trusted for each in recovery.gap_verdicts)
+    found = recovery.estimates
+    said = {each.sentence: each.severity for each in found.findings}
+    assert {said[reason] for reason in found.reasons} <= {"recording", "times"}
+    assert all(said[why] == "times" for each in found.untrusted for why in each.reasons)
+    of_gaps = [caution for caution in found.cautions if not caution.endswith("not to be trusted")]
+    assert {said[caution] for caution in of_gaps} <= {"caution"}
 
 
 @pytest.mark.parametrize(
@@ -100,9 +106,11 @@ def test_a_sign_distrusts_the_gaps_it_touches(
 def test_what_a_sign_contradicts(
     times: tuple[float, float] | None, trusted: bool, cautions: int, untrusted: int
 ) -> None:
-    found = Estimates(trusted=True).with_signs([Sign("it is so", times), Sign("it is so", times)])
+    found = Estimates(trusted=True).with_findings([finding("so", "it is so", times)] * 2)
     assert (found.trusted, len(found.cautions), len(found.untrusted)) == (trusted, cautions, untrusted)
     assert found.reasons == (() if trusted else ("it is so",))
+    (one,) = found.findings
+    assert (one.code, one.sentence, one.start_s is None) == ("so", "it is so", untrusted == 0)
 
 
 @pytest.mark.parametrize("flexion_rad", [(0.5, 2.0), (0.5, 0.9)], ids=["lively elbow", "stiff elbow"])
