@@ -299,5 +299,5 @@ def test_peak_of_short_and_long(tmp_path: Path) -> None:
     # 6 minutes more are 31 MB of columns; what may grow are a few numbers a sample
     assert long - short < 15
     assert long_page - short_page < 25
-    assert long < 150  # MB of its own
+    assert long < 215  # MB of its own; writing Parquet takes some 50 of them
     assert page_mb < 10
