@@ -13,7 +13,6 @@ from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from smoother.array_types import BoolArray, FloatArray
 from smoother.calibration import ArmCalibration, LeverArm
@@ -25,6 +24,7 @@ from smoother.measurements.segment import Segment, split_into_segments
 from smoother.recording import JOINTS, Recording
 from smoother.recovery.imu_signs import PLATEAU_SHARE, clipped
 from smoother.result import Recovery
+from smoother.rotation import Rotation
 from smoother.runtime.pool import Pool
 from smoother.selfcal.pairing import synchronise_coarsely
 from smoother.selfcal.rounds import self_calibrate

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import builtins
-import json
 from pathlib import Path
 from typing import Any
 
@@ -51,21 +50,13 @@ def test_ros1_bag_that_is_cut_off(tmp_path: Path) -> None:
         streams(path, "rosbag1")
 
 
-@pytest.mark.parametrize(
-    ("schema", "fields"),
-    [
-        ("sensor_msgs/msg/Imu", {}),
-        ("unocclude.Skeleton", {}),
-        ("mine", {"linear_acceleration": {}, "angular_velocity": {}}),
-    ],
-)
-def test_mcap_with_json_is_refused_by_its_topic(tmp_path: Path, schema: str, fields: dict[str, Any]) -> None:
+@pytest.mark.parametrize("schema", ["sensor_msgs/msg/Imu", "unocclude.Skeleton"])
+def test_mcap_with_json_is_refused_by_its_topic(tmp_path: Path, schema: str) -> None:
     path = tmp_path / "a.mcap"
     with open(path, "wb") as file:
         writer = Writer(file)
         writer.start()
-        text = json.dumps({"type": "object", "properties": fields}).encode()
-        number = writer.register_schema(name=schema, encoding="jsonschema", data=text)
+        number = writer.register_schema(name=schema, encoding="jsonschema", data=b'{"type": "object"}')
         channel = writer.register_channel(topic="/wrist", message_encoding="json", schema_id=number)
         writer.add_message(channel, log_time=ZERO, data=b"{}", publish_time=ZERO)
         writer.finish()
