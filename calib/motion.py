@@ -24,7 +24,6 @@ from smoother.measurements.segment import Segment, split_into_segments
 from smoother.recording import JOINTS, Recording
 from smoother.recovery.imu_signs import PLATEAU_SHARE, clipped
 from smoother.result import Recovery
-from smoother.rotation import Rotation
 from smoother.runtime.pool import Pool
 from smoother.selfcal.pairing import synchronise_coarsely
 from smoother.selfcal.rounds import self_calibrate
@@ -192,9 +191,18 @@ def _turns(recovery: Recovery) -> tuple[FloatArray, BoolArray]:
     good: BoolArray = np.all(np.isfinite(q), axis=1)
     both = good[1:] & good[:-1] & (np.diff(recovery.t_s) > 0)
     turn = np.zeros((len(both), 3))
-    before, after = (Rotation.from_quat(each[both], scalar_first=True) for each in (q[:-1], q[1:]))
-    turn[both] = (before.inv() * after).as_rotvec()
+    turn[both] = _turn_between(q[:-1][both], q[1:][both])
     return turn, both & ~(recovery.occluded[1:] | recovery.occluded[:-1])
+
+
+def _turn_between(before: FloatArray, after: FloatArray) -> FloatArray:
+    """Rotation vectors (n, 3) of conj(before) * after, quaternions (n, 4) with qw first: no matrix each."""
+    w0, w1, v0, v1 = before[:, 0], after[:, 0], before[:, 1:], after[:, 1:]
+    w = w0 * w1 + np.einsum("ni,ni->n", v0, v1)
+    v = w0[:, None] * v1 - w1[:, None] * v0 - np.cross(v0, v1)
+    sine = np.linalg.norm(v, axis=1)
+    angle = 2.0 * np.arctan2(sine, np.abs(w)) * np.where(w < 0, -1.0, 1.0)
+    return v * np.divide(angle, sine, out=2.0 / w, where=sine > 0)[:, None]
 
 
 def _turns_of_segment(segment: Segment) -> tuple[FloatArray, FloatArray, BoolArray]:

@@ -14,7 +14,7 @@ from ..wire.layout import Buffer
 
 Columns = dict[str, NDArray]
 #: Rows that are written together: what passes through the memory.
-_ROWS = 20_000
+_ROWS = 4_000
 #: Drawn motions are rounded to this many parts of a metre, which is 8 micrometres, and of a radian.
 _PARTS = 2.0**17
 #: Columns of samples by the names of their attributes.
