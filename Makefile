@@ -4,7 +4,7 @@ BIN := .venv/bin
 READY := .venv/.ready
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo test lint format docs lock fuzz audit clean
+.PHONY: help setup demo test slow lint format docs lock fuzz audit clean
 
 help: ## list the tasks
 	@grep -E '^[a-z]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 12
@@ -20,8 +20,11 @@ $(READY): requirements.lock pyproject.toml
 demo: $(READY) ## the main job on the recording in data/: smooth, validate, report
 	$(BIN)/unocclude demo
 
-test: $(READY) ## run the tests, two at a time
-	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 --dist loadfile
+test: $(READY) ## run the tests but the slow ones, two at a time
+	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 --dist loadfile -m "not slow"
+
+slow: $(READY) ## run the slow tests: whole recordings, processes, browsers
+	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 --dist loadfile -m slow
 
 lint: $(READY) ## style, types, and imports that point down
 	$(BIN)/ruff check .

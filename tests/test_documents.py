@@ -171,6 +171,7 @@ def quoted(document: str) -> list[str]:
     ]
 
 
+@pytest.mark.slow
 def test_troubleshooting_quotes_the_program():
     texts = quoted("docs/troubleshooting.md")
     assert len(texts) > 40
@@ -183,6 +184,7 @@ def numberless(text: str) -> str:
     return " ".join(re.sub(r"\d+(\.\d+)?", "N", text).split())
 
 
+@pytest.mark.slow
 def test_the_tutorial_runs_as_it_stands(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Any):
     from smoother.cli.run import run
 
@@ -262,6 +264,7 @@ def test_the_readme_is_one_screen():
     assert "CITATION.cff" in text and "What this is not" in text
 
 
+@pytest.mark.slow
 def test_notebook_in_six_lines(monkeypatch):
     (code,) = blocks("docs/api.md", "python")
     statements = [line for line in code.splitlines() if line.strip()]

@@ -316,6 +316,7 @@ def pooled(errors: list[AngleErrors], name: str, hidden: bool) -> tuple[np.ndarr
     )
 
 
+@pytest.mark.slow
 def test_flexion_in_gaps(errors: list[AngleErrors]) -> None:
     off, _ = pooled(errors, "elbow_flexion", hidden=True)
     assert len(off) > 200 and np.sqrt(np.mean(off**2)) < 3.0
@@ -416,6 +417,7 @@ def test_what_is_not_known_has_a_reason() -> None:
     assert gone.reasons["wrist_flexion"].startswith("Empty in 33 % of the samples")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("side", "seed"), [("right", 8), ("left", 7)])
 def test_simulated_arms(side: str, seed: int) -> None:
     """Of six arms 1.6 to 5.1 degrees rms of flexion and 1.4 to 6.9 of deviation, at 7 to 13 stated."""

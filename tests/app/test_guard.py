@@ -147,6 +147,7 @@ def asked(address: str, path: str) -> tuple[int, str]:
         connection.close()
 
 
+@pytest.mark.slow
 def test_one_server_a_folder(tmp_path: Path):
     folder = tmp_path / "recordings"
     program = Program(folder)

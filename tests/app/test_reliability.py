@@ -107,6 +107,7 @@ def test_no_value_is_a_fault_of_the_server(
         assert answer.status_code < 500 and (answer.status_code == 200 or answer.json()["error"])
 
 
+@pytest.mark.slow
 def test_each_start_has_a_secret_of_its_own(tmp_path: Path):
     """The browser gets a file for its owner alone: its command line shows no token."""
     folder = AppFolder(tmp_path)
@@ -122,6 +123,7 @@ def test_each_start_has_a_secret_of_its_own(tmp_path: Path):
     )
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not hasattr(os, "killpg"), reason="groups of processes are POSIX'")
 def test_no_command_outlives_its_killed_server(tmp_path: Path):
     place = tmp_path / AppFolder(tmp_path).add(KeptRecording(name="rec"))
@@ -160,6 +162,7 @@ def test_no_command_outlives_its_killed_server(tmp_path: Path):
     assert jobs.state_of(job)["state"] == "stopped"
 
 
+@pytest.mark.slow
 def test_a_layout_of_another_recording_makes_nothing_outdated(
     page: Page, session_files: dict[str, Path], tmp_path: Path
 ):

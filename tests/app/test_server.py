@@ -29,6 +29,7 @@ from smoother.io.tables.recording_toml import read_templates
 from smoother.io.tables.table import read_head
 
 
+@pytest.mark.slow
 def test_two_files_become_a_recording(page: Page, session_files: dict[str, Path]):
     name = page.add([session_files["skeleton"], session_files["imu"]], job=True)
     files = {each["name"]: each for each in page.ask("GET", f"/api/recordings/{name}/streams")["files"]}

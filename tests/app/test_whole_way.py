@@ -38,6 +38,7 @@ def film(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     }
 
 
+@pytest.mark.slow
 def test_a_video_is_the_camera_where_there_is_no_other(
     page: Page, film: dict[str, Path], monkeypatch: pytest.MonkeyPatch
 ):

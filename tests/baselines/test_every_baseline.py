@@ -134,6 +134,7 @@ def test_error_free_sensors_come_back_to_the_methods_order(baseline: Baseline, f
             assert rms(turned_off(made, path.R_K_A)[settled]) < (0.1 if baseline is ukf else 0.05)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("baseline", "visible_m", "gap_m"),
     [  # the camera's point is off by 8 mm; a hand covers 30 cm in a second; measured 2, 4 and 20 mm at best
@@ -163,6 +164,7 @@ def test_they_say_what_a_gap_costs(baseline: Baseline, visible_m: float, gap_m: 
     assert path.covariance[inside[-1] + 8, 0, 0] < 0.5 * variance[-1]
 
 
+@pytest.mark.slow
 @every_baseline
 def test_ends_are_bridged_by_smoothers_and_followed_by_all(baseline: Baseline):
     made = arm("white", 2, occlusion_lengths_s=NO_GAPS, duration_s=12.0)
@@ -214,6 +216,7 @@ def nees(error: FloatArray, covariance: FloatArray) -> FloatArray:
     return np.einsum("ni,ni->n", error, np.linalg.solve(covariance, error[..., None])[..., 0]) / 3.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("baseline", MEASURED, ids=lambda baseline: baseline.__name__)
 def test_sigmas_go_with_the_errors(baseline: Baseline):
     visible, occluded, attitude = [], [], []

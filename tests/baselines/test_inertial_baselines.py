@@ -73,6 +73,7 @@ def test_measurements_are_the_derivative_of_the_residuals():
     np.testing.assert_allclose(slope, expected, rtol=0.01, atol=0.01 * np.abs(expected).max())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("protocol", ["random", "behind"])
 def test_rts_recovers_gaps_to_centimetres(protocol: str):
     squares, worst, angles = [], [], []

@@ -94,6 +94,7 @@ def test_the_published_steps(behind: SolvedArm, boundary_s: float):
         np.testing.assert_allclose(path.position[rows], expected, atol=1e-9)
 
 
+@pytest.mark.slow
 def test_errors_of_the_papers_size():
     """4.07 cm rms and 14.1 cm at most, each within a factor of 2.5, over three people."""
     squares, largest = [], []

@@ -82,6 +82,7 @@ LIMITS = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ORIENTATIONS)
 def test_against_the_truth(name: str):
     squares, largest = [], 0.0
@@ -183,6 +184,7 @@ def test_comotti_is_a_kalman_filter_in_matrices(with_field: bool):
     np.testing.assert_allclose(fast, np.array(plain), atol=1e-9)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["comotti", "complementary"])
 def test_a_field_holds_the_heading(name: str):
     """With 1 deg/s of unknown bias a minute leaves 60 degrees; the field leaves a few."""

@@ -153,6 +153,7 @@ def moving() -> Recording:
     return simulate_arm(ArmSimulation.preset("realistic", protocol="random", duration_s=40.0), 3).recording
 
 
+@pytest.mark.slow
 def test_motion_finds_an_offset_of_seconds_as_well_as_none(moving):
     config = with_processes(Config(), 1)
     near = clock_from_motion(moving, None, config).link
@@ -180,6 +181,7 @@ def test_periodic_motion_seconds_apart_is_refused(moving):
         coarse_offset(later(recording, 0.5), 0.1)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("rate_hz", "quiet_db", "limit_s"), [(16000, 25.0, 1e-3), (44100, 25.0, 1e-3), (16000, 10.0, 2e-3)]
 )
@@ -214,6 +216,7 @@ def test_an_echo_as_loud_as_the_beep_costs_sigma():
     assert loud.loud_room and loud.sigma_s > 0.01 and abs(loud.end_s - 1.5) < 3 * loud.sigma_s
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("delay_s", "gain"), [(0.015, 0.6), (0.04, 0.4), (0.08, 0.5)])
 def test_a_single_echo_is_not_taken_for_the_beep(delay_s: float, gain: float):
     """An echo may cancel the direct sound in part: the loudness then stays as it was when the beep stops."""

@@ -44,6 +44,7 @@ def arms() -> list[tuple[SimulatedArm, ForearmCalibration]]:
     return found
 
 
+@pytest.mark.slow
 def test_measures_are_right_within_their_sigmas(arms):
     sigmas = []
     for arm, found in arms:
@@ -168,6 +169,7 @@ def test_no_pose():
     assert find_held_pose(hang, 2.0, 4.0).chosen == "given"
 
 
+@pytest.mark.slow
 def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     arm = simulate_arm(ArmSimulation.preset("realistic", repetitions=1), 4)
     write_recording(arm.recording, tmp_path / "rec.mcap")
@@ -262,6 +264,7 @@ def test_a_marker_beside_the_strap_does_not_move_it():
     assert np.linalg.norm(np.array(places[1:]) - places[0], axis=1).max() < 0.007
 
 
+@pytest.mark.slow
 def test_nothing_is_found_where_the_strap_cannot_be_seen():
     """The body stands before the arm while the camera goes on to call its joints tracked; or no strap."""
     accepted = 0

@@ -57,6 +57,7 @@ def shifted(recording: Recording, seconds: float) -> Recording:
     return replace(recording, name="late", arm=replace(recording.arm, t_s=recording.arm.t_s + seconds))
 
 
+@pytest.mark.slow
 def test_mounting_over_two_recordings(arm: SimulatedArm):
     found = calibrate_motion([arm.recording, shifted(arm.recording, 0.05)], None, ONE_PROCESS)
     for joint, lever in found.calibration.lever_arms.items():
@@ -141,6 +142,7 @@ def test_refusals(file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
     assert bad.read_text() == "x = 1\n"
 
 
+@pytest.mark.slow
 def test_recordings_of_two_mountings_are_refused_by_name(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     """Halves of one recording belong together; another person's does not."""
     settings = ArmSimulation.preset("realistic", protocol="random", duration_s=40.0)
@@ -341,6 +343,7 @@ def calibrated(trials: list[Recording]) -> ArmEstimates:
         return calibrate_motion(trials)
 
 
+@pytest.mark.slow
 def test_errors_that_are_larger_than_stated_ask_for_more(
     trials: list[Recording], calibrated: ArmEstimates, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -252,6 +252,7 @@ def test_transform_by_axes_and_by_points(seed: int):
     np.testing.assert_allclose(kabsch(markers, noisy).R, scipys.as_matrix(), atol=1e-9)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(3))
 def test_one_pose(seed: int):
     row = panel.trial(PanelSimulation(poses=1), seed)
@@ -262,6 +263,7 @@ def test_one_pose(seed: int):
     assert degrees < 0.6 and mm < 3
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "settings",
     [
@@ -282,6 +284,7 @@ def test_other_markers_cameras_and_panels(settings: dict):
     assert row["squared"].max() < 16
 
 
+@pytest.mark.slow
 def test_eight_poses_with_a_wrong_depth_and_a_distractor():
     row = panel.trial(PanelSimulation(poses=8, depth_offset_m=0.005, distractors=1), 3)
     degrees, mm = row["ours"]
@@ -290,6 +293,7 @@ def test_eight_poses_with_a_wrong_depth_and_a_distractor():
     assert row["published"][1] > 3  # the published method takes the depth as it is
 
 
+@pytest.mark.slow
 @pytest.mark.real
 @pytest.mark.parametrize("corrected", [False, True])
 def test_real_panel_against_its_published_calibration(corrected: bool):

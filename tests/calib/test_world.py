@@ -101,6 +101,7 @@ CLEAN = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("how", ["gyroscopes", "gravity alone", "magnetometers"])
 def test_exact_without_noise(how: str):
     settings = {"magnetometers": {"magnetometer": True}}.get(how, {"camera_tilt_deg": 35.0})
@@ -111,6 +112,7 @@ def test_exact_without_noise(how: str):
     assert not found.by_eye
 
 
+@pytest.mark.slow
 def test_six_poses_with_a_phones_imus():
     """The figure: within 0.3 degrees, mounting found; sigmas that hold."""
     errors, nees = [], []
@@ -126,6 +128,7 @@ def test_six_poses_with_a_phones_imus():
     assert 0.02 < np.mean(nees) < 1.5  # stated sigmas leave room for worse accelerometers than these
 
 
+@pytest.mark.slow
 def test_camera_that_stands_still_has_tilt_and_no_heading():
     for seed in (5, 6):
         session = Session(seed)
@@ -162,6 +165,7 @@ def test_any_side_of_the_imu_may_be_up():
     assert session.error_deg(found) < 0.5 and accuracy(found).off_deg == pytest.approx(170, abs=0.5)
 
 
+@pytest.mark.slow
 def test_a_wrong_pose_is_left_out():
     session = Session(11, poses=7, camera_tilt_deg=30)
     wrong = Rotation.from_rotvec(np.radians([0, 8, 0])).as_matrix() @ session.views[3].R_K_P
@@ -173,6 +177,7 @@ def test_a_wrong_pose_is_left_out():
     assert session.error_deg(found) < 0.5
 
 
+@pytest.mark.slow
 def test_poses_that_contradict_each_other_are_refused():
     session = Session(12, poses=3, camera_tilt_deg=30)
     rng = np.random.default_rng(0)
@@ -205,6 +210,7 @@ def test_rest_and_turn():
     assert turn_between(session.panel.select(keep), first, last) is None  # a pause breaks the link
 
 
+@pytest.mark.slow
 def test_calibrated_accelerometers_are_believed_more():
     session = Session(16, accelerometer_bias=0.01)
     poses, notes = session.poses()

@@ -34,6 +34,7 @@ def made(rgb: str, preset: str = "realistic", seed: int = 930, **changes: Any) -
     return simulate_arm(ArmSimulation.preset(preset, **settings), seed)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("preset", "noise", "most_deg", "most_m", "most_s"),
     [  # frames lie between each other: straight lines between them are off by some tenths of a millimetre
@@ -53,6 +54,7 @@ def test_beside_a_camera_with_depth_pose_and_clock_are_found(
     assert abs(row.clock.offset_s - true["offset_s"]) < most_s
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("fault", "seed", "words"),
     [("other_person", 930, "its rays pass"), ("moved", 932, "from about 15 s on it is")],
@@ -86,6 +88,7 @@ def test_the_clock_of_a_camera_whose_place_is_known() -> None:
     assert misfit_m < 0.04
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("fault", ["other_person", "mirrored", "moved"])
 def test_a_wrong_one_of_two_without_depth_is_refused_by_name(fault: str) -> None:
     simulated = made("all", camera_fault=fault, seed=932)
@@ -109,6 +112,7 @@ def gaps(recovery: Recovery, simulated: SimulatedArm) -> tuple[float, float]:
     return float(np.sqrt(np.mean(np.sum(error**2, axis=1)))), float(squared.mean()) / 3.0
 
 
+@pytest.mark.slow
 def test_two_cameras_without_depth_are_as_good_as_cameras_with_it() -> None:
     simulated = made("all")
     recovery = smooth(replace(simulated.recording, truth=None), processes=1)
@@ -125,6 +129,7 @@ def depth_off(recovery: Recovery, simulated: SimulatedArm) -> tuple[float, float
     return float(np.mean(error[:, 2])), float(np.sqrt(np.median(recovery.joint_covariance["wrist"][:, 2, 2])))
 
 
+@pytest.mark.slow
 def test_one_camera_alone_is_solved_and_its_sigma_holds() -> None:
     """At ordinary speed the IMU shows the distance; gaps of 1 to 2 s (other seeds: 1.2 to 3.3 cm)."""
     simulated = made("all", seed=941, cameras=(), duration_s=40.0, occlusion_lengths_s=(1.0, 2.0))
@@ -135,6 +140,7 @@ def test_one_camera_alone_is_solved_and_its_sigma_holds() -> None:
     assert recovery.estimates.trusted
 
 
+@pytest.mark.slow
 def test_a_baseline_gets_the_distances_of_one_camera_alone() -> None:
     """By the forearm's length that the graph found (other seeds: 3 to 6 cm); on rays of 1 m it was 60 cm."""
     simulated = made("first", seed=930, cameras=())
@@ -144,6 +150,7 @@ def test_a_baseline_gets_the_distances_of_one_camera_alone() -> None:
     assert np.sqrt(np.mean(error**2)) < 0.06
 
 
+@pytest.mark.slow
 def test_slow_motion_does_not_show_the_distance_and_is_said_so() -> None:
     simulated = made("all", seed=942, cameras=(), duration_s=40.0, speed=0.25)
     recovery = smooth(replace(simulated.recording, truth=None), processes=1)
@@ -154,6 +161,7 @@ def test_slow_motion_does_not_show_the_distance_and_is_said_so() -> None:
     assert any("is not determined better than" in each for each in recovery.estimates.reasons)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("part", [1.1, 1 / 1.1], ids=["longer", "shorter"])
 @pytest.mark.parametrize("share", [FOCAL_CALIBRATED, FOCAL_DATA_SHEET])
 def test_a_wrong_focal_length_is_in_sigma_and_not_trusted(part: float, share: float) -> None:
@@ -198,6 +206,7 @@ def test_start_depths_are_those_of_the_forearm_that_was_assumed() -> None:
         assert np.nanmedian(started.arm.joint(joint)[:, 2] / there) == pytest.approx(1.1, abs=0.06)
 
 
+@pytest.mark.slow
 def test_the_command_recovers_one_camera_without_depth(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

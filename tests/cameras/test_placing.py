@@ -106,6 +106,7 @@ def test_clocks_that_are_seconds_apart_are_found() -> None:
     assert min(abs(offset_s - true_s) for offset_s in candidate_offsets(simulated.recording.arm, late)) < 0.04
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("fault", "words"),
     [("mirrored", "mirror image"), ("other_person", "another person"), ("moved", "was moved")],

@@ -51,6 +51,7 @@ def wrist_m(recovery: Recovery, mask: np.ndarray) -> float:
     return float(np.sqrt(np.mean(np.sum(error**2, axis=1))))
 
 
+@pytest.mark.slow
 def test_gaps_are_where_no_camera_sees_and_the_answer_is_better_in_the_first_ones() -> None:
     one, two = recovered(1), recovered(2)
     assert two.estimates.trusted
@@ -83,6 +84,7 @@ def test_each_sample_says_which_cameras_saw_it() -> None:
     assert (seen.sum(axis=1) == 1).any()
 
 
+@pytest.mark.slow
 def test_a_camera_that_guesses_for_seconds_is_named_and_changes_little() -> None:
     recording = replace(made().recording, truth=None)
     (camera,) = recording.cameras

@@ -306,6 +306,7 @@ def files(world_session: Path, numbers: range) -> list[str]:
     return arguments
 
 
+@pytest.mark.slow
 def test_recording_gives_camera_from_base_and_the_mounting(world_session: Path, tmp_path: Path, capsys):
     cal, figures = tmp_path / "cal.toml", tmp_path / "world.json"
     write_calibration(cal, CalibrationFile().with_table("kept", {"value": 1}))
@@ -336,6 +337,7 @@ def test_recording_gives_camera_from_base_and_the_mounting(world_session: Path, 
     assert json.loads(figures.read_text())["words"]["grade"] == tables["world"]["grade"]
 
 
+@pytest.mark.slow
 def test_files_do_without_the_gyroscopes(world_session: Path, tmp_path: Path):
     cal, panel = tmp_path / "cal.toml", ["--panel", str(world_session / "s/panel.toml")]
     done("calibrate", "world", *files(world_session, range(1, 6)), *panel, "-o", cal)
@@ -403,6 +405,7 @@ def angle(a: np.ndarray, b: np.ndarray) -> float:
     return float(np.degrees(np.arccos(a @ b / np.linalg.norm(a) / np.linalg.norm(b))))
 
 
+@pytest.mark.slow
 def test_a_base_imu_keeps_the_tilt_of_a_still_recording(still):
     recording, down, R_K_B = still
     without = smooth(recording)

@@ -37,6 +37,7 @@ def everything(session: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple
     return json.loads((where / "c.json").read_text()), (where / "c.html").read_text()
 
 
+@pytest.mark.slow
 def test_every_method_is_there_the_best_first(everything):
     figures, _ = everything
     assert set(figures["order"]) == set(figures["methods"]) == set(METHODS)
@@ -85,6 +86,7 @@ def test_the_graphs_row_is_what_validate_says(everything, session: Path, tmp_pat
         assert mine["orientation_rms_deg"] == pytest.approx(its["orientation_rms_deg"], abs=1e-3)
 
 
+@pytest.mark.slow
 def test_a_truth_of_markers(everything, session: Path, tmp_path: Path, capsys):
     figures, _ = everything
     done(
@@ -187,6 +189,7 @@ def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
+@pytest.mark.slow
 def test_what_was_shown_beside_the_offline_answer(recording: Path, tmp_path: Path):
     figures = tmp_path / "c.json"
     done("compare", recording, "--methods", GRAPH, "--live", "--processes", 1, "--json", figures)
@@ -200,6 +203,7 @@ def test_what_was_shown_beside_the_offline_answer(recording: Path, tmp_path: Pat
     assert abs(methods["live-now"]["lag_s"]) < 0.02
 
 
+@pytest.mark.slow
 def test_by_the_time_since_the_last_frame(
     recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ):
@@ -242,6 +246,7 @@ def hide(folder: Path, *more: object) -> int:
     return call("gaps", *files, "--lengths", "0.5", "--processes", 1, "--force", *more)
 
 
+@pytest.mark.slow
 def test_keep_and_apply(folder: Path, capsys: pytest.CaptureFixture[str]):
     kept, figures = folder / "cal.toml", folder / "gaps.json"
     kept.write_text("[imu.base.gyroscope]\n# kept\noffset = [0.0, 0.0, 0.0]\n", encoding="utf-8")

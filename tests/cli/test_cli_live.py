@@ -39,6 +39,7 @@ def recording(tmp_path) -> Path:
     return tmp_path / "original.mcap"
 
 
+@pytest.mark.slow
 def test_a_recording_is_played_recorded_and_summed_up(recording, tmp_path, capsys):
     session, figures = tmp_path / "session.mcap", tmp_path / "session.json"
     done("live", "--replay", recording, "--speed", "0", "--record", session, "--json", figures)
@@ -65,6 +66,7 @@ def ctrl_c_is_heard():
     signal.signal(signal.SIGINT, before)
 
 
+@pytest.mark.slow
 def test_ctrl_c_leaves_a_whole_recording(ctrl_c_is_heard, recording, tmp_path, capsys):
     def interrupt() -> None:
         time.sleep(2.5)

@@ -43,6 +43,7 @@ def sentence(capsys: pytest.CaptureFixture[str], arguments: list[str], code: int
     return said
 
 
+@pytest.mark.slow
 def test_everything_is_written_and_printed(folder: Path, capsys: pytest.CaptureFixture[str]):
     files = [str(folder / name) for name in ("m.csv", "m.json", "m.html")]
     arguments = ["measures", str(folder / "out.mcap"), "--csv", files[0], "--json", files[1]]
@@ -68,6 +69,7 @@ def test_everything_is_written_and_printed(folder: Path, capsys: pytest.CaptureF
     assert sentence(capsys, [*arguments], 1).count("exists already") == 1  # nothing is overwritten unasked
 
 
+@pytest.mark.slow
 def test_the_same_from_python(folder: Path):
     rows = smoother.measure(folder / "out.mcap", side="right")
     direct = smoother.measure(next(one for one in read_recovery(folder / "out.mcap") if one.side == "right"))
@@ -106,6 +108,7 @@ def test_what_is_not_to_be_trusted_is_said_first(capsys: pytest.CaptureFixture[s
     assert "not to be trusted" in said[0].split(".", 1)[1]
 
 
+@pytest.mark.slow
 def test_by_default_every_measure_has_its_interval_the_same_in_all_outputs(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ):

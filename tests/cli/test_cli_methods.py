@@ -55,6 +55,7 @@ def test_every_promised_method_is_there():
     assert choose("hold, graph,hold") == ["hold", "graph"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", sorted(BASELINES))
 def test_smooth(session: Path, tmp_path: Path, method: str, capsys):
     out, figures_file = tmp_path / "out.mcap", tmp_path / "out.json"
@@ -161,6 +162,7 @@ def test_a_new_recording_is_solved_anew(solved: list[Recording]):
     assert len(solved) == 2
 
 
+@pytest.mark.slow
 def test_side_by_side_gives_the_same_table(monkeypatch: pytest.MonkeyPatch) -> None:
     """Copies of a recording in two processes: the methods, with what they share, go there whole."""
     monkeypatch.setattr(pool, "WORTH_FRAMES", 0)
@@ -182,6 +184,7 @@ def test_side_by_side_gives_the_same_table(monkeypatch: pytest.MonkeyPatch) -> N
             assert alone.figures.position_rms_m == pytest.approx(beside.figures.position_rms_m, rel=0.05)
 
 
+@pytest.mark.slow
 def test_methods_compared_side_by_side(monkeypatch: pytest.MonkeyPatch) -> None:
     """They get the answer that the graph has given here, not one of their own."""
     monkeypatch.setattr(pool, "WORTH_FRAMES", 0)

@@ -105,6 +105,7 @@ def test_a_strap_beside_the_imu(tmp_path):
     assert np.sqrt(np.nanmean(np.sum(error[~kept.occluded] ** 2, axis=1))) < 0.01
 
 
+@pytest.mark.slow
 @pytest.mark.real
 def test_an_optical_point_beside_a_real_imu(tmp_path):
     folder = os.environ.get("UNOCCLUDE_DATASETS")
@@ -152,6 +153,7 @@ def test_marks_of_uncertain_answers():
 DEMO = Path(__file__).parents[2] / "data" / "demo.mcap"
 
 
+@pytest.mark.slow
 def test_where_the_columns_lie_does_not_show(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     for name, limit in (("memory", 1 << 40), ("files", 1)):
         monkeypatch.setattr(smoother.runtime.store, "_SMALL_BYTES", limit)
@@ -278,6 +280,7 @@ def results(folder: Path) -> Path:
     return folder
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("format_name", ["csv", "trc", "mot", "parquet"])
 def test_export_warns_in_a_line(tmp_path: Path, capsys: pytest.CaptureFixture[str], format_name: str) -> None:
     results(tmp_path)

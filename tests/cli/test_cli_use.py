@@ -145,6 +145,7 @@ def test_config_is_toml_that_reads_back(capsys, tmp_path):
     assert tomllib.loads(capsys.readouterr().out)["windows"]["margin_s"] == 2.5
 
 
+@pytest.mark.slow
 def test_doctor(tmp_path):
     done("doctor", "--json", tmp_path / "d.json")
     found = json.loads((tmp_path / "d.json").read_text())
@@ -203,6 +204,7 @@ def others(command: str) -> set[str]:
     return {f"smoother.cli.{place}" for place in commands.values()} - {f"smoother.cli.{commands[command]}"}
 
 
+@pytest.mark.slow
 def test_smooth_imports_nothing_that_it_does_not_use(tmp_path: Path) -> None:
     demo = Path(__file__).parents[2] / "data" / "demo.mcap"
     modules = loaded("smooth", str(demo), "-o", str(tmp_path / "out.mcap"), "--processes", "1")
@@ -222,6 +224,7 @@ def test_smooth_imports_nothing_that_it_does_not_use(tmp_path: Path) -> None:
     assert not {name for name in modules if name.startswith(beside)}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("command", ["info", "config", "batch", "import describe", "calibrate motion"])
 def test_the_help_of_a_command_imports_no_other_one(command: str) -> None:
     assert not loaded(*command.split(), "--help") & others(command)

@@ -33,6 +33,7 @@ def session(tmp_path_factory) -> Path:
     return folder
 
 
+@pytest.mark.slow
 def test_simulate(session):
     figures = json.loads((session / "sim.json").read_text())
     assert figures["config"]["imu_rate_hz"] == 100
@@ -167,6 +168,7 @@ def test_import_csv(tmp_path, capsys):
     assert not (tmp_path / "q.mcap").exists()
 
 
+@pytest.mark.slow
 def test_demo_as_a_user_runs_it(tmp_path, monkeypatch):
     command = [sys.executable, "-c", "from smoother.cli import main; main()", "demo", "--json", "d.json"]
     finished = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=120)
@@ -213,6 +215,7 @@ def built_in(folder: Path) -> dict:
     return validated(folder, "a.mcap")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["c3d", "trc"])
 def test_files_give_the_errors_of_the_built_in_truth(folder, built_in, capsys, kind):
     with_files = validated(
@@ -234,6 +237,7 @@ def test_files_give_the_errors_of_the_built_in_truth(folder, built_in, capsys, k
     assert "frame from the calibration" in " ".join(capsys.readouterr().out.split())
 
 
+@pytest.mark.slow
 def test_without_a_calibration_it_is_aligned_and_said(folder, capsys):
     found = validated(folder, "a.c3d", "--markers", folder / "a_markers.toml")
     made = json.loads((folder / "sim.json").read_text())["mocap"]
@@ -313,6 +317,7 @@ COMMANDS = (
 )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("arguments", COMMANDS, ids=lambda arguments: arguments[0])
 def test_it_is_said(
     cut_folder: Path,

@@ -30,6 +30,7 @@ def session(tmp_path_factory: pytest.TempPathFactory):
     return folder, simulate_arm(ArmSimulation(protocol="random", duration_s=10.0), 6), truth
 
 
+@pytest.mark.slow
 def test_the_strap_is_where_the_sensor_is(session):
     folder, simulated, _ = session
     arm, truth = read_recording(folder / "out.mcap").arm, simulated.recording.truth

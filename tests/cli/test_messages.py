@@ -28,6 +28,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("file", FILES, ids=lambda file: file.stem)
 def test_what_a_command_says(file: Path, folder: Path, monkeypatch: Any, capsys: Any):
     monkeypatch.chdir(folder)

@@ -93,6 +93,7 @@ def _cases() -> list[ParameterSet]:
     return [pytest.param(case, id=case.__name__) for case in CASES]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("case", _cases())
 def test_no_wrong_answer_is_trusted(
     case: Callable[[Setup], Setup], tmp_path: Path, capsys: pytest.CaptureFixture[str]
@@ -117,6 +118,7 @@ def test_no_wrong_answer_is_trusted(
         assert any(option.startswith(remedy) for option in figures["remedies"]) == bool(remedy)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("case", [case for case in CASES if SAID.get(case.__name__, ("", ""))[1]])
 def test_what_is_offered_mends_it(case: Callable[[Setup], Setup], tmp_path: Path) -> None:
     remedy = SAID[case.__name__][1]
@@ -132,6 +134,7 @@ def test_what_is_offered_mends_it(case: Callable[[Setup], Setup], tmp_path: Path
     assert any(remedy.split()[0] in note for note in figures["notes"])
 
 
+@pytest.mark.slow
 def test_check_says_the_same_and_ends_with_3(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     figures = tmp_path / "check.json"
     arguments = written(

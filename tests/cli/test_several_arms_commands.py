@@ -48,6 +48,7 @@ def sentence(capsys: pytest.CaptureFixture[str], arguments: list[str], code: int
     return said
 
 
+@pytest.mark.slow
 def test_smooth_recovers_both(folder: Path) -> None:
     made = figures(folder / "s.json")
     assert [arm["side"] for arm in made["arms"]] == ["left", "right"]
@@ -81,6 +82,7 @@ def test_validate_takes_each_arms_own_truth(folder: Path, capsys: pytest.Capture
     assert "the truth of one arm" in said and "--side" in said
 
 
+@pytest.mark.slow
 def test_info_and_check_speak_of_each_arm(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     done("info", folder / "both.mcap", "--json", folder / "i.json")
     said = capsys.readouterr().out
@@ -116,6 +118,7 @@ def test_gaps_have_a_table_an_arm(folder: Path, capsys: pytest.CaptureFixture[st
     assert len(made["rows"]) == sum(len(arm["rows"]) for arm in made["arms"])
 
 
+@pytest.mark.slow
 def test_compare_takes_every_arm(folder: Path) -> None:
     done(
         *("compare", folder / "both.mcap", "--methods", "graph,pchip", "--json", folder / "c.json"),
@@ -138,6 +141,7 @@ def test_calibrate_motion_fills_both_arms(folder: Path) -> None:
     assert [arm["side"] for arm in figures(folder / "m.json")["arms"]] == ["left", "right"]
 
 
+@pytest.mark.slow
 def test_a_study_has_a_row_with_both_arms(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (folder / "in").mkdir()
     (folder / "in" / "both.mcap").write_bytes((folder / "both.mcap").read_bytes())

@@ -60,6 +60,7 @@ def test_an_angle_beyond_a_right_one_is_not_known(degrees: float, words: str) ->
     assert known_to(np.radians(degrees)) == words
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(os.name != "posix", reason="a shell of POSIX closes them")
 @pytest.mark.parametrize(
     ("closed", "words", "code"),
@@ -133,6 +134,7 @@ def hostile(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "arguments",
     [

@@ -48,6 +48,7 @@ def again(preset: str, **changes: Any) -> list[Scene]:
     return [blind(arm(seed, preset, **changes)) for seed in SEEDS]
 
 
+@pytest.mark.slow
 def test_white_noise(white_arms: list[Scene]) -> None:
     rms, worst, degrees, nees = pooled(white_arms)
     assert rms <= WHITE_RMS_M
@@ -81,6 +82,7 @@ def test_realistic_noise(realistic_arms: list[Scene]) -> None:
         assert scene.recovery.clock_offset_s == pytest.approx(-0.020, abs=0.003)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "lie",
     [{"outliers": 0.1, "outlier_m": 0.5}, {"frozen_gaps": 0.5}, {"swapped_gaps": 0.5}],
@@ -119,6 +121,7 @@ def test_a_left_arm_in_another_frame() -> None:
     assert degrees <= WHITE_DEG
 
 
+@pytest.mark.slow
 def test_an_arm_that_hangs_still_for_twenty_seconds() -> None:
     scene = blind(arm(0, still_start_s=20.0))
     rms, worst, degrees, _ = pooled([scene])
@@ -136,6 +139,7 @@ def still_arms() -> list[Scene]:
     return again("white", protocol="hang", still_all=True, duration_s=25.0)
 
 
+@pytest.mark.slow
 def test_no_motion_at_all(still_arms: list[Scene]) -> None:
     """An answer, and lever arms that are said to be hardly known."""
     for scene in still_arms:
@@ -169,6 +173,7 @@ def without(recording: Recording, *joints: str) -> Recording:
     return replace(recording, arm=replace(recording.arm, state=state, position=position))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("missing", "rms_m"),
     [

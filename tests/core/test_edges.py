@@ -69,6 +69,7 @@ def test_the_rest_does_not_suffer_from_open_ends(open_ended: Scene) -> None:
     assert np.nanmax(distance[inner]) < 0.02
 
 
+@pytest.mark.slow
 def test_a_pause_of_the_imu_splits_the_recording() -> None:
     """A second without IMU in visible time: both sides are answered as well as ever."""
     made = arm(1)
@@ -83,6 +84,7 @@ def test_a_pause_of_the_imu_splits_the_recording() -> None:
         assert gap.end_s <= 9.01 or gap.start_s >= 9.99
 
 
+@pytest.mark.slow
 def test_a_pause_inside_a_gap_leaves_two_open_gaps() -> None:
     made = arm(1)
     first = recovered(made).recovery.gaps[0]
@@ -164,6 +166,7 @@ def position_errors(recovery, truth: Truth) -> tuple[np.ndarray, float]:
     return np.linalg.norm(difference[known], axis=1), float(squared.mean() / 3.0)
 
 
+@pytest.mark.slow
 def test_a_sensor_that_drops_out_again_and_again() -> None:
     """Its own place on the arm is hardly known, which sigma and verdict say; the joints are right."""
     recording = sound(1)
@@ -215,6 +218,7 @@ def test_a_wrist_that_is_hardly_seen() -> None:
     assert recovery.answered.mean() > 0.9
 
 
+@pytest.mark.slow
 def test_a_joint_that_the_excerpts_did_not_see_takes_no_part() -> None:
     """Where its place on the arm is unknown its samples must not pull the IMU to themselves."""
     recording = sound(0, 180.0)

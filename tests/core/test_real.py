@@ -46,6 +46,7 @@ def table(request: pytest.FixtureRequest) -> GapTable:
     return evaluate_gaps(trial(request.param), list(LIMITS), {"graph": graph}, seed=1)
 
 
+@pytest.mark.slow
 def test_errors_in_hidden_gaps(table: GapTable) -> None:
     assert list(table.lengths) == list(LIMITS)
     for length, limit in LIMITS.items():
@@ -81,6 +82,7 @@ def wrist_of_a_person() -> ArmCalibration:
     return calibrate_motion(first, None, ALONE).calibration
 
 
+@pytest.mark.slow
 def test_lever_arms_of_a_person(wrist_of_a_person: ArmCalibration) -> None:
     """A watch's place: elbow and wrist a forearm apart along the sensor's x axis, the wrist nearer."""
     levers = wrist_of_a_person.lever_arms

@@ -55,6 +55,7 @@ def test_the_calibration_of_a_real_sensor(found):
     assert found.residual < 0.025
 
 
+@pytest.mark.slow
 def test_undisturbed_the_orientation_gains(found):
     plain, helped, said = both(ROTATION, found)
     assert "magnetometer is used" in said
@@ -63,6 +64,7 @@ def test_undisturbed_the_orientation_gains(found):
     assert helped.all.position_rms_m < 1.02 * plain.all.position_rms_m
 
 
+@pytest.mark.slow
 def test_disturbed_nothing_is_lost(found):
     plain, helped, said = both(MAGNET, found)
     assert "left out" in said

@@ -49,6 +49,7 @@ def write(made: SimulatedArm, path: Path) -> None:
             )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("preset", "changes", "rms_m"),
     [

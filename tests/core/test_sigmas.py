@@ -76,14 +76,17 @@ def assert_near(actual: dict[str, float], measured: dict[str, float], factor: fl
     assert all(1 / factor < ratio < factor for ratio in off.values()), off
 
 
+@pytest.mark.slow
 def test_white_noise() -> None:
     assert_near(nees(recovered(arm(seed)) for seed in SEEDS), WHITE, FACTOR)
 
 
+@pytest.mark.slow
 def test_a_point_alone() -> None:
     assert_near(nees(recovered(point(seed)) for seed in SEEDS), POINT, FACTOR)
 
 
+@pytest.mark.slow
 def test_realistic_noise() -> None:
     assert_near(nees(recovered(arm(seed, "realistic")) for seed in SEEDS), REALISTIC, REALISTIC_FACTOR)
 

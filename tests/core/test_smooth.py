@@ -23,6 +23,7 @@ from smoother.simulation import ArmSimulation, simulate_both_arms
 from smoother.smoothing import smooth
 
 
+@pytest.mark.slow
 def test_gaps_are_recovered(white_arm: Scene) -> None:
     assert len(white_arm.recovery.gaps) == 4
     assert_accurate(white_arm)
@@ -107,6 +108,7 @@ def test_gravity_offset_and_biases_are_found(white_arm: Scene) -> None:
     np.testing.assert_allclose(bias, drawn["gyroscope_bias"], atol=0.004)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("latency_s", [-0.05, 0.1])
 def test_a_late_camera(latency_s: float) -> None:
     """t_imu = t_camera + offset, so a camera that is late by 0.1 s has an offset of -0.1 s."""
@@ -115,6 +117,7 @@ def test_a_late_camera(latency_s: float) -> None:
     assert_accurate(scene)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "changes",
     [
@@ -132,6 +135,7 @@ def test_sides_frames_and_rates(changes: dict[str, Any]) -> None:
     assert scene.recovery.side == changes.get("side", "right")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["arm", "point"])
 def test_data_without_any_error(kind: str) -> None:
     """A perfect camera must not be the one that fails."""
@@ -185,6 +189,7 @@ def test_motions_are_drawn_unless_somebody_says_otherwise() -> None:
         assert inspect.signature(function).parameters["draws"].default == USUAL_DRAWS
 
 
+@pytest.mark.slow
 def test_side_by_side_gives_the_same(
     recordings: list[Recording], recovered_arms: Recoveries, monkeypatch: pytest.MonkeyPatch
 ) -> None:

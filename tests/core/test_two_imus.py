@@ -64,6 +64,7 @@ def two(made: SimulatedArm) -> Recovery:
     return smooth(blind(made), processes=1)
 
 
+@pytest.mark.slow
 def test_better_than_one_and_as_good_as_it_says(made: SimulatedArm, two: Recovery) -> None:
     one = smooth(blind(made).with_imu("upper_arm", None), processes=1)
     assert one.upper is None and not one.calibration.upper_imu  # type: ignore[union-attr]
@@ -114,6 +115,7 @@ def test_one_imu_where_the_other_pauses(made: SimulatedArm, two: Recovery) -> No
     assert error_m(recovery, made) < 0.01
 
 
+@pytest.mark.slow
 def test_every_sample_of_a_gap_at_the_end_is_answered() -> None:
     made = simulated(occlusion_lengths_s=(), end_gap_s=15.0)
     recovery = smooth(blind(made), processes=1)
@@ -128,6 +130,7 @@ def test_every_sample_of_a_gap_at_the_end_is_answered() -> None:
     assert nees(one, made) < 1.5 and error_m(one, made) < 0.05  # 1 cm as measured
 
 
+@pytest.mark.slow
 def test_a_wrist_that_is_hidden_for_half_a_minute() -> None:
     made = simulated(duration_s=52.0, occlusion_lengths_s=(30.0,), occlusion_every_s=38.0)
     recovery = smooth(blind(made), processes=1)
@@ -136,6 +139,7 @@ def test_a_wrist_that_is_hidden_for_half_a_minute() -> None:
     assert recovery.worst_sigma_m[recovery.occluded].max() < 0.02
 
 
+@pytest.mark.slow
 def test_a_hidden_shoulder_loses_the_room_but_not_the_arm() -> None:
     made = simulated(shoulder_lost=1.0)
     recovery = smooth(blind(made), processes=1)
@@ -158,6 +162,7 @@ def test_a_shoulder_that_is_never_seen(made: SimulatedArm) -> None:
     np.testing.assert_array_equal(recovery.position, one.position)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("whose", ["nobody", "somebody else"])
 def test_an_imu_that_is_not_on_this_upper_arm(made: SimulatedArm, whose: str) -> None:
     """It lies on the table, or wrist and upper arm are mixed up: it must not spoil the answer."""
@@ -211,6 +216,7 @@ def off(recovery: Recovery, hand_arm: SimulatedArm, joint: str) -> tuple[float, 
     return float(np.sqrt((error**2).sum(axis=1).mean())), float(squared.mean() / 3.0)
 
 
+@pytest.mark.slow
 def test_wrist_and_hand_in_gaps(recovery: Recovery, hand_arm: SimulatedArm) -> None:
     """Eight arms: wrist 0.8 to 1.4 cm, hand 1.0 to 1.9 cm, mean squared error in sigmas 0.3 to 1.05."""
     assert recovery.estimates.trusted and all(verdict.trusted for verdict in recovery.gap_verdicts)

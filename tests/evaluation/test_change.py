@@ -74,6 +74,7 @@ def test_what_rests_on_recovered_samples_is_said():
     assert change.limits == ("more than half of session 1 comes from recovered samples",)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("draws", [6, 20, 64])
 def test_false_alarms_are_one_in_twenty(draws: int):
     """Two sessions of an unchanged arm, each with the sigma that so many draws estimate."""

@@ -202,6 +202,7 @@ def gaps_like(rng: np.random.Generator, count: int, scale: float) -> list[FloatA
     return np.split(factors, ends[:-1])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("count", [ENOUGH_GAPS, 40])
 def test_coverage_of_the_next_gap_on_exchangeable_gaps(count: int):
     """Over 120 studies a sample of the next gap lies inside in 95 of 100 (standard error 2)."""

@@ -150,6 +150,7 @@ def test_advice_does_not_depend_on_the_blocks(
     assert advice(recovery, found_in(recovery)) == said
 
 
+@pytest.mark.slow
 def test_the_page_of_a_long_recording_is_thinned_first(
     tmp_path: Path, recovery: Recovery, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -287,6 +288,7 @@ print("peaks", before, peak.mb(), (folder / "out.html").stat().st_size / 1e6)
 """
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="Linux gives the peak of the memory")
 def test_peak_of_short_and_long(tmp_path: Path) -> None:
     peaks = []

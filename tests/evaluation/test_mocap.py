@@ -404,6 +404,7 @@ def test_a_calibration_of_another_place_is_said(tmp_path, exact):
     assert validate(exact, truth, alignment).all.position_rms_m > 0.5
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("place", "said"), [((0, 0, 0), "is taken as"), ((0.02, 0, 0.01), "was solved")])
 def test_the_plates_mean_is_the_sensor_where_nothing_tells_otherwise(tmp_path, exact, place, said):
     t, markers = captured(np.random.default_rng(1), mount=Rotation.from_rotvec([0, 0, 1.0]), place=place)

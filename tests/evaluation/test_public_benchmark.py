@@ -115,6 +115,7 @@ def test_trials_and_splits(data: Path, tmp_path: Path):
     assert [t.name for t in calibrations.pop("subject 5")] == ["a1_s5_t1"] and not calibrations
 
 
+@pytest.mark.slow
 @pytest.mark.real
 def test_a_real_trial(tmp_path: Path):
     folder = os.environ.get("UNOCCLUDE_DATASETS", "")

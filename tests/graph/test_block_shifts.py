@@ -37,6 +37,7 @@ def shifted(window: Window, start_s: float, end_s: float, shift_m: np.ndarray) -
     return replace(window, joint_measurements=moved)
 
 
+@pytest.mark.slow
 def test_shifts_are_those_of_dense_least_squares(window: Window) -> None:
     window = replace(window, considered=None)
     graph, values, groups = build(window)

@@ -93,6 +93,7 @@ def errors(chain: Chain, solutions: list[LagSolution]) -> tuple[FloatArray, Floa
     return np.array(off), np.array(sigma)
 
 
+@pytest.mark.slow
 def test_what_left_the_window_counts_as_if_it_were_there(chain: Chain) -> None:
     (lag, short), (_, whole) = (followed(chain, length) for length in (0.7, 100.0))
     assert len(lag.t) == len(lag.nodes_of(UPPER)) == 21

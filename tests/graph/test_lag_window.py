@@ -70,6 +70,7 @@ def followed(
     return lag, solutions
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("shoulder", [False, True])
 def test_what_left_the_window_counts_as_if_it_were_there(motion: Motion, shoulder: bool) -> None:
     # the gap begins inside the short window and is longer than it: all that is known of the joints' places

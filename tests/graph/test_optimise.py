@@ -68,6 +68,7 @@ def straight_down(window: Window) -> smoother.graph.optimise.Optimum:
         return optimise(*build(window), window, 1e-4)
 
 
+@pytest.mark.slow
 def test_stages_end_in_the_right_minimum(hidden: SimulatedArm, window: Window) -> None:
     staged = optimise(*build(window), window, 1e-4)
     straight = straight_down(window)
@@ -106,6 +107,7 @@ def test_variables_are_eliminated_in_time_and_what_is_shared_last(window: Window
         np.testing.assert_allclose(found.at(key), colamd.at(key), rtol=1e-6, atol=1e-8)
 
 
+@pytest.mark.slow
 def test_sound_windows_are_accepted() -> None:
     for seed in (101, 102):
         window = first_window(long_gaps(seed, 10.0).recording, None)
@@ -134,6 +136,7 @@ def errors_in_gaps(recovery: Recovery, recording: Recording) -> list[tuple[float
     return out
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("seed", "preset", "gap_s"),
     [(0, "white", 10.0), (5, "realistic", 30.0)],
@@ -146,6 +149,7 @@ def test_long_gaps_are_recovered(seed: int, preset: str, gap_s: float) -> None:
     assert not any("do not fit together" in note for note in scene.recovery.notes)
 
 
+@pytest.mark.slow
 def test_what_is_not_explained_is_covered_and_named(hidden: SimulatedArm) -> None:
     """Refused throughout: without the upper arm's length the sigma covers the error, and a note says so."""
     with patch.object(smoother.graph.optimise, "explained", lambda excess, knots: False):

@@ -164,6 +164,7 @@ def test_a_damage_costs_what_it_covers(path: Path, kind: str):
         assert sum(container.missing.values()) == len(lost)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("way", [{}, {"use_chunking": False}, {"compression": CompressionType.LZ4}], ids=str)
 def test_bits_anywhere_are_never_silent(path: Path, tmp_path: Path, way: dict[str, object]):
     """What is read is of the file, what is not is said; a repaired file has all that the package reads."""
@@ -270,6 +271,7 @@ def test_all_messages_are_found_and_a_cut_file_gives_what_it_has(
     assert read(path, cut)[0] == by_package(cut)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("compression", [CompressionType.NONE, CompressionType.LZ4])
 def test_a_file_may_be_cut_at_any_byte(path: Path, compression: CompressionType):
     """Also within a chunk's head, where the name of its compression stands; a cut chunk's times are named."""

@@ -70,6 +70,7 @@ def test_other_files_are_refused(datasets: Path, tmp_path: Path) -> None:
         import_broad(tmp_path / "x.mat")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("action", [2, 8, 13, 20])
 def test_four_at_once(datasets: Path, tmp_path: Path, action: int) -> None:
     folder = datasets / "utd_mhad"

@@ -180,6 +180,7 @@ def long_recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(sys.platform != "linux", reason="reads /proc")
 @pytest.mark.parametrize("truth", [True, False])
 def test_memory_is_flat(long_recording: Path, truth: bool):
@@ -190,6 +191,7 @@ def test_memory_is_flat(long_recording: Path, truth: bool):
     assert float(grown) < 45  # MB; measured 17, in memory 275 and 106
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(sys.platform != "linux", reason="reads /proc")
 @pytest.mark.parametrize("compression", [CompressionType.NONE, CompressionType.ZSTD, CompressionType.LZ4])
 def test_images_cost_no_memory(tmp_path: Path, compression: CompressionType):

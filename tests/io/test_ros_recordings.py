@@ -71,6 +71,7 @@ def bag(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, np.ndarray]:
     return path, azure(path)
 
 
+@pytest.mark.slow
 def test_azure_kinect_recording(bag: tuple[Path, np.ndarray]) -> None:
     path, wrist = bag
     recording = read_recording(path)
@@ -115,6 +116,7 @@ def test_markers_before_humble(tmp_path: Path) -> None:
     assert read_recording(tmp_path / "foxy.mcap").side == "right"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("compression", [CompressionType.LZ4, CompressionType.ZSTD, CompressionType.NONE])
 def test_a_file_that_was_cut_off(tmp_path: Path, compression: CompressionType) -> None:
     path = tmp_path / "cut.mcap"

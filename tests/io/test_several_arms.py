@@ -239,6 +239,7 @@ def assert_same_arms(found: list[ArmFrames], truth: list[ArmFrames], rows: np.nd
         np.testing.assert_array_equal(mine.position[rows], arm.position[rows])
 
 
+@pytest.mark.slow
 def test_every_worn_forearm_is_taken_with_its_body(crowd: Crowd) -> None:
     file, truth = crowd
     arms = select_recordings(file)
@@ -292,6 +293,7 @@ def exchanged_places(file: RecordingFile) -> RecordingFile:
     return replace(file, arms=arms)
 
 
+@pytest.mark.slow
 def test_imus_tell_who_came_back_where_the_other_stood() -> None:
     arm = ArmSimulation.preset("white", protocol="random", duration_s=30.0)
     who = PeopleSimulation(people=2, sensors=4, on_table=0, hanging=0.0, in_time=0.0, clocks_apart_s=0.2)
@@ -343,6 +345,7 @@ def scene(shift_s: float, same: bool = False) -> RecordingFile:
     return RecordingFile(Path("a.mcap"), imus=[imu], arms=arms)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("shift_s", [0.1, -8.0, 11.8])
 def test_the_arm_is_told_by_motion(shift_s: float):
     ((choice,), _) = choose_arms(scene(shift_s), alone=True)

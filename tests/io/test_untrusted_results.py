@@ -54,7 +54,7 @@ def test_metadata_of_mcap_brings_it_back(tmp_path: Path, kind: str) -> None:
     recovery = result(kind)
     write_recovery(recovery, tmp_path / "a.mcap")
     (back,) = read_recovery(tmp_path / "a.mcap")
-    assert back.estimates == recovery.estimates
+    assert back.estimates.plain() == recovery.estimates.plain()
     assert back.gap_verdicts == recovery.gap_verdicts
     np.testing.assert_array_equal(back.trusted, recovery.trusted)
 

@@ -55,6 +55,7 @@ def off(outputs: list[LiveOutput], state: LiveState) -> FloatArray:
     return errors(SIMULATION, outputs, "now", lambda output: output.state is state)
 
 
+@pytest.mark.slow
 def test_in_gaps_it_is_better_and_says_so(one: list[LiveOutput]) -> None:
     two = answers(SIMULATION, ("upper_arm",))
     assert not [note for output in two for note in output.notes]
@@ -69,6 +70,7 @@ def test_in_gaps_it_is_better_and_says_so(one: list[LiveOutput]) -> None:
     assert seen[0] < 1.05 * seen[1]
 
 
+@pytest.mark.slow
 def test_where_it_is_wrong_it_is_left_out_and_the_forearm_goes_on_alone(one: list[LiveOutput]) -> None:
     outputs = answers(wrong(), ("upper_arm",))
     said = [(output.now_s, note) for output in outputs for note in output.notes]

@@ -20,6 +20,7 @@ def outputs():
     return list(play(events(SIMULATION)))
 
 
+@pytest.mark.slow
 def test_it_says_calibrating_before_it_knows_and_never_guesses(outputs):
     early = [output for output in outputs if output.now_s < 8.0]
     assert early and all(output.state is LiveState.CALIBRATING for output in early)

@@ -37,6 +37,7 @@ def test_late_samples_are_sorted_in_and_older_ones_counted():
     assert buffer.add(batch(np.nan)) is None and buffer.invalid == 1
 
 
+@pytest.mark.slow
 def test_a_buffer_holds_no_more_than_it_was_told():
     buffer, frames = ImuBuffer(2.0), FrameBuffer(2.0)
     for k in range(40_000):
@@ -145,6 +146,7 @@ def lost_and_back() -> list:
     return sorted(left, key=lambda each: each[0])
 
 
+@pytest.mark.slow
 def test_late_and_out_of_order_samples_cost_little():
     outputs = list(play(rearranged()))
     answers = errors(SIMULATION, outputs, "settled")
@@ -153,6 +155,7 @@ def test_late_and_out_of_order_samples_cost_little():
     assert not any(outputs[-1].dropped.values())
 
 
+@pytest.mark.slow
 def test_streams_that_are_lost_come_back():
     outputs = list(play(lost_and_back()))
     during = [o for o in outputs if 11.7 < o.now_s < 11.95]

@@ -36,6 +36,7 @@ def imus(people: SimulatedPeople) -> list[ImuStream]:
     return [one.stream for one in people.worn]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [3, 4, 5])
 def test_every_imu_is_where_it_is(seed: int) -> None:
     people = scene(seed)
@@ -47,6 +48,7 @@ def test_every_imu_is_where_it_is(seed: int) -> None:
             assert match.clock_offset_s == pytest.approx(worn.clock_offset_s, abs=0.1)
 
 
+@pytest.mark.slow
 def test_mounting_and_order_do_not_matter() -> None:
     """Another mounting is a rotation of all samples; another order changes no answer."""
     people = scene()
@@ -59,6 +61,7 @@ def test_mounting_and_order_do_not_matter() -> None:
         assert match.joint == joint and match.probability == pytest.approx(probability, abs=0.02)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("change", ["no direction of gravity", "frames missing"])
 def test_what_is_not_needed(change: str) -> None:
     """Also with a third of the frames gone in gaps, which are not made up, each is found."""

@@ -63,6 +63,7 @@ def dipping(least_m_s: float) -> Recovery:
     return recovery_of(T, {"wrist": way[:, None] * np.array([0.6, 0.0, 0.8])})
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("found", "true", "counts"), [(0.036, 0.024, (3, 4)), (0.024, 0.036, (4, 3))])
 def test_an_interval_of_a_mean_includes_which_movements_were_found(
     found: float, true: float, counts: tuple[int, int]
@@ -204,6 +205,7 @@ def slow_errors(rng: np.random.Generator, count: int, sigma: float) -> np.ndarra
     return sigma / np.sqrt(12) * np.einsum("nabk,abt->ntk", rng.normal(size=(count, 2, 12, 2)), waves)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("stated", [0.8, 1.0, 1.25])
 def test_a_straight_elbow_is_held_by_its_intervals(stated: float):
     """100 answers that are a bend of 0 to 7 degrees and an error of 3 degrees, stated well or not so well."""

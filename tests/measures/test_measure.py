@@ -54,6 +54,7 @@ def test_every_measure_has_a_value_an_interval_and_a_share(measures: Measures):
     assert {"elbow_flexion_range_deg", "pronation_p95_deg", "sparc", "ldlj_v", "hand_path_length_m"} <= known
 
 
+@pytest.mark.slow
 def test_workers_change_no_figure(answer: Recovery, measures: Measures):
     beside = measure(answer, processes=2)
     np.testing.assert_array_equal(

@@ -41,6 +41,7 @@ def in_one_plane() -> Trial:
     return mirrored_in_one_plane(draw_scene("in one plane", 24.0, [5, 0])).trial()
 
 
+@pytest.mark.slow
 def test_a_mirrored_skeleton_is_named_though_it_fits(in_one_plane: Trial) -> None:
     recording = replace(in_one_plane.recording, truth=None)
     mirrored = smooth(recording, None, ALONE)

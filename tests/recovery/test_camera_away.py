@@ -40,6 +40,7 @@ def apart(recovery: Recovery, made: SimulatedArm, rows: BoolArray) -> float:
     return float(np.sqrt(np.mean(np.sum((recovery.position - truth.position)[rows] ** 2, axis=1))))
 
 
+@pytest.mark.slow
 def test_a_stopped_camera_parts_the_recording(three_minutes: SimulatedArm, sectioned: Recovery) -> None:
     recovery = smooth(stopped(three_minutes.recording), three_minutes.calibration, ALONE)
     t = recovery.t_s
@@ -55,6 +56,7 @@ def test_a_stopped_camera_parts_the_recording(three_minutes: SimulatedArm, secti
     assert recovery.occluded[beyond].all()
 
 
+@pytest.mark.slow
 def test_an_imu_that_outlasts_the_camera_is_read_no_farther(three_minutes: SimulatedArm) -> None:
     early = stopped(three_minutes.recording, (30.0, np.inf))
     sections = Sections(early, Timeline.of(early), constant_clock(0.0)).all
@@ -78,6 +80,7 @@ def test_nothing_is_left_out_where_something_is_seen(three_minutes: SimulatedArm
     assert len([section for section in sections if section.start_s == -np.inf]) == 1
 
 
+@pytest.mark.slow
 def test_sections_stay_short_where_one_joint_is_seen(three_minutes: SimulatedArm) -> None:
     """A wrist under the table for more than a minute: the elbow holds the answer, in sections as ever."""
     recording = three_minutes.recording

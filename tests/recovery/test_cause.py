@@ -42,6 +42,7 @@ NAMED = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("case", "preset"),
     # with white noise tests/cli/test_setup_table.py smooths each
@@ -62,6 +63,7 @@ def test_each_mistake_has_its_cause(case: str, preset: str) -> None:
         assert cause.remedies == () and NAMED[case] in cause.sentence
 
 
+@pytest.mark.slow
 def test_a_recording_without_any_answer_is_refused_with_its_cause() -> None:
     setup = Job(setup_errors.metres_called_millimetres, 1262876031, "white", 29.4).setup()
     with pytest.raises(SolveError, match=r"in no part of the recording.*1000 times too small"):
@@ -149,6 +151,7 @@ def test_a_refusal_names_its_cause(sound: Recording) -> None:
         raise SolveError("nothing is left")
 
 
+@pytest.mark.slow
 def test_a_clock_of_another_session(arm: SimulatedArm, sound: Recording) -> None:
     offset_s = arm.parameters["clock_offset_s"]
     right = smooth(sound, None, ALONE, clock=constant_clock(offset_s, 0.002)).estimates
@@ -205,6 +208,7 @@ def test_a_sensor_at_the_joint_called_elbow_tells_swapped_joints(sound: Recordin
     assert not list(sensor_at_elbow(bare, replace(wrong, lever_arms=unsure)))
 
 
+@pytest.mark.slow
 def test_elbow_and_wrist_exchanged_without_a_shoulder(sound: Recording) -> None:
     bare = replace(sound, arm=sound.arm.hide(np.ones(len(sound.arm), bool), ("shoulder", "hand")))
     swap = Remedy(swap=("elbow", "wrist"))

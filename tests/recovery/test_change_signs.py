@@ -61,6 +61,7 @@ def in_one_frame(recovery: Recovery) -> bool:
     return not any("not in one frame" in reason for reason in recovery.estimates.reasons)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("seed", "preset", "duration_s"),
     [
@@ -82,6 +83,7 @@ def test_a_strap_that_slips_is_not_trusted(seed: int, preset: str, duration_s: f
     assert smooth(slipped(arm, 15.0), config=ALONE).estimates.trusted is False
 
 
+@pytest.mark.slow
 def test_a_slip_that_is_left_out_distrusts_its_gap():
     """Both sides of it were left out as blocks; what is trusted is right."""
     recovery, truth = smooth(slipped(made(), 15.0), config=ALONE), made().recording.truth
@@ -89,6 +91,7 @@ def test_a_slip_that_is_left_out_distrusts_its_gap():
     assert np.nanmax(sample_errors(recovery, truth).distance_m[recovery.trusted]) < 0.04
 
 
+@pytest.mark.slow
 def test_a_camera_that_is_pushed_is_not_trusted():
     assert solved().estimates.trusted and not solved().estimates.untrusted
     recovery = smooth(pushed(made(), 6.0), config=ALONE)

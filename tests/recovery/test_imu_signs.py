@@ -75,6 +75,7 @@ def test_a_scale_that_is_somewhat_off_is_a_caution() -> None:
         assert f"% too {word} where gravity alone acts" in said
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("axis", range(3))
 @pytest.mark.parametrize("sign", [-1, 1])
 def test_a_bias_is_no_scale(axis: int, sign: int) -> None:
@@ -164,6 +165,7 @@ def without(recording: Recording, at_s: float, lost_s: float) -> Recording:
     )
 
 
+@pytest.mark.slow
 def test_a_sound_recording_has_no_step(sound: tuple[Recovery, Recording]) -> None:
     assert all(step.gain < 1.5 for step in clock_steps(*sound))
     assert not list(lost_samples(*sound))
@@ -212,6 +214,7 @@ def test_a_long_recording_is_looked_at_in_parts(
     assert max(steps, key=lambda step: step.gain).step_s == pytest.approx(-0.1, abs=0.021)
 
 
+@pytest.mark.slow
 def test_smooth_does_not_trust_the_gap_of_the_loss() -> None:
     """0.1 s lost in a gap: 23 cm at a sigma of 2, with other gaps as good as ever."""
     recovery = smooth(without(recorded(3), 20.4, 0.1), config=ONE_PROCESS)

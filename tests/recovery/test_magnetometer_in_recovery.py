@@ -39,6 +39,7 @@ def helped(made) -> Scene:
     return recovered(made, with_field(made.recording))
 
 
+@pytest.mark.slow
 def test_an_undisturbed_field_makes_the_orientation_better(plain, helped):
     assert "magnetometer is used" in note(helped) and "left out" not in note(helped)
     assert orientation_deg(helped) < orientation_deg(plain)

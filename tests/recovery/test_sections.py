@@ -57,6 +57,7 @@ def test_every_sample_and_frame_is_in_one_section(three_minutes: SimulatedArm) -
         assert t[a.samples.stop - 1] > a.end_s + 11 and t[b.samples.start] < b.start_s - 11  # context
 
 
+@pytest.mark.slow
 def test_borders_lie_in_visible_time(three_minutes: SimulatedArm, sectioned: Recovery) -> None:
     borders = [section.start_s for section in sections_of(three_minutes)[1:]]
     for border in borders:
@@ -70,6 +71,7 @@ def test_no_border_where_nothing_is_seen() -> None:
     assert section_borders(0.0, SECTION_S, np.array([[0.0, SECTION_S]])) == []
 
 
+@pytest.mark.slow
 def test_sections_answer_as_the_whole(sectioned: Recovery, whole: Recovery) -> None:
     """Windows differ (their borders do), and their priors from the others: far below a sigma."""
     away = np.linalg.norm(sectioned.position - whole.position, axis=1)
@@ -93,6 +95,7 @@ def test_no_seam_at_the_section_borders(three_minutes: SimulatedArm, sectioned: 
     assert jump[near].max() <= jump[~near].max()
 
 
+@pytest.mark.slow
 def test_a_border_in_a_gap_that_only_rejection_finds(three_minutes: SimulatedArm) -> None:
     """A camera that freezes for 6 s where the border was going to be: both sides bridge it, and agree."""
     border = (
@@ -254,6 +257,7 @@ def off_in_sigmas(a: Recovery, b: Recovery) -> FloatArray:
     return np.linalg.norm(a.position - b.position, axis=1) / sigma
 
 
+@pytest.mark.slow
 def test_the_section_drops_out(dropped: Dropped) -> None:
     assert dropped.answered.count(False) == 1
     assert dropped.answered.index(False) == (0 if dropped.start_s == START[0] else len(dropped.answered) - 1)
@@ -279,6 +283,7 @@ def test_the_others_answer_as_without_it(dropped: Dropped) -> None:
     np.testing.assert_array_equal(recovery.residuals.used, expected.residuals.used)
 
 
+@pytest.mark.slow
 def test_each_window_gets_its_own_field(three_minutes: SimulatedArm) -> None:
     """Turned by its node's attitude it is the one in the room, also after a dropped section.
 
@@ -296,6 +301,7 @@ def test_each_window_gets_its_own_field(three_minutes: SimulatedArm) -> None:
         assert np.degrees(np.arccos(in_K @ FIELD_K)).max() < 6.0
 
 
+@pytest.mark.slow
 def test_a_minute_without_the_camera_is_one_gap(three_minutes: SimulatedArm, sectioned: Recovery) -> None:
     """Without a pause no section drops out: the shoulder holds the arm, and the answer says how vaguely."""
     start_s, end_s = 60.0, 120.0
@@ -317,6 +323,7 @@ def test_a_minute_without_the_camera_is_one_gap(three_minutes: SimulatedArm, sec
     assert off_in_sigmas(recovery.rows(away), sectioned.rows(away)).max() < 0.3
 
 
+@pytest.mark.slow
 def test_a_segment_without_the_camera_that_sees_it_again_right_after(three_minutes: SimulatedArm) -> None:
     start_s, end_s = MIDDLE
     hidden = without_camera(three_minutes.recording, start_s - 2.0, end_s + 2.0)

@@ -69,6 +69,7 @@ def nearer_on_both_sides(recording: Recording, start_s: float, end_s: float) -> 
     return replace(recording, arm=replace(arm, position=position))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("fault", "seed", "settings", "words", "whole"),
     [
@@ -113,6 +114,7 @@ def test_what_a_sign_contradicts(
     assert (one.code, one.sentence, one.start_s is None) == ("so", "it is so", untrusted == 0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("flexion_rad", [(0.5, 2.0), (0.5, 0.9)], ids=["lively elbow", "stiff elbow"])
 def test_an_imu_on_the_upper_arm_is_found_though_it_fits_the_forearm(
     flexion_rad: tuple[float, float],

@@ -33,6 +33,7 @@ def cut(monkeypatch: pytest.MonkeyPatch) -> tuple[Sections, Task]:
     return given[0]
 
 
+@pytest.mark.slow
 def test_the_answer_is_the_same_on_any_number_of_processes(cut: tuple[Sections, Task]) -> None:
     sections, task = cut
     alone = [asdict(solved) for data in sections if (solved := solve_section(data, task)) is not None]

@@ -81,6 +81,7 @@ def recovery(made: SimulatedArm) -> Recovery:
     return with_trunk(recovered(made), made.recording)
 
 
+@pytest.mark.slow
 def test_orientation_mounting_and_clock(made: SimulatedArm, recovery: Recovery) -> None:
     error = errors_deg(recovery, made)
     assert len(error) == len(recovery)

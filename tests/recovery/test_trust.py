@@ -52,6 +52,7 @@ def another_skeleton(recording: Recording) -> Recording:
     return replace(recording, arm=replace(arm, position=other.position[:count], state=other.state[:count]))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [0, 3, 5])
 def test_a_sound_recording_is_usable(seed: int) -> None:
     estimates = recovered(seed).estimates
@@ -59,6 +60,7 @@ def test_a_sound_recording_is_usable(seed: int) -> None:
     assert estimates.verdict == "Usable."
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("wrong", "word", "seed"),
     # tests/cli/test_setup_table.py smooths every mistake by the real command, which names its cause
@@ -77,6 +79,7 @@ def test_a_wrong_set_up_is_not_to_be_trusted(
     assert estimates.verdict.startswith("Not to be trusted: ")
 
 
+@pytest.mark.slow
 def test_whose_arm_it_is_decides_what_is_possible() -> None:
     small = sound(0, 30.0)  # what is possible is judged where the lengths are known well
     small = replace(small, arm=replace(small.arm, position=small.arm.position * 0.45))
@@ -136,6 +139,7 @@ def test_nobody_judged() -> None:
     assert Estimates().verdict == "" and Estimates().trusted is None
 
 
+@pytest.mark.slow
 @pytest.mark.real
 def test_real_recordings_are_usable() -> None:
     """Kinect v1 with synthetic stamps: noisier than any simulation."""

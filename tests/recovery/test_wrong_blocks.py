@@ -67,6 +67,7 @@ def recovered(position: Callable[[np.ndarray, np.ndarray], np.ndarray]) -> Recov
     return smooth(changed(position), config=ALONE)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("position", [drape, hanging_arm])
 def test_a_wrong_block_is_left_out_and_the_gap_recovered(
     position: Callable[[np.ndarray, np.ndarray], np.ndarray],
@@ -96,6 +97,7 @@ def test_a_sound_recording_keeps_every_block() -> None:
     assert recovery.trusted.all()
 
 
+@pytest.mark.slow
 def test_a_camera_that_was_turned_is_named() -> None:
     recording = replace(made().recording, truth=None)
     arm, angle = recording.arm, np.radians(15.0)

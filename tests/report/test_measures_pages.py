@@ -81,6 +81,7 @@ def person(
     return progress
 
 
+@pytest.mark.slow
 def test_every_page_fits_a_phone(browser: Browser, tmp_path: Path):
     measures_page([made_measures()]).write(tmp_path / "one.html")
     arms = [fullest("left"), fullest("right")]

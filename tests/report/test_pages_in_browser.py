@@ -64,6 +64,7 @@ def player(browser: Browser, folder: Path) -> Browser:
     return browser
 
 
+@pytest.mark.slow
 def test_a_link_into_what_is_folded_opens_it(player: Browser):
     assert player.run("document.querySelector('details.more').open") is False
     player.run("location.hash = '#settings'")
@@ -125,6 +126,7 @@ def press(browser: Browser, name: str) -> None:
 TABLES_ALONE = ("panel", "world", "forearm", "imu", "magnetometer", "clock", "study")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", report_pages.PAGES)
 def test_every_page_opens_on_a_desk_and_on_a_phone(name: str, browser: Browser, folder: Path):
     page = folder / f"{name}.html"
@@ -159,6 +161,7 @@ def test_every_page_opens_on_a_desk_and_on_a_phone(name: str, browser: Browser, 
         assert browser.run("document.querySelectorAll('img[src=x]').length") == 0
 
 
+@pytest.mark.slow
 def test_it_plays_and_stops(player: Browser):
     player.run("unocclude.setTime(0)")
     before = player.run(PAINTED)
@@ -237,6 +240,7 @@ def test_drag_and_touch_turn_the_view_and_boxes_hide(player: Browser):
     player.touch([middle(player, "[data-do=play]")])
 
 
+@pytest.mark.slow
 def test_paper_is_white_and_holds_the_path(player: Browser):
     player.dark(True)
     pdf = player.pdf()
@@ -294,6 +298,7 @@ HOSTILE = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", HOSTILE)
 def test_nothing_of_a_file_is_obeyed(name: str, browser: Browser, tmp_path: Path):
     browser.size(1100, 800)

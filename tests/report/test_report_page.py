@@ -122,6 +122,7 @@ def test_name_is_escaped(tmp_path):
     assert "<script>alert" not in text
 
 
+@pytest.mark.slow
 def test_an_hour_still_opens(tmp_path):
     recording = make_recording(3600.0)
     t = recording.arm.t_s
@@ -133,6 +134,7 @@ def test_an_hour_still_opens(tmp_path):
     assert "The recording is long" in text
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "what", ["no gap", "no covariance", "no joints", "no answer", "open", "bare", "one", "none"]
 )
@@ -243,6 +245,7 @@ def pair():
     return recovery, replace(make_truth(t), joints=joints)
 
 
+@pytest.mark.slow
 def test_sections_say_where_the_truth_was_aligned(pair, tmp_path):
     recovery, truth = pair
     found = validate(recovery, truth, ReferenceAlignment("solved"))
@@ -273,6 +276,7 @@ def test_angles_and_their_limits_are_drawn(pair):
     np.testing.assert_allclose(lines, [each.limits_low, each.bias, each.limits_high])
 
 
+@pytest.mark.slow
 def test_the_tables_of_the_terminal_stand_in_the_report(pair, tmp_path):
     recovery, truth = pair
     found = validate(recovery, truth)

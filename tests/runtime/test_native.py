@@ -64,6 +64,7 @@ def test_the_child_never_goes_on_as_a_copy_of_the_program(file: Path):
     assert ends
 
 
+@pytest.mark.slow
 def test_a_hang_ends_also_where_the_program_has_handlers_of_its_own(
     file: Path, monkeypatch: pytest.MonkeyPatch
 ):

@@ -290,6 +290,7 @@ def test_of_two_on_one_new_name_one_is_told(
         assert mode(out) == 0o666 & ~umask() and out.stat().st_nlink == 1
 
 
+@pytest.mark.slow
 @posix
 def test_sigterm_removes_what_is_half_written(tmp_path: Path):
     """The command's handler lets outputs be removed at once, not only by the next command."""

@@ -32,6 +32,7 @@ def recover(processes: int) -> Recovery:
     return smooth(replace(made.recording, truth=None), made.calibration, config)
 
 
+@pytest.mark.slow
 def test_two_processes_give_the_same_bytes(monkeypatch: pytest.MonkeyPatch) -> None:
     alone = recover(1)
     monkeypatch.setattr(smoother.runtime.pool, "WORTH_FRAMES", 10)
@@ -70,6 +71,7 @@ print("recovered", len(recovery))
 """
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("how", ["file", "stdin"])
 def test_a_plain_script_without_a_guard(how: str, tmp_path: Path) -> None:
     """No `if __name__ == "__main__"`: the workers must not run the script again."""
@@ -171,6 +173,7 @@ def threads_now() -> set[int]:
     return {library["num_threads"] for library in threadpool_info() if library["user_api"] == "blas"}
 
 
+@pytest.mark.slow
 def test_a_notebook_gives_the_bytes_of_the_command():
     """A notebook has NumPy with a thread a core; two are asked for here, whatever the machine has."""
     inherited = {name: value for name, value in os.environ.items() if name not in THREADS}

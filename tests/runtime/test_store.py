@@ -47,6 +47,7 @@ def test_parts_outlive_the_whole_and_no_file_is_left(tmp_path: Path, monkeypatch
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(sys.platform != "linux", reason="reads /proc")
 def test_memory_stays_flat():
     program = """

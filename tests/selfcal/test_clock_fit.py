@@ -72,6 +72,7 @@ def fast_clock() -> tuple[Clock, FloatArray, FloatArray]:
     return clock, warped.arm.t_s, clock.at(warped.arm.t_s) + skew * tracks.t_s
 
 
+@pytest.mark.slow
 def test_a_clock_that_runs_fast(fast_clock: tuple[Clock, FloatArray, FloatArray]) -> None:
     """It is followed, also beyond the blocks looked at: a constant would be 4.5 cs off at both ends."""
     clock, _, error = fast_clock
@@ -80,6 +81,7 @@ def test_a_clock_that_runs_fast(fast_clock: tuple[Clock, FloatArray, FloatArray]
     assert np.abs(error).max() < 0.004
 
 
+@pytest.mark.slow
 def test_no_drift_is_invented(realistic_arms: list[Scene]) -> None:
     """Biases, correlated noise, wobble and jitter, and a camera that is late by a constant 20 ms."""
     for scene in realistic_arms:
@@ -129,6 +131,7 @@ def in_gaps_m(made: SimulatedArm, recovery: Recovery) -> float:
     return float(np.sqrt(np.mean(error**2)))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("offset_s", [2.5, -7.0])
 def test_seconds_apart(short: SimulatedArm, offset_s: float) -> None:
     recovery = smooth(later(short, np.full(len(short.recording.arm), offset_s)), None, ALONE)
@@ -137,6 +140,7 @@ def test_seconds_apart(short: SimulatedArm, offset_s: float) -> None:
     assert any("apart" in note for note in recovery.notes)
 
 
+@pytest.mark.slow
 def test_within_reach_nothing_is_moved(short: SimulatedArm, long: SimulatedArm) -> None:
     for made in (short, long):
         recording, coarse = synchronise_coarsely(later(made, np.full(len(made.recording.arm), 0.1)))
@@ -144,6 +148,7 @@ def test_within_reach_nothing_is_moved(short: SimulatedArm, long: SimulatedArm) 
         np.testing.assert_array_equal(recording.arm.t_s, made.recording.arm.t_s - 0.1)
 
 
+@pytest.mark.slow
 def test_clocks_that_drift_far_apart(long: SimulatedArm) -> None:
     """1200 ppm over 330 s: 0.4 s, as 20 of them are in 6 hours; and 1 s to begin with."""
     t = long.recording.arm.t_s
@@ -162,6 +167,7 @@ def test_clocks_minutes_apart(long: SimulatedArm) -> None:
     assert coarse.mean_s == pytest.approx(75.0, abs=0.1)
 
 
+@pytest.mark.slow
 def test_a_clock_that_wanders_between_the_blocks(long: SimulatedArm) -> None:
     """Ten milliseconds to and fro, which the few blocks of the self-calibration cannot see."""
     t = long.recording.arm.t_s
@@ -188,6 +194,7 @@ def apart(preset: str, duration_s: float, seed: int, offset_s: float) -> tuple[R
     return replace(made.recording, arm=arm, truth=None), offset_s + made.parameters["clock_offset_s"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("preset", "duration_s", "offset_s"),
     [
@@ -214,6 +221,7 @@ def test_a_measured_clock_is_not_looked_for() -> None:
     np.testing.assert_allclose(moved.arm.t_s, t + true_s + 1e-4 * (t - 10.0), atol=1e-12)
 
 
+@pytest.mark.slow
 def test_a_measured_clock_is_a_prior() -> None:
     recording, true_s = apart("realistic", 24.0, 2, 3.0)
     free = smooth(recording, None, ALONE)

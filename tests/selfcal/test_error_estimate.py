@@ -92,6 +92,7 @@ def white() -> list[Case]:
     return [(made, errors_of(made)) for made in (arm(seed) for seed in SEEDS)]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("sensor", [0, 1], ids=["accelerometer", "gyroscope"])
 def test_the_imu_is_nearer_the_truth_than_without(realistic: list[Case], sensor: int) -> None:
     """Errors left over what was there: 0.63, 0.39, 0.69 (accelerometer), 0.38, 0.30, 0.77 (gyroscope)."""
@@ -133,6 +134,7 @@ def test_differences_between_joints(realistic: list[Case]) -> None:
         assert errors.joints.sigma_m == pytest.approx(0.008, rel=0.6)  # nine draws of it
 
 
+@pytest.mark.slow
 def test_nothing_is_invented(white: list[Case]) -> None:
     """Of 0.5 % that may be, 0.1 % is left open; joints are treated as sound."""
     prior = Config().imu.scale_sigma

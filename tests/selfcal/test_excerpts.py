@@ -197,6 +197,7 @@ def test_spread_excerpts_with_pauses(made: Recording, count: int, around_s: floa
         np.testing.assert_array_equal(np.flatnonzero(seen), np.arange(len(arm_t))[excerpt.frames])
 
 
+@pytest.mark.slow
 def test_a_coarse_round_changes_little(monkeypatch: pytest.MonkeyPatch) -> None:
     made = arm(5, protocol="random", duration_s=130.0, occlusion_lengths_s=(2.0,), occlusion_every_s=10.0)
     excerpts = informative_excerpts(made.recording, Timeline.of(made.recording))

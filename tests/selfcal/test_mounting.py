@@ -240,6 +240,7 @@ def test_nothing_given_nothing_said():
     assert not list(contradictions(segments_of(made(1, "realistic")), ArmCalibration()))
 
 
+@pytest.mark.slow
 def test_the_verdict_begins_with_it():
     arm = made(1, "realistic")
     recovery = smooth(replace(arm.recording, truth=None), turned(arm.calibration, 90.0), ALONE)
@@ -247,6 +248,7 @@ def test_the_verdict_begins_with_it():
     assert any("the calibration does not fit this recording" in each for each in recovery.estimates.reasons)
 
 
+@pytest.mark.slow
 def test_a_mounting_with_a_rival_is_used_with_care():
     """An arm that hardly moves in view leaves open how the sensor sits; one that moves does not."""
     still = simulate_arm(ArmSimulation(repetitions=1, still_all=True), 1).recording

@@ -81,6 +81,7 @@ def test_streams_of_two_trials_are_no_pair_by_the_strap_that_they_share() -> Non
         assert pairing is None or not pairing.proved
 
 
+@pytest.mark.slow
 def test_a_trial_is_recovered_by_what_its_session_shows() -> None:
     trials, _ = session(3)
     found = calibrate_motion(trials, None, ALONE)

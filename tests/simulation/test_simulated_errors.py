@@ -54,6 +54,7 @@ def test_clean_is_clean():
     assert (simulated.recording.arm.state[:, :4] == JointState.TRACKED).all()
 
 
+@pytest.mark.slow
 def test_correlated_noise_has_its_time_constant():
     noise = residual(make(noise_correlated_m=0.008, noise_correlated_s=0.3, duration_s=600)).reshape(-1, 12)
     # 600 s hold about 1000 independent values at this memory.
@@ -91,6 +92,7 @@ def test_joint_biases_are_constant_and_told():
     assert np.std(drawn) == pytest.approx(0.008, rel=0.2)  # 300 values
 
 
+@pytest.mark.slow
 def test_the_azure_preset_has_the_measured_sizes_and_memory():
     """Six minutes of the preset: constant, slow and white errors told apart by their memory."""
     quiet = {"noise_m": 0.0, "noise_depth_m": 0.0}
@@ -151,6 +153,7 @@ def test_imu_noise_density():
     np.testing.assert_allclose((imu.gyro - ideal.gyro).std(axis=0), 0.0003 * 10, rtol=0.05)
 
 
+@pytest.mark.slow
 def test_imu_biases_are_told_and_walk():
     first, steps = [], []
     for seed in range(40):
@@ -264,6 +267,7 @@ def test_swapped_arms_are_the_other_arm_and_say_tracked(side: str):
         assert (tracks.joint("wrist")[gap, 1] < tracks.joint("shoulder")[gap, 1] - 0.35).all()
 
 
+@pytest.mark.slow
 def test_some_gaps_frozen_some_swapped_some_honest():
     simulated = simulate_arm(
         ArmSimulation.preset("white", protocol="random", duration_s=300, frozen_gaps=0.3, swapped_gaps=0.3), 0
@@ -283,6 +287,7 @@ def test_the_strap_can_be_seen():
     np.testing.assert_allclose(tracks.joint("strap")[inside], at, atol=2e-5)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("preset", list(Preset))
 def test_a_seed_is_a_recording(preset: Preset):
     config = ArmSimulation.preset(preset, repetitions=1)

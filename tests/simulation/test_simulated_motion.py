@@ -75,6 +75,7 @@ CASES = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("case", CASES)
 def test_integrated_samples_reproduce_the_truth(case: str):
     """Sub-millimetre over 2 s in motion: forces, rates, gravity, frames and stamps all agree."""
@@ -116,6 +117,7 @@ def test_gravity_is_3_to_10_degrees_off_the_camera(frame: CameraFrame):
         assert 3 <= tilt <= 10
 
 
+@pytest.mark.slow
 def test_people_and_their_movements_are_plausible(people: list[SimulatedArm]):
     measures = np.array([[p.parameters["upper_arm_m"], p.parameters["forearm_m"]] for p in people])
     assert measures.min(axis=0) == pytest.approx([0.26, 0.23], abs=0.02)

@@ -87,6 +87,7 @@ def test_answer_brings_the_mocap_markers_to_the_panel(ideal: SimulatedPanel):
     assert any((p.marker_order != np.arange(4)).any() for p in ideal.poses)  # shuffled
 
 
+@pytest.mark.slow
 def test_blobs_are_centred(ideal: SimulatedPanel):
     """Blurred and clipped, a blob still lies where the marker's centre is."""
     errors = np.concatenate(
@@ -134,6 +135,7 @@ def test_spots_that_are_added_and_taken_away():
     assert bright(PanelSimulation(marker_shape="sphere")) == 4
 
 
+@pytest.mark.slow
 def test_same_seed_same_images():
     config = PanelSimulation(poses=2, distractors=1)
     one, two, other = (simulate_panel(config, seed) for seed in (4, 4, 5))

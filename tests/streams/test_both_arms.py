@@ -36,6 +36,7 @@ def both(tmp_path_factory) -> Path:
     return path
 
 
+@pytest.mark.slow
 def test_each_arm_gets_what_it_gets_alone(both):
     right = Replay(both, side="right", speed=0.0)
     sources = [right, Replay(both, side="left", speed=0.0, beside=right)]
@@ -68,6 +69,7 @@ def test_each_arm_gets_what_it_gets_alone(both):
     assert np.nanmedian(np.linalg.norm(moved[0] - moved[1], axis=1)) > 0.1  # of two arms
 
 
+@pytest.mark.slow
 def test_one_recording_one_file_of_figures_and_every_line_names_its_arm(both, tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(smoother.live.smoother, "LiveSmoother", CameraEcho)
     session, figures = tmp_path / "session.mcap", tmp_path / "session.json"

@@ -96,6 +96,7 @@ def tell(program: subprocess.Popen, words: str) -> None:
     program.stdin.flush()
 
 
+@pytest.mark.slow
 def test_two_outlets_in_and_one_out(lab, tmp_path):
     outlets = players(lab)
     arguments = ["--imu", "wrist", "--skeleton", "kinect", "--lsl-out", "arm", "--record", "session.mcap"]
@@ -155,6 +156,7 @@ def test_two_outlets_in_and_one_out(lab, tmp_path):
     assert not list(tmp_path.glob("*.recording.mcap"))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("ending", [signal.SIGTERM, signal.SIGKILL])
 def test_the_recording_survives_its_program(lab, tmp_path, ending):
     outlets = players(lab)
@@ -174,6 +176,7 @@ def test_the_recording_survives_its_program(lab, tmp_path, ending):
     assert others == [name]
 
 
+@pytest.mark.slow
 def test_accelerometer_and_gyroscope_in_two_streams(lab, tmp_path):
     outlets = players(lab, "--halves")
     arguments = ["--imu", "wrist", "--skeleton", "kinect", "--record", "session.mcap"]
@@ -200,6 +203,7 @@ def test_accelerometer_and_gyroscope_in_two_streams(lab, tmp_path):
     )  # LSL corrects each stream by itself
 
 
+@pytest.mark.slow
 def test_both_arms_and_imus_on_the_upper_arms(lab, tmp_path):
     both = tmp_path / "both.mcap"
     made = [
@@ -250,6 +254,7 @@ def test_both_arms_and_imus_on_the_upper_arms(lab, tmp_path):
         assert np.nanmax(np.nanmin(nearest, axis=1)) < 1e-6
 
 
+@pytest.mark.slow
 def test_streams_that_cannot_be_used(lab, tmp_path):
     players(lab, "--bare")  # never begins: what a stream is shows before its first sample
 
@@ -270,6 +275,7 @@ def test_streams_that_cannot_be_used(lab, tmp_path):
     assert not list(tmp_path.glob("*.mcap"))
 
 
+@pytest.mark.slow
 def test_an_outlet_that_comes_back_is_known_by_its_name_and_refused_with_another_unit(lab):
     program = lab.start("lsl_again.py")
     said, errors = program.communicate(timeout=90)

@@ -78,6 +78,7 @@ def test_bytes_pass_both_ways_for_who_may(connection):
     assert got == request + b"more"
 
 
+@pytest.mark.slow
 def test_a_foreign_page_is_refused(connection):
     connection.sendall(head("Host: 127.0.0.1", "Origin: https://evil.example") + b"\r\n\r\n")
     assert connection.recv(4096).startswith(b"HTTP/1.1 403 Forbidden")

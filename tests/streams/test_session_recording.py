@@ -64,6 +64,7 @@ def test_what_is_recorded_is_what_was_played(original, tmp_path):
     assert session.engine.steps > 500
 
 
+@pytest.mark.slow
 def test_log_times_are_arrivals_and_a_second_replay_uses_them(original, tmp_path):
     played(original, tmp_path / "one.mcap", latency_s=0.16)
     again = Replay(tmp_path / "one.mcap", speed=0.0)
@@ -116,6 +117,7 @@ def test_the_metadata_says_what_was_done(original, tmp_path):
     assert json.loads(file.metadata["unocclude.recording"]["gravity"]) == [0.0, -1.0, 0.0]
 
 
+@pytest.mark.slow
 def test_recorded_out_of_order_and_smoothed_offline_it_is_the_same_answer(tmp_path):
     """A tenth of samples and frames come up to 0.4 s late: the answer of the original, within 0.02 sigma."""
     made = arm(seed=0, preset="realistic", duration_s=15.0)
@@ -164,6 +166,7 @@ def test_a_full_disk_ends_the_recording_and_not_the_session(original, tmp_path, 
     assert "the session continues" in said and "unocclude repair" in said and "session.recording.mcap" in said
 
 
+@pytest.mark.slow
 def test_a_slow_disk_delays_no_answer(original, tmp_path, monkeypatch):
     source = Replay(original, speed=0.0)
     recording = SessionRecording(tmp_path / "session.mcap", source.info)

@@ -22,6 +22,7 @@ from smoother.study.folder import StudyFolder
 from smoother.study.inputs import file_hash, find_entries
 
 
+@pytest.mark.slow
 def test_a_study_and_what_is_done_again(recordings, tmp_path, capsys):
     out = tmp_path / "out"
     again = [recordings, "-o", out, "--processes", 2]
@@ -83,6 +84,7 @@ def check_page(page):
     assert "4 of 5 recordings were recovered, 1 failed" in page
 
 
+@pytest.mark.slow
 def test_other_settings_are_other_results(in_here, made, tmp_path, capsys):
     (tmp_path / "list.txt").write_text(f"{made / NAMES[0]}\n")
     (tmp_path / "c.toml").write_text("[windows]\nmargin_s = 1.0\n")

@@ -26,6 +26,7 @@ def scheduler() -> Iterator[object]:
         yield started
 
 
+@pytest.mark.slow
 def test_the_same_bytes_as_here_with_a_worker_killed(scheduler, recordings, tmp_path):
     entries = find_entries(str(recordings), tmp_path / "out")
     killed = []
@@ -51,6 +52,7 @@ def test_the_same_bytes_as_here_with_a_worker_killed(scheduler, recordings, tmp_
     assert state(folder.path) == theirs
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(os.name != "posix", reason="kills by signals")
 def test_a_killed_client(scheduler, recordings, tmp_path):
     out = tmp_path / "out"

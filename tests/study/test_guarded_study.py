@@ -25,6 +25,7 @@ def only_the_first(recordings: Path) -> None:
         (recordings / name).unlink()
 
 
+@pytest.mark.slow
 def test_rows_tell_nothing_of_the_machine(in_here: None, recordings: Path, tmp_path: Path):
     """Neither the paths nor the machine's name are in rows and JSON, in failures' sentences neither."""
     out, figures = tmp_path / "out", tmp_path / "figures.json"
@@ -54,6 +55,7 @@ def test_too_little_memory_for_any_process(recordings: Path, tmp_path: Path, meg
     assert done.stderr.count("\n") == 1 and f"{megabytes} MB per process here (ulimit -d)" in done.stderr
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(os.name != "posix", reason="names as bytes")
 def test_a_name_that_is_no_utf8(
     in_here: None, recordings: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
@@ -71,6 +73,7 @@ def test_a_name_that_is_no_utf8(
     assert "\x1b" not in capsys.readouterr().out
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("lost", ["results", "study", "word"])
 def test_what_the_program_needs_was_removed(in_here: None, recordings: Path, tmp_path: Path, lost: str):
     only_the_first(recordings)
@@ -86,6 +89,7 @@ def test_what_the_program_needs_was_removed(in_here: None, recordings: Path, tmp
     assert batch(recordings, "-o", out, "--processes", 1, *(["--force"] if lost == "study" else [])) == 0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("how", ["cut", "rubbish", "empty"])
 def test_a_damaged_row(
     in_here: None, recordings: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], how: str

@@ -33,6 +33,7 @@ from smoother.study.job import Job, StudySettings, run_job
 from smoother.study.run import run_study, study_folder
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(os.name != "posix", reason="kills by signals")
 def test_a_killed_client(recordings, tmp_path):
     out = tmp_path / "out"
@@ -65,6 +66,7 @@ def others_too(job: Job, made: Path, monkeypatch: pytest.MonkeyPatch, what: str)
         return [row for row in workers.rows_of(iter(jobs), ready) if row is not None]
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(os.name != "posix", reason="kills by signals")
 @pytest.mark.parametrize(
     ("settings", "what", "said"),
@@ -84,6 +86,7 @@ def test_a_recording_that_ends_its_process_fails_alone(job, made, monkeypatch, s
     assert said in row["error"] and row["retry"] and row["error"].count(".") == 0, "one sentence"
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(os.name != "posix", reason="kills by signals")
 def test_a_process_that_dies_once(job, made, tmp_path, monkeypatch):
     """Its recording is done by another process."""
@@ -110,6 +113,7 @@ def test_an_end_sweeps_what_its_workers_left(in_here, job, made):
     assert not any(path.exists() for path in half)
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(os.name != "posix", reason="Ctrl-C as a signal")
 @pytest.mark.parametrize("after_s", [0.0, 0.9])
 def test_ctrl_c(recordings, tmp_path, after_s):
@@ -125,6 +129,7 @@ def test_ctrl_c(recordings, tmp_path, after_s):
     assert client.returncode == 1 and "the same command continues" in said and said.count("\n") == 1, said
 
 
+@pytest.mark.slow
 def test_cut_off_between_output_and_row(job):
     """Whatever step a worker had come to, what is whole is taken up and nothing else."""
     row = run_job(job)

@@ -89,6 +89,7 @@ def test_a_known_change_is_found_and_a_null_change_is_not_called(tmp_path: Path)
     assert alarms == pytest.approx(0.05, abs=0.026)  # 3 sigmas of a share of 0.05 over 640
 
 
+@pytest.mark.slow
 def test_hardly_any_person_without_change_has_one_when_all_count_together():
     """Holm keeps the chance of one false call among all measures of a person at 5 %."""
     rng = np.random.default_rng(1)

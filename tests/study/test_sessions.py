@@ -27,6 +27,7 @@ def trials(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+@pytest.mark.slow
 def test_trials_get_the_calibration_that_they_share_once(trials: Path, tmp_path: Path) -> None:
     assert read_recording(trials / "trial_1.mcap").clocks_unrelated
     folder = StudyFolder((tmp_path / "out").absolute())
@@ -48,6 +49,7 @@ def test_trials_get_the_calibration_that_they_share_once(trials: Path, tmp_path:
     assert with_sessions(entries, folder, {}, Config(), "2")[0] != own  # another version's are made anew
 
 
+@pytest.mark.slow
 def test_smooth_takes_a_session(trials: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     words = ["smooth", str(trials / "trial_2.mcap"), "-o", str(tmp_path / "out.mcap")]
     assert run([*words, "--session", str(trials)]) == 0

@@ -113,6 +113,7 @@ def test_frames_near_a_blow_are_found() -> None:
     assert found[near].all() and not found[np.abs(frames - t[200]) > GROUPED_S + 0.03].any()
 
 
+@pytest.mark.slow
 def test_shared_nodes_cost_no_accuracy() -> None:
     """Against a node for every frame: the same answer within a fraction of its own sigma."""
     made = arm(5, protocol="random", duration_s=24.0)

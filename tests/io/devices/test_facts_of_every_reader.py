@@ -309,6 +309,7 @@ LIMITS: dict[str, tuple[Callable[[Path], Path], str]] = {
 }  # fmt: skip
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("limit", LIMITS)
 def test_limits_have_a_sentence_and_little_memory(tmp_path: Path, limit: str) -> None:
     write, said = LIMITS[limit]
@@ -484,6 +485,7 @@ REMEDIES: dict[str, tuple[Callable[[Path], list[str]], Callable[[str, list[str]]
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("case", REMEDIES)
 def test_the_remedy_of_a_message_works(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], case: str

@@ -225,6 +225,7 @@ def sound_units(file: RecordingFile, exactly: bool = False) -> None:
             assert not len(lengths) or 0.05 <= np.median(lengths) <= 1.0
 
 
+@pytest.mark.slow
 def test_damaged_files(tmp_path: Path):
     """600 of them over all layouts (`make fuzz`: more): no other exception, wrong unit or long message."""
     random_ = random.Random(15)

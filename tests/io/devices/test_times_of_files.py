@@ -133,6 +133,7 @@ def test_clocks_that_stray_or_leap(
         np.testing.assert_allclose(found.t_s, UNIX_S + t, atol=0.01)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("apart_s", [0.0, 1e-6, 1e-4])
 @pytest.mark.parametrize("size", [2, 6, 12])
 @pytest.mark.parametrize("kind", ["file", "recording"])
