@@ -8,7 +8,7 @@ asked for (Takahashi et al., 1973; block form as in the Rauch-Tung-Striebel smoo
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
@@ -18,7 +18,6 @@ import numpy as np
 
 from ..array_types import FloatArray, IntArray
 from ..linalg import scaled_inverse
-from ..window.shared import SIZE, Considered
 from .variables import sizes_of
 
 
@@ -66,31 +65,28 @@ class Jacobian:
         return self.block(slice(0, len(self.rhs)), slice(0, self.width))
 
 
-#: Columns of the whitened Jacobian, of its first rows, for quantities that are not variables of the graph.
-ExtraColumns = Callable[[Jacobian], FloatArray]
-
-
 class LinearSystem:
     """The normal equations of a linearised graph, reduced to its border."""
 
     def __init__(
         self,
-        graph: gtsam.NonlinearFactorGraph,
-        values: gtsam.Values,
+        jacobian: Jacobian,
         node_of: Mapping[int, int],
-        extra: Sequence[ExtraColumns] = (),
+        extra: Sequence[FloatArray] = (),  # (r, ..): columns of quantities that are no variables of it
     ) -> None:
-        self.jacobian = Jacobian.of(graph, values)
-        node = np.full(self.jacobian.width, -1)
+        self.jacobian = jacobian
+        node = np.full(jacobian.width, -1)
         for key, number in node_of.items():
-            node[self.jacobian.columns[key]] = number
+            node[jacobian.columns[key]] = number
         self._border = np.flatnonzero(node < 0)
         self._border_row = np.full(len(node), -1)
         self._border_row[self._border] = np.arange(len(self._border))
-        given = [columns(self.jacobian) for columns in extra]
-        self._extra_count = sum(columns.shape[1] for columns in given)
         self._group(node)
-        self._reduce(given)
+        self._reduce(np.concatenate([*extra, jacobian.rhs[:, None]], axis=1))
+        #: Covariance (e, e) of errors of the first extra quantities that count in `covariances`, and how the
+        #: border's variables follow them (b, e).
+        self.considered: FloatArray | None = None
+        self.follows = np.zeros((len(self._border), 0))
 
     def columns(self, key: int) -> slice:
         """Columns of a variable in `jacobian`."""
@@ -123,11 +119,8 @@ class LinearSystem:
         #: the group of every row of the Jacobian, one more than there are of those about the border alone
         self._group_of_row = np.where(last >= 0, group_of_node[first], len(starts) - 1)
 
-    def _table(
-        self,
-        given: Sequence[FloatArray],
-    ) -> tuple[FloatArray, IntArray, IntArray]:
-        """The Jacobian by groups, dense."""
+    def _table(self, given: FloatArray) -> tuple[FloatArray, IntArray, IntArray]:
+        """The Jacobian by groups, dense; the given columns (r, ..) are the last."""
         jacobian, groups = self.jacobian, len(self._bounds) - 1
         wide, borders = int(np.diff(self._bounds).max()), len(self._border)
         row, column, group = jacobian.row, jacobian.column, self._group_of_row
@@ -138,19 +131,15 @@ class LinearSystem:
         place[np.lexsort((~reaches, group))] = np.arange(len(group))
         in_group = self._place - self._bounds[self._group_of_column]
         of_column = np.where(self._place >= 0, in_group, 2 * wide + self._border_row)
-        table = np.zeros((len(group), 2 * wide + borders + self._extra_count + 1))
+        table = np.zeros((len(group), 2 * wide + borders + given.shape[1]))
         scale = np.ones(jacobian.width)
         scale[self._chain] = self._scale
         table[place[row], of_column[column] + wide * is_next] = jacobian.value * scale[column]
-        first = 2 * wide + borders
-        for own in given:
-            table[place[: len(own)], first : first + own.shape[1]] = own
-            first += own.shape[1]
-        table[place, -1] = jacobian.rhs
+        table[place, 2 * wide + borders :] = given
         starts = np.concatenate([[0], np.cumsum(np.bincount(group, minlength=groups))[:groups]])
         return table, starts, np.bincount(group[reaches], minlength=groups)
 
-    def _reduce(self, given: Sequence[FloatArray]) -> None:
+    def _reduce(self, given: FloatArray) -> None:
         """Eliminate the chain: what is left of the information on the border and the extra columns."""
         squares = np.bincount(self.jacobian.column, self.jacobian.value**2, self.jacobian.width)[self._chain]
         self._scale = 1.0 / np.sqrt(np.where(squares > 0.0, squares, 1.0))
@@ -190,17 +179,9 @@ class LinearSystem:
         self._shared_covariance = scaled_inverse(self.information[:borders, :borders])
 
     @property
-    def extra_count(self) -> int:
-        """How many extra columns there are."""
-        return self._extra_count
-
-    @property
     def extras(self) -> slice:
         """The extra columns in `information` and `vector`."""
         return slice(len(self._border), len(self.information))
-
-    def _first_extras(self, count: int) -> slice:
-        return slice(self.extras.start, self.extras.start + count)
 
     def border_rows(self, keys: Sequence[int]) -> IntArray:
         """Rows of border variables in `information` and `vector`, one after the other."""
@@ -221,8 +202,20 @@ class LinearSystem:
             blocks[g, : sizes[g], : sizes[g]] = self._inverses[g] + gain @ after @ gain.T
         return blocks
 
-    def covariances(self, keys: Sequence[int], held: Sequence[int] = ()) -> FloatArray:
-        """Covariances (k, d, d) of variables in time, all of one dimension; extra quantities held fixed."""
+    def consider(self, covariance: FloatArray, pull: FloatArray) -> None:
+        """Count errors with a covariance (e, e) of the first e extra quantities in `covariances`.
+
+        The prior of the border's variables follows them by `pull` (b, e), as information times mean.
+        """
+        self.considered, self.follows = covariance, self.shared_sensitivity(pull)
+
+    def covariances(
+        self, keys: Sequence[int], held: Sequence[int] = (), own_follow: FloatArray | None = None
+    ) -> FloatArray:
+        """Covariances (k, d, d) of variables in time, all of one dimension; other extra quantities held.
+
+        `own_follow` (d, e) is how they follow the considered errors beyond what the equations say.
+        """
         place = self._places(keys)
         group = np.searchsorted(self._bounds, place[:, 0], side="right") - 1
         scale, rows = self._scale[place], place - self._bounds[group, None]
@@ -232,19 +225,23 @@ class LinearSystem:
             free = np.setdiff1d(np.arange(len(self._border)), self.border_rows(held))
             follows, shared = follows[:, :, free], scaled_inverse(self.information[np.ix_(free, free)])
         across = follows @ shared @ np.swapaxes(follows, 1, 2)
-        return np.asarray(own * scale[:, :, None] * scale[:, None, :] + across)
+        covariance = own * scale[:, :, None] * scale[:, None, :] + across
+        if self.considered is not None:
+            errors = self.sensitivities(keys, self.follows) + (0.0 if own_follow is None else own_follow)
+            covariance = covariance + errors @ self.considered @ np.swapaxes(errors, 1, 2)
+        return np.asarray(covariance)
 
     def sensitivities(self, keys: Sequence[int], shared: FloatArray) -> FloatArray:  # shared (b, e)
         """How variables in time, all of one dimension, follow the first e extra quantities, (k, d, e)."""
-        follows = self._solved[self._places(keys)]
-        borders, extras = len(self._border), self._first_extras(shared.shape[1])
-        return np.asarray(-follows[:, :, extras] - follows[:, :, :borders] @ shared)
+        follows, borders = self._solved[self._places(keys)], len(self._border)
+        errors = follows[:, :, borders : borders + shared.shape[1]]
+        return np.asarray(-errors - follows[:, :, :borders] @ shared)
 
-    def shared_sensitivity(self, pull: FloatArray | None = None) -> FloatArray:  # pull (b, e)
+    def shared_sensitivity(self, pull: FloatArray) -> FloatArray:  # pull (b, e)
         """How the border's variables follow the first e extra quantities, (b, e)."""
-        count = self.extra_count if pull is None else pull.shape[1]
-        across = self.information[: len(self._border), self._first_extras(count)]
-        return np.asarray(self._shared_covariance @ ((0.0 if pull is None else pull) - across))
+        borders = len(self._border)
+        across = self.information[:borders, borders : borders + pull.shape[1]]
+        return np.asarray(self._shared_covariance @ (pull - across))
 
     def extra_information(self, column: int) -> float:
         """Information on one extra quantity, the graph's variables eliminated and the other extras held."""
@@ -288,23 +285,11 @@ def _cholesky(matrices: Sequence[FloatArray]) -> list[FloatArray]:
     return factors
 
 
-def reduced_to_extras(
-    system: LinearSystem, considered: Considered | None, count: int
+def eliminated(
+    information: FloatArray, vector: FloatArray, kept: IntArray, others: IntArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Information (count, count) and vector on the last extra columns, everything else eliminated.
-
-    Of the extra columns before them the first may be errors that are considered; others are held.
-    """
-    information, extras = np.array(system.information), system.extras
-    own, others = np.arange(extras.stop - count, extras.stop), np.arange(extras.start)
-    if considered is not None:
-        errors = slice(extras.start, extras.start + SIZE)
-        information[errors, errors] += np.linalg.inv(considered.covariance + 1e-12 * np.eye(SIZE))
-        others = np.arange(errors.stop)
-    known = information[np.ix_(others, others)]
-    known = known + np.diag(1e-9 * np.maximum(np.diag(known), 1.0))
-    across = np.linalg.solve(
-        known, np.column_stack([information[np.ix_(others, own)], system.vector[others]])
-    )
-    reduced = information[np.ix_(own, own)] - information[np.ix_(own, others)] @ across[:, :-1]
-    return reduced, system.vector[own] - information[np.ix_(own, others)] @ across[:, -1]
+    """Information and vector of some rows when others are eliminated; all the rest is held."""
+    own, across = information[np.ix_(kept, kept)], information[np.ix_(kept, others)]
+    sides = np.column_stack([information[np.ix_(others, kept)], vector[others]])
+    solved = np.linalg.solve(information[np.ix_(others, others)], sides)
+    return own - across @ solved[:, :-1], vector[kept] - across @ solved[:, -1]

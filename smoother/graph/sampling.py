@@ -11,11 +11,10 @@ from __future__ import annotations
 from collections.abc import Callable
 from itertools import pairwise
 
-import gtsam
 import numpy as np
-from gtsam.symbol_shorthand import G, S, V, X
+from gtsam.symbol_shorthand import S, V, X
 
-from ..array_types import FloatArray, IntArray
+from ..array_types import FloatArray
 from ..body import SEGMENTS
 from ..linalg import interpolate
 from ..window.draw_plan import DrawPlan, root_of
@@ -23,9 +22,9 @@ from ..window.problem import Window
 from ..window.shared import STRAP_PLACE
 from ..window.solution import WindowDraws
 from .build import node_of_variables
-from .error_columns import is_place
+from .columns import is_place
 from .linear_system import LinearSystem
-from .shared_prior import shared_jacobian, shared_keys
+from .solved import SolvedWindow
 from .variables import DIMENSION, LETTER_BITS, keys_of
 
 #: Every segment has its own stream of random numbers, so that a further IMU changes nothing of the others'.
@@ -39,23 +38,21 @@ _SLICE_S = 0.5
 
 
 def sample_window(
+    solved: SolvedWindow,
     system: LinearSystem,
-    values: gtsam.Values,
-    window: Window,
-    biases: IntArray,  # int (n - 1,)
     plan: DrawPlan,
-    shared_sensitivity: FloatArray | None,  # (b, e)
-    lost: FloatArray,  # (3, 3) rad^2
+    lost: FloatArray,  # (3, 3) rad^2: of the attitude's covariance, to the tightening of its prior
 ) -> WindowDraws:
     """Draw motions with the covariance that the window states (GTSAM: `GaussianBayesNet.sample`)."""
+    window, R = solved.window, solved.bodies[0].states.R
     # 1. What all windows share, drawn once, and the biases given that.
-    jacobian = shared_jacobian(window.priors.layout, values.atUnit3(G(0)))
-    shared = jacobian @ system.shared_covariance(shared_keys(window, biases)) @ jacobian.T
-    border = _border(system, jacobian, shared, window, biases, plan)
+    jacobian = solved.shared_jacobian
+    shared = jacobian @ system.shared_covariance(solved.shared_keys) @ jacobian.T
+    border = _border(solved, system, shared, plan)
     # 2. Errors that are considered: constant over the recording, and of made-up frame times.
     considered, given = plan.considered_errors(window.t), border
-    if shared_sensitivity is not None and considered is not None:
-        given = np.concatenate([border + considered @ shared_sensitivity.T, considered], axis=1)
+    if system.considered is not None and considered is not None:
+        given = np.concatenate([border + considered @ system.follows.T, considered], axis=1)
     # 3. The chain, node by node from the last.
     errors = system.sample(_normals_of_columns(system, window, plan), given)
 
@@ -67,7 +64,6 @@ def sample_window(
 
     # 4. From GTSAM's (rotation, translation) in the body's axes to the camera's.
     count = range(len(window.t))
-    R = np.array([values.atPose3(X(i)).rotation().matrix() for i in count])
     body = of([X(i) for i in count])
     rotation = np.einsum("nij,knj->kni", R, body[:, :, :3])
     rotation += (plan.once("attitude", 3) @ root_of(lost))[:, None]
@@ -85,54 +81,44 @@ def sample_window(
         velocity=of([V(i) for i in count]),
         shoulder=shoulder,
         shared_covariance=shared,
-        turns={name: _turns(values, window, name, plan, of) for name in window.priors.layout.further},
+        turns={name: _turns(solved, name, plan, of) for name in window.priors.layout.further},
     )
 
 
 def _turns(
-    values: gtsam.Values, window: Window, segment: str, plan: DrawPlan, of: Callable[[list[int]], FloatArray]
+    solved: SolvedWindow, segment: str, plan: DrawPlan, of: Callable[[list[int]], FloatArray]
 ) -> FloatArray:
     """Rotation errors of a further IMU at all nodes; nan where it has no samples."""
+    window, R, pose = solved.window, solved.states[segment].R, keys_of(segment).pose
     rotation = np.full((plan.count, len(window.t), 3), np.nan)
     for run in window.runs(segment):
-        rows, pose = range(run.first, run.nodes.stop), keys_of(run.segment).pose
-        R = np.array([values.atPose3(pose + i).rotation().matrix() for i in rows])
-        rotation[:, rows] = np.einsum("nij,knj->kni", R, of([pose + i for i in rows])[:, :, :3])
+        turns = of([pose + i for i in range(run.first, run.nodes.stop)])[:, :, :3]
+        rotation[:, run.nodes] = np.einsum("nij,knj->kni", R[run.nodes], turns)
     return rotation
 
 
-def _border(
-    system: LinearSystem,
-    jacobian: FloatArray,
-    shared: FloatArray,
-    window: Window,
-    biases: IntArray,
-    plan: DrawPlan,
-) -> FloatArray:
+def _border(solved: SolvedWindow, system: LinearSystem, shared: FloatArray, plan: DrawPlan) -> FloatArray:
     """Errors (count, b) of the border's variables: the shared vector, then the other biases given it."""
     size = system.extras.start
     border = np.zeros((plan.count, size))
-    known = system.border_rows(shared_keys(window, biases))
-    border[:, known] = plan.shared_errors(shared) @ np.linalg.inv(jacobian).T
+    known = system.border_rows(solved.shared_keys)
+    border[:, known] = plan.shared_errors(shared) @ np.linalg.inv(solved.shared_jacobian).T
     others = np.setdiff1d(np.arange(size), known)  # biases, in the order of time
     if len(others):
         own = system.information[np.ix_(others, others)]
         scale = 1.0 / np.sqrt(np.diag(own))
         factor = np.linalg.cholesky(own * scale * scale[:, None])
-        # small systems: NumPy's general solver, as SciPy's triangular one would have to be imported
-        pull = np.linalg.solve(
-            factor, scale[:, None] * system.information[np.ix_(others, known)] @ border[:, known].T
-        )
-        normals = _bias_normals(system, window, biases, plan)[:, others].T
+        across = system.information[np.ix_(others, known)] @ border[:, known].T
+        pull = np.linalg.solve(factor, scale[:, None] * across)
+        normals = _bias_normals(solved, system, plan)[:, others].T
         border[:, others] = (scale[:, None] * np.linalg.solve(factor.T, normals - pull)).T
     return border
 
 
-def _bias_normals(system: LinearSystem, window: Window, biases: IntArray, plan: DrawPlan) -> FloatArray:
+def _bias_normals(solved: SolvedWindow, system: LinearSystem, plan: DrawPlan) -> FloatArray:
     """Standard normals (count, b) of the border's rows that are biases; zero of the others."""
-    normals = np.zeros((plan.count, system.extras.start))
-    count = int(biases[-1]) + 1
-    edges = np.linspace(window.t[0], window.t[-1], count + 1)
+    window, normals = solved.window, np.zeros((plan.count, system.extras.start))
+    edges = np.linspace(window.t[0], window.t[-1], int(solved.biases[-1]) + 2)
     first = np.ceil(edges / _SLICE_S - 0.5).astype(int)
     slices = (np.arange(first[0], first[-1] + 1) + 0.5) * _SLICE_S
     for segment in window.priors.layout.segments:

@@ -14,31 +14,28 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
-import gtsam
 import numpy as np
 from gtsam.symbol_shorthand import G, U
 
 from ..array_types import FloatArray
 from ..body import FOREARM
-from ..window.problem import Priors, Window
-from .build import FactorGroup, node_of_variables
+from ..window.problem import Priors
+from .build import FactorGroup
 from .linear_system import LinearSystem
 from .shared_prior import lever_keys
+from .solved import SolvedWindow
 from .variables import keys_of
 
 #: Where a window begins and how fast: nothing but pixels determines that in any scene.
 FREE = 6.0
 
 
-def coordinates_by_pixels(
-    graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, window: Window, groups: Sequence[FactorGroup]
-) -> float:
+def coordinates_by_pixels(solved: SolvedWindow) -> float:
     """How many coordinates of positions keypoints determine in a window at its optimum."""
-    system = LinearSystem(graph, values, node_of_variables(window))
-    layout = window.priors.layout
+    system, layout = solved.system(), solved.window.priors.layout
     held = [G(0), *([U(0)] if layout.has_upper_arm else []), *lever_keys(layout)]
     total = 0.0
-    for group in groups:
+    for group in solved.groups:
         if group.kind != "camera" or group.of == "shoulder" or not len(group.nodes):
             continue
         pose = keys_of(layout.segment_of(group.of)).pose

@@ -2,7 +2,7 @@
 
 A loss judges single samples; a block that agrees with itself and with nothing else (another person's body,
 left and right exchanged, joints that the tracker guessed) passes it. So every block is compared with what the
-rest predicts (`graph.block_shifts`). Wrong blocks support each other, and sound ones beside them look as
+rest predicts (`graph.changes`). Wrong blocks support each other, and sound ones beside them look as
 guilty: all suspects are left out, the motion is recovered without them, and what agrees with that is
 readmitted in half seconds. What contradicts even then, or was left out where nothing confirms the answer on
 both sides, leaves its gaps untrusted.

@@ -7,8 +7,9 @@ from dataclasses import replace
 from functools import partial
 
 from ..errors import SolveError
+from ..graph.changes import steps
 from ..graph.optimise import LONG_S
-from ..graph.solve import optimise_window, solution_of, solve, steps_of
+from ..graph.solve import optimise_window, solution_of, solve
 from ..measurements.alignment import Alignment
 from ..measurements.outliers import reject_by_camera, reject_by_direction, reject_by_residual
 from ..measurements.segment import Segment
@@ -47,7 +48,7 @@ def solve_section(data: SectionData, task: Task) -> SectionAnswer | None:
     model = task.model
     # 1. Solved once; camera samples that the motion contradicts are left out, and it is solved again.
     optimised = optimise_window(_window(prepared, task), TOLERANCE)
-    first, steps = solution_of(optimised, with_covariance=False), steps_of(optimised)
+    first, changes = solution_of(optimised, with_covariance=False), tuple(steps(optimised))
     residual = frame_residuals(
         segment.position, segment.frame_t_imu(model.clock), prepared, first, model.estimate
     )
@@ -67,7 +68,7 @@ def solve_section(data: SectionData, task: Task) -> SectionAnswer | None:
     # 3. Visible stretches hidden, recovered from the rest, and compared.
     stretches = hide_and_recover(prepared.with_start(solution.forearm.states), task)
     return replace(
-        answer, unexplained=unexplained, shifts=solution.shifts, stretches=tuple(stretches), steps=steps
+        answer, unexplained=unexplained, shifts=solution.shifts, stretches=tuple(stretches), steps=changes
     )
 
 

@@ -19,7 +19,7 @@ from ..array_types import FloatArray
 from ..calibration import ArmCalibration, LeverArm
 from ..config import Config
 from ..errors import CalibrationError
-from ..graph.error_columns import with_lens
+from ..graph.columns import with_lens
 from ..graph.solve import solve
 from ..measurements.clock import OFFSET_SIGMA_S, Clock, constant_clock
 from ..measurements.inertial import InertialSignal

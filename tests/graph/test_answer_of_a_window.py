@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from functools import partial
 
 import gtsam
 import numpy as np
@@ -24,20 +23,16 @@ import smoother.graph.build
 import smoother.graph.optimise
 import smoother.graph.solve
 from smoother.array_types import FloatArray
-from smoother.body import FOREARM
 from smoother.errors import SolveError
 from smoother.graph.build import WindowGraph, bias_of_intervals, build, node_of_variables
-from smoother.graph.error_columns import (
-    constant_error_columns,
-    evidence,
-    stamp_columns,
-)
-from smoother.graph.linear_system import LinearSystem
+from smoother.graph.columns import constant_error_columns, evidence, stamp_columns
+from smoother.graph.linear_system import Jacobian
 from smoother.graph.shared_prior import shared_jacobian, shared_keys
 from smoother.graph.solve import TIGHTEN, solve
+from smoother.graph.solved import SolvedWindow, levers_of
 from smoother.recording import JOINTS
 from smoother.units import GRAVITY
-from smoother.window.problem import States, Window
+from smoother.window.problem import Window
 from smoother.window.shared import JOINT_ERRORS, SIZE, STRAP_ERRORS, STRAP_PLACE
 from smoother.window.solution import Solution
 
@@ -72,14 +67,10 @@ class Optimum:
         self.values = gtsam.LevenbergMarquardtOptimizer(self.graph, start, params).optimize()
         self.R = np.array([self.values.atPose3(X(i)).rotation().matrix() for i in range(NODES)])
         self.biases = bias_of_intervals(window)
-        self.errors = partial(
-            constant_error_columns, window=window, groups=self.groups, biases=self.biases, R=self.R
-        )
-        self.system = LinearSystem(self.graph, self.values, node_of_variables(window), [self.errors])
+        self.solved = SolvedWindow(window, self.graph, self.values, self.groups)
+        self.extra = constant_error_columns(self.solved)
+        self.system = self.solved.system([self.extra])
         self.A, self.b = self.system.jacobian.toarray(), self.system.jacobian.rhs
-        self.extra = np.zeros((len(self.A), SIZE))
-        columns = self.errors(self.system.jacobian)
-        self.extra[: len(columns)] = columns
         self.covariance = np.linalg.inv(self.A.T @ self.A)
 
     @property
@@ -217,7 +208,7 @@ def test_what_is_shared_and_the_lever_arms(pair: tuple[Optimum, Solution]) -> No
         np.testing.assert_array_equal(lever, found.shared[layout.lever(joint)])
     np.testing.assert_array_equal(found.lever("strap"), np.zeros(3))
     three = replace(layout, joints=("elbow", "wrist", "hand"), further=("upper_arm", "hand"))
-    levers = smoother.graph.solve._levers(np.arange(three.size), three)
+    levers = levers_of(np.arange(three.size), three)
     assert {joint: int(lever[0]) for joint, lever in levers.items()} == {
         "elbow": three.lever("elbow").start,
         "wrist": three.lever("wrist").start,
@@ -273,10 +264,7 @@ def test_a_column_is_the_derivative_of_the_data(
     error = rng.normal(size=SIZE) * np.concatenate([np.full(18, 0.1), np.full(15, 1.0), np.full(9, 1.0)])
 
     def rhs(scale: float) -> FloatArray:
-        system = LinearSystem(
-            _with_errors(best, window, scale * error), best.values, node_of_variables(window)
-        )
-        return system.jacobian.rhs
+        return Jacobian.of(_with_errors(best, window, scale * error), best.values).rhs
 
     moved = -(rhs(step) - rhs(-step)) / (2 * step)  # the graph's right-hand side is minus its error
     stated = best.extra @ error
@@ -295,7 +283,9 @@ def test_columns_may_begin_anywhere() -> None:
         moved = {key: slice(own.start + more, own.stop + more) for key, own in best.columns.items()}
         width, column = jacobian.width + more, jacobian.column + more
         wider = replace(jacobian, column=column, columns=moved, width=width)
-        np.testing.assert_array_equal(best.errors(wider), best.errors(jacobian))
+        there = replace(best.solved)
+        there.__dict__["jacobian"] = wider
+        np.testing.assert_array_equal(constant_error_columns(there), best.extra)
 
 
 def _with_errors(best: Optimum, window: Window, error: FloatArray) -> gtsam.NonlinearFactorGraph:
@@ -337,7 +327,7 @@ def test_the_chain_is_the_dense_system(pair: tuple[Optimum, Solution]) -> None:
     shared = [G(0), C(0), L(WRIST), B(1), U(0)]
     like(system.shared_covariance(shared), best.of(*shared), 1e-6)
     follows = best.follows(np.zeros((best.A.shape[1], SIZE)))
-    of_border = system.shared_sensitivity()
+    of_border = system.shared_sensitivity(np.zeros((system.extras.start, SIZE)))
     scale = np.abs(follows).max()
     for key in (X(0), X(6), V(9), S(3), E(4), W(7)):
         np.testing.assert_allclose(
@@ -372,10 +362,9 @@ def test_the_chain_is_the_dense_system(pair: tuple[Optimum, Solution]) -> None:
 
 def test_a_system_without_extra_columns(pair: tuple[Optimum, Solution]) -> None:
     best, _ = pair
-    alone = LinearSystem(best.graph, best.values, node_of_variables(best.window))
+    alone = best.solved.system()
     assert alone.extras.start == alone.extras.stop == len(alone.information)
     like(alone.covariances([X(3)])[0], best.of(X(3)), 1e-6)
-    assert alone.shared_sensitivity().shape == (alone.extras.start, 0)
 
 
 def test_what_the_window_says_of_constant_errors(pair: tuple[Optimum, Solution]) -> None:
@@ -398,7 +387,7 @@ def test_what_the_window_says_of_constant_errors(pair: tuple[Optimum, Solution])
     information[:size, :size] -= prior
     vector[:size] -= prior @ (priors.mean - mean)[6:]
     vector += information[:, :size] @ mean[6:]
-    stated = evidence(best.system, best.values, mean, best.window, best.biases)
+    stated = evidence(best.solved, best.system, priors)
     close_evidence(stated.information, information, 1e-6)
     close_evidence(np.diag(stated.vector), np.diag(vector), 1e-6)
     close_evidence(found.evidence.information, information, 1e-2)
@@ -550,8 +539,6 @@ def test_a_stamp_s_column_is_the_derivative_of_the_data() -> None:
     )
     best = Optimum(window)
     velocity = np.array([best.values.atVector(V(i)) for i in range(NODES)])
-    place = np.array([best.values.atPose3(X(i)).translation() for i in range(NODES)])
-    states = States(best.R, place, velocity)
     knots = np.linspace(window.t[0] - 0.1, window.t[-1] + 0.1, 4)
     late_s = 1e-4 * np.array([1.0, -2.0, 3.0, 0.5])
     at_node = np.interp(window.t, knots, late_s)
@@ -562,11 +549,10 @@ def test_a_stamp_s_column_is_the_derivative_of_the_data() -> None:
         for each in window.joint_measurements
     )
     graph = build(replace(window, joint_measurements=moved)).graph
-    after = LinearSystem(graph, best.values, node_of_variables(window)).jacobian.rhs
-    columns = stamp_columns(best.system.jacobian, window, best.groups, {FOREARM.name: states}, knots)
+    after = Jacobian.of(graph, best.values).rhs
+    columns = stamp_columns(best.solved, knots)
     change = best.system.jacobian.rhs - after  # the right-hand side is minus the error
-    rows = len(columns)
-    np.testing.assert_allclose(columns @ late_s, change[:rows], atol=1e-6 * np.abs(change).max())
+    np.testing.assert_allclose(columns @ late_s, change, atol=1e-6 * np.abs(change).max())
 
 
 def test_synthetic_stamps_widen_the_covariance() -> None:

@@ -7,7 +7,6 @@ velocity, and the offset's column comes from differences of the graph's gradient
 from __future__ import annotations
 
 from dataclasses import replace
-from functools import partial
 from unittest.mock import patch
 
 import gtsam
@@ -18,10 +17,9 @@ from scenes import arm, first_window, plain, point
 
 import smoother.window.nodes
 from smoother.array_types import FloatArray
-from smoother.body import FOREARM
-from smoother.graph.build import build, node_of_variables
-from smoother.graph.error_columns import offset_column, offset_information
-from smoother.graph.linear_system import LinearSystem
+from smoother.graph.build import build
+from smoother.graph.columns import offset_information, stamp_columns
+from smoother.graph.solved import SolvedWindow
 from smoother.simulation import SimulatedArm
 from smoother.window.problem import States, Window
 
@@ -80,12 +78,9 @@ def dense_information(window: Window, values: gtsam.Values, states: States) -> f
     return bound(window, states) - float(root @ root)
 
 
-def stated_information(
-    graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, window: Window, states: States
-) -> float:
-    column = partial(offset_column, window=window, groups=build(window).groups, states={FOREARM.name: states})
-    system = LinearSystem(graph, values, node_of_variables(window), [column])
-    return offset_information(system, 0, window, {FOREARM.name: states})
+def stated_information(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, window: Window) -> float:
+    solved = SolvedWindow(window, graph, values, build(window).groups)
+    return offset_information(solved, solved.system([stamp_columns(solved)]), 0)
 
 
 def made(name: str) -> SimulatedArm:
@@ -101,13 +96,13 @@ def made(name: str) -> SimulatedArm:
 def test_a_node_for_every_frame(name: str) -> None:
     window = window_of(made(name), grouped=False)
     graph, values, states = optimum(window)
-    stated = stated_information(graph, values, window, states)
+    stated = stated_information(graph, values, window)
     assert stated == pytest.approx(dense_information(window, values, states), rel=1e-6)  # measured 2e-9
     assert 0.0 < stated < bound(window, states)
     if name == "arm":  # its shoulder holds it
         nobody = replace(window, joint_measurements=())
         graph, values, _ = build(nobody)
-        assert stated_information(graph, values, nobody, states) == 0.0
+        assert stated_information(graph, values, nobody) == 0.0
 
 
 def test_frames_that_share_a_node() -> None:
@@ -115,5 +110,5 @@ def test_frames_that_share_a_node() -> None:
     window = window_of(arm(3, protocol="random", duration_s=4.0, occlusion_lengths_s=()), grouped=True)
     assert len(window.t) < len(window.joint_measurements[0].t_s)
     graph, values, states = optimum(window)
-    stated = stated_information(graph, values, window, states)
+    stated = stated_information(graph, values, window)
     assert stated == pytest.approx(dense_information(window, values, states), rel=1e-3)

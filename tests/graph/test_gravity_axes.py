@@ -11,10 +11,10 @@ from gtsam.symbol_shorthand import G, L
 from scenes import arm, first_window
 
 from smoother.graph import optimise as module
-from smoother.graph.build import bias_of_intervals, build
+from smoother.graph.build import build
 from smoother.graph.optimise import optimise
 from smoother.graph.shared_prior import gaussian_factor, gravity_axes, have_turned, turned_with_axes
-from smoother.graph.solve import _shared
+from smoother.graph.solved import SolvedWindow
 from smoother.window.problem import Window
 from smoother.window.shared import Gaussian
 
@@ -126,7 +126,7 @@ def _cost(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, window: Windo
     factors = [graph.at(i) for i in range(graph.size())]
     error = sum(each.error(values) for each in factors if not isinstance(each, gtsam.LinearContainerFactor))
     shared = window.priors.shared
-    off = _shared(values, window, bias_of_intervals(window)) - shared.mean
+    off = SolvedWindow(window, graph, values, []).shared - shared.mean
     return float(error + 0.5 * off @ np.linalg.solve(shared.covariance, off))
 
 

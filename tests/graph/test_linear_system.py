@@ -9,7 +9,7 @@ from gtsam.symbol_shorthand import B, C, D, E, F, G, L, M, N, Q, S, U, V, W, X, 
 from scenes import arm, first_window
 
 from smoother.graph.build import build, node_of_variables
-from smoother.graph.linear_system import LinearSystem
+from smoother.graph.linear_system import Jacobian, LinearSystem
 from smoother.graph.variables import DIMENSION, sizes_of, values_of
 from smoother.recording import JOINTS
 from smoother.window.problem import Window
@@ -30,7 +30,7 @@ def solved(window: Window) -> tuple[gtsam.NonlinearFactorGraph, gtsam.Values]:
 
 @pytest.fixture(scope="module")
 def system(window: Window, solved: tuple[gtsam.NonlinearFactorGraph, gtsam.Values]) -> LinearSystem:
-    return LinearSystem(*solved, node_of_variables(window))
+    return LinearSystem(Jacobian.of(*solved), node_of_variables(window))
 
 
 def test_covariances_are_those_of_gtsam(
@@ -49,7 +49,7 @@ def test_covariances_are_those_of_gtsam(
 
 def test_a_free_direction_is_refused(window: Window, solved: tuple) -> None:
     with pytest.raises((np.linalg.LinAlgError, ValueError)):
-        LinearSystem(gtsam.NonlinearFactorGraph(), solved[1], node_of_variables(window))
+        LinearSystem(Jacobian.of(gtsam.NonlinearFactorGraph(), solved[1]), node_of_variables(window))
 
 
 def test_a_block_is_part_of_the_whole(system: LinearSystem) -> None:

@@ -9,10 +9,11 @@ import numpy as np
 import pytest
 from small_window import small_window
 
-from smoother.graph.build import bias_of_intervals, build
-from smoother.graph.error_columns import camera_rows
+from smoother.graph.build import build
+from smoother.graph.columns import camera_rows
 from smoother.graph.factors import robust_across
 from smoother.graph.linear_system import Jacobian
+from smoother.graph.solved import SolvedWindow
 from smoother.measurements.rays import ALONG_M, AT_M, across, directions, linearised, squashed
 from smoother.window.problem import Window
 
@@ -68,10 +69,8 @@ def test_which_point_of_the_ray_it_is_does_not_matter(window: Window) -> None:
 def test_rows_follow_a_keypoint_that_moves(window: Window) -> None:
     """The columns by which constant errors, clocks and blocks enter, against a moved measurement."""
     built = build(window)
-    bias_of_intervals(window)
-    jacobian = Jacobian.of(built.graph, built.values)
-    step = 1e-6
-    for factors in camera_rows(jacobian, window, built.groups):
+    solved, step = SolvedWindow(window, *built), 1e-6
+    for factors in camera_rows(solved):
         if factors.joint == "shoulder":
             continue
         assert factors.roots is not None
@@ -85,7 +84,7 @@ def test_rows_follow_a_keypoint_that_moves(window: Window) -> None:
                 for each in window.joint_measurements
             )
             again = Jacobian.of(build(replace(window, joint_measurements=moved)).graph, built.values)
-            change = (again.rhs - jacobian.rhs)[factors.rows] / step
+            change = (again.rhs - solved.jacobian.rhs)[factors.rows] / step
             np.testing.assert_allclose(change, own[:, axis], atol=1e-3 * np.abs(own).max())
 
 

@@ -17,10 +17,10 @@ import smoother.graph.build
 import smoother.graph.sampling
 import smoother.graph.solve
 from smoother.array_types import FloatArray
-from smoother.graph.build import bias_of_intervals, build, node_of_variables
-from smoother.graph.linear_system import LinearSystem
+from smoother.graph.build import build
 from smoother.graph.sampling import sample_window
 from smoother.graph.solve import solve
+from smoother.graph.solved import SolvedWindow
 from smoother.window.draw_plan import DrawPlan
 from smoother.window.problem import Window
 from smoother.window.solution import WindowDraws
@@ -60,18 +60,22 @@ def basis(window: Window) -> BasisPlan:
     return BasisPlan(COUNT, 0, "right", 4, pooled, window.considered)
 
 
+def optimum(window: Window) -> SolvedWindow:
+    graph, values, groups = build(window)
+    values = gtsam.LevenbergMarquardtOptimizer(graph, values).optimize()
+    return SolvedWindow(window, graph, values, groups)
+
+
 def covariance(draws: FloatArray, others: FloatArray | None = None) -> FloatArray:
     return draws.T @ (draws if others is None else others)
 
 
 def test_covariances_and_those_between_times_are_those_of_gtsam(window: Window) -> None:
     """Poses half a second apart, velocities and the shoulder, in the gap and outside."""
-    graph, values, _ = build(replace(window, considered=None))
-    values = gtsam.LevenbergMarquardtOptimizer(graph, values).optimize()
-    system = LinearSystem(graph, values, node_of_variables(window))
-    biases = bias_of_intervals(window)
+    solved = optimum(replace(window, considered=None))
+    graph, values = solved.graph, solved.values
     plan = replace(basis(window), considered=None)
-    draws = sample_window(system, values, window, biases, plan, None, np.zeros((3, 3)))
+    draws = sample_window(solved, solved.system(), plan, np.zeros((3, 3)))
     reference = gtsam.Marginals(graph, values)
     in_gap = int(np.flatnonzero(np.isfinite(window.velocity_change))[3])
     for i in (4, in_gap):
@@ -101,12 +105,10 @@ def test_both_imus_and_their_biases(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(smoother.graph.build, "BIAS_LENGTH_S", 0.18)
     monkeypatch.setattr(smoother.graph.sampling, "_SLICE_S", 0.05)
     window = replace(small_window()[0], considered=None)
-    graph, values, _ = build(window)
-    values = gtsam.LevenbergMarquardtOptimizer(graph, values).optimize()
-    system = LinearSystem(graph, values, node_of_variables(window))
-    biases = bias_of_intervals(window)
-    assert biases[-1] == 2
-    draws = sample_window(system, values, window, biases, basis(window), None, np.zeros((3, 3)))
+    solved = optimum(window)
+    graph, values = solved.graph, solved.values
+    assert solved.biases[-1] == 2
+    draws = sample_window(solved, solved.system(), basis(window), np.zeros((3, 3)))
     rows = range(UPPER_FIRST, UPPER_FIRST + UPPER_NODES)
     keys = [key for i in rows for key in (Y(i), V(i))]
     joint = gtsam.Marginals(graph, values).jointMarginalCovariance(keys)

@@ -15,6 +15,7 @@ from smoother.graph.build import build
 from smoother.graph.linear_system import Jacobian
 from smoother.graph.scale import coordinates_by_pixels, with_scale_term
 from smoother.graph.shared_prior import lever_keys
+from smoother.graph.solved import SolvedWindow
 from smoother.window.priors import limb_lengths, with_limb_lengths
 from smoother.window.problem import Window, joints_at_start
 
@@ -59,7 +60,7 @@ def test_coordinates_are_the_slope_of_the_log_determinant(
 
     slope = -0.5 * (volume(1e-4) - volume(-1e-4)) / 2e-4
     assert slope > 3.0
-    found = coordinates_by_pixels(built.graph, built.values, window, built.groups)
+    found = coordinates_by_pixels(SolvedWindow(window, *built))
     assert found == pytest.approx(slope, rel=1e-4)
 
 
