@@ -25,7 +25,7 @@ import numpy as np
 
 from .array_types import BoolArray, FloatArray
 from .linalg import unit
-from .result.moving_arm import MovingArm
+from .result import Recovery
 from .rotation import Rotation
 
 ANGLES = (
@@ -42,14 +42,14 @@ SINGULAR_DEG = 15.0
 _UPRIGHT = 0.8
 
 
-def recovery_angles(recovery: MovingArm) -> dict[str, FloatArray]:
+def recovery_angles(recovery: Recovery) -> dict[str, FloatArray]:
     """The angles (N,) of a recovery by the names in `ANGLES`, degrees; nan where not known."""
     mounting = None if recovery.calibration is None else recovery.calibration.R_F_A
     R_K_F = None if mounting is None else forearm_axes(recovery.quaternion, mounting)
     return arm_angles(recovery.joints, len(recovery), R_K_F, recovery.side, recovery.gravity_direction)
 
 
-def elbow_flexion_sigma(recovery: MovingArm) -> FloatArray:  # -> (N,) deg
+def elbow_flexion_sigma(recovery: Recovery) -> FloatArray:  # -> (N,) deg
     """Standard deviation of the elbow's flexion (N,), degrees; nan where it is not known."""
     joints = recovery.joints
     if not {"shoulder", "elbow", "wrist"} <= set(joints) or "shoulder" not in recovery.joint_covariance:
@@ -69,7 +69,7 @@ def elbow_flexion_sigma(recovery: MovingArm) -> FloatArray:  # -> (N,) deg
     return np.degrees(np.sqrt(variance))
 
 
-def elbow_bend(recovery: MovingArm) -> FloatArray | None:  # -> (N, 3) rad
+def elbow_bend(recovery: Recovery) -> FloatArray | None:  # -> (N, 3) rad
     """The rotation that bends the straight arm, (N, 3), rad, in the IMU's axes {A}; its length is flexion."""
     joints = recovery.joints
     if not {"shoulder", "elbow", "wrist"} <= set(joints):

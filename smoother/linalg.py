@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -25,6 +27,20 @@ def interpolate(
     u = np.clip((at - t[right - 1]) / (t[right] - t[right - 1]), 0.0, 1.0)
     u = u.reshape(-1, *([1] * (values.ndim - 1)))
     return (1.0 - u) * values[right - 1] + u * values[right]
+
+
+Columns = TypeVar("Columns")
+
+
+def rows_of(value: Columns, rows: Any, *names: str) -> Columns:
+    """A dataclass with some rows of these columns, each an array, arrays by name, or None."""
+
+    def part(column: Any) -> Any:
+        if isinstance(column, Mapping):
+            return {name: part(each) for name, each in column.items()}
+        return None if column is None else column[rows]
+
+    return replace(value, **{name: part(getattr(value, name)) for name in names})  # type: ignore[type-var]
 
 
 def by_columns(

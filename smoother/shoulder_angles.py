@@ -15,7 +15,7 @@ import numpy as np
 from .array_types import FloatArray, IntArray
 from .joint_angles import arm_angles, wrapped_deg
 from .linalg import rotate_covariance
-from .result.moving_arm import MovingArm
+from .result import Recovery
 from .rotation import Rotation
 
 SHOULDER_ANGLES = ("shoulder_plane", "shoulder_elevation", "shoulder_rotation")
@@ -29,7 +29,7 @@ Angles = dict[str, FloatArray]
 
 
 def shoulder_angles(
-    recovery: MovingArm,
+    recovery: Recovery,
 ) -> tuple[Angles, Angles]:  # angles dict of (N,) deg, sigmas dict of (N,) deg
     """The shoulder's angles of a recovery with an upper-arm IMU, to an upright trunk that faces the
     camera.
@@ -46,7 +46,7 @@ def shoulder_angles(
 
 
 def trunk_angles(
-    recovery: MovingArm,
+    recovery: Recovery,
 ) -> tuple[Angles, Angles]:  # angles dict of (N,) deg, sigmas dict of (N,) deg
     """The shoulder's angles relative to the thorax by an IMU on the trunk."""
     humerus, trunk = _humerus(recovery), recovery.trunk
@@ -67,7 +67,7 @@ def trunk_angles(
     return _with_sigma(TRUNK_ANGLES, len(recovery), rows, R_K_U, covariance, angles_of)
 
 
-def _humerus(recovery: MovingArm) -> tuple[IntArray, FloatArray, FloatArray] | None:
+def _humerus(recovery: Recovery) -> tuple[IntArray, FloatArray, FloatArray] | None:
     """Samples (k,) with an answer, the bone's axes `R_K_U` there, and the covariance of their turning."""
     upper, calibration = recovery.upper, recovery.calibration
     if upper is None or calibration is None or calibration.R_U_B is None:

@@ -291,7 +291,7 @@ def test_topics_and_columns(tmp_path):
 
     from smoother import read_recording
     from smoother.config import Config
-    from smoother.io.export.csv import csv_columns
+    from smoother.io.export.csv import file_columns
     from smoother.result.segment_motion import SegmentMotion, TrunkMotion
     from smoother.smoothing import smooth
 
@@ -311,7 +311,7 @@ def test_topics_and_columns(tmp_path):
     with open(tmp_path / "out.mcap", "rb") as file:
         channels = make_reader(file).get_summary().channels.values()
     assert {channel.topic for channel in channels} == set(re.findall(r"`(/unocclude/\w+)`", text))
-    families = {re.sub(r"_?(q[wxyz]|[xyz])$", "", name) for name in csv_columns(recovery)[0]}
+    families = {re.sub(r"_?(q[wxyz]|[xyz])$", "", name) for name, *_ in file_columns(recovery)}
     families.discard("v")
     for family in families:
         assert f"`{family}" in text, family

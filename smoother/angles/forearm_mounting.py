@@ -9,7 +9,7 @@ import numpy as np
 from ..array_types import FloatArray
 from ..joint_angles import arm_angles, forearm_axes, wrapped_deg
 from ..linalg import unit
-from ..result.moving_arm import MovingArm
+from ..result import Recovery
 
 #: Roll of a calibrated mounting, degrees: a palm that faces the camera does not determine it better.
 CALIBRATED_DEG = 15.0
@@ -37,7 +37,7 @@ class ForearmMounting:
     estimated: bool = False  # From the motion, not from a calibration
 
 
-def forearm_mounting(arm: MovingArm) -> ForearmMounting:
+def forearm_mounting(arm: Recovery) -> ForearmMounting:
     """The mounting as it was calibrated, else from the motion where that shows it."""
     calibration = arm.calibration
     if calibration is not None and calibration.R_F_A is not None:
@@ -82,7 +82,7 @@ def _rolled(R_F_A: FloatArray, more_deg: float, side: str) -> FloatArray:
     return np.array([[cos, 0.0, sin], [0.0, 1.0, 0.0], [-sin, 0.0, cos]]) @ R_F_A
 
 
-def _turns(arm: MovingArm, R_F_A: FloatArray) -> FloatArray:
+def _turns(arm: Recovery, R_F_A: FloatArray) -> FloatArray:
     """Pronation (m,) by a mounting where the elbow is well bent, degrees."""
     parts = []
     for batch in arm.batches():

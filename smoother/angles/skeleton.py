@@ -13,7 +13,7 @@ import numpy as np
 from ..array_types import FloatArray
 from ..joint_angles import arm_angles, elbow_flexion_sigma, forearm_axes, torso_axes
 from ..linalg import rotate_covariance, unit
-from ..result.moving_arm import MovingArm
+from ..result import Recovery
 from ..shoulder_angles import DOWN_T, FORWARD_T
 from .definitions import (
     ELBOW_FLEXION,
@@ -44,7 +44,7 @@ _NO_PLANE = 1e-12
 
 
 def skeleton_angles(
-    arm: MovingArm,
+    arm: Recovery,
     mounting: ForearmMounting,
 ) -> tuple[Angles, Angles]:  # angles dict of (N,) deg, sigmas dict of (N,) deg
     """The angles of an arm as its joints and the forearm's IMU have them, the trunk upright."""
@@ -54,7 +54,7 @@ def skeleton_angles(
 
 
 def skeleton_trunk_angles(
-    arm: MovingArm,
+    arm: Recovery,
     mounting: ForearmMounting,
 ) -> tuple[Angles, Angles]:  # angles dict of (N,) deg, sigmas dict of (N,) deg
     """The shoulder's angles against the thorax, by the joints."""
@@ -83,7 +83,7 @@ def widened_elevation(
     return np.asarray(np.hypot(sigma_deg, np.degrees(longer)))
 
 
-def direction_variance(arm: MovingArm) -> float:
+def direction_variance(arm: Recovery) -> float:
     """How far the forearm's direction may be off in the IMU's axes, rad^2 per axis."""
     calibration = arm.calibration
     levers = {} if calibration is None else calibration.lever_arms
@@ -97,7 +97,7 @@ def direction_variance(arm: MovingArm) -> float:
 
 
 def _with_sigma(
-    arm: MovingArm,
+    arm: Recovery,
     mounting: ForearmMounting,
     names: list[str],
     R_K_T: FloatArray | None,
@@ -146,7 +146,7 @@ _SLOPES = (*(angle.name for angle in SHOULDER), PRONATION.name)
 
 
 def _values(
-    arm: MovingArm, mounting: ForearmMounting, upper: FloatArray, fore: FloatArray, R_K_T: FloatArray | None
+    arm: Recovery, mounting: ForearmMounting, upper: FloatArray, fore: FloatArray, R_K_T: FloatArray | None
 ) -> Angles:
     """Angles of bones (N, 3) from the elbow to shoulder and wrist."""
     if R_K_T is None:

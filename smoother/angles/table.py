@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ..array_types import FloatArray
-from ..result.moving_arm import MovingArm
+from ..result import Recovery
 from ..runtime.packages import pandas_module
 from ..shoulder_angles import shoulder_angles, trunk_angles
 from .definitions import ELBOW_FLEXION, JOINT_ANGLES, PRONATION, SHOULDER, SHOULDER_TRUNK, WRIST, JointAngle
@@ -65,17 +65,17 @@ class _Source:
 
     angles: tuple[JointAngle, ...]  # Rows of the table
     # (samples, the recording's mounting) to values and sigmas by name, nan where not known
-    compute: Callable[[MovingArm, ForearmMounting], tuple[Angles, Angles]]
+    compute: Callable[[Recovery, ForearmMounting], tuple[Angles, Angles]]
     # (recording, its mounting, an angle's name) to the reason why it is nowhere known
-    missing: Callable[[MovingArm, ForearmMounting, str], str]
-    is_shown: Callable[[MovingArm], bool] = lambda arm: True  # Whether a recording has these rows at all
+    missing: Callable[[Recovery, ForearmMounting, str], str]
+    is_shown: Callable[[Recovery], bool] = lambda arm: True  # Whether a recording has these rows at all
     absent: str = ""  # The reason why not, a sentence; "" where it is obvious
 
 
 class JointAngles:
     """Computes the angles of a recording: what is the same in all of it is found once."""
 
-    def __init__(self, arm: MovingArm) -> None:
+    def __init__(self, arm: Recovery) -> None:
         self._arm = arm
         self.mounting = forearm_mounting(arm)
         self._sources = [source for source in _SOURCES if source.is_shown(arm)]
@@ -83,7 +83,7 @@ class JointAngles:
         #: Rows of the table.
         self.angles = tuple(angle for angle in JOINT_ANGLES if angle.name in shown)
 
-    def at(self, samples: MovingArm) -> tuple[Angles, Angles]:
+    def at(self, samples: Recovery) -> tuple[Angles, Angles]:
         """Values and sigmas by name, degrees, of some of the recording's samples."""
         values: Angles = {}
         sigmas: Angles = {}
@@ -134,18 +134,18 @@ class JointAngles:
         return f"Empty in {100 * share:.2g} % of the samples, where {why}."
 
 
-def joint_angles(arm: MovingArm) -> AngleTable:
+def joint_angles(arm: Recovery) -> AngleTable:
     """Every joint angle of a recovery with its sigma."""
     return JointAngles(arm).table()
 
 
-def _arm(samples: MovingArm, mounting: ForearmMounting) -> tuple[Angles, Angles]:
+def _arm(samples: Recovery, mounting: ForearmMounting) -> tuple[Angles, Angles]:
     """By the joints; the shoulder by its own IMU where there is one."""
     found = skeleton_angles(samples, mounting)
     return found if samples.upper is None else _filled(shoulder_angles(samples), found)
 
 
-def _trunk(samples: MovingArm, mounting: ForearmMounting) -> tuple[Angles, Angles]:
+def _trunk(samples: Recovery, mounting: ForearmMounting) -> tuple[Angles, Angles]:
     """Likewise, against the trunk."""
     found = skeleton_trunk_angles(samples, mounting)
     return found if samples.upper is None else _filled(trunk_angles(samples), found)
@@ -161,7 +161,7 @@ def _filled(first: tuple[Angles, Angles], second: tuple[Angles, Angles]) -> tupl
     return values, sigmas
 
 
-def _why_no_arm(arm: MovingArm, mounting: ForearmMounting, name: str) -> str:
+def _why_no_arm(arm: Recovery, mounting: ForearmMounting, name: str) -> str:
     needed = ["shoulder", "elbow", "wrist"]
     if name in (angle.name for angle in SHOULDER[:2]):
         needed.remove("wrist")
@@ -177,7 +177,7 @@ def _why_no_arm(arm: MovingArm, mounting: ForearmMounting, name: str) -> str:
     return f"{', '.join(needed[:-1]).capitalize()} and {needed[-1]} are never known at the same time."
 
 
-def _why_no_trunk(arm: MovingArm, mounting: ForearmMounting, name: str) -> str:
+def _why_no_trunk(arm: Recovery, mounting: ForearmMounting, name: str) -> str:
     for joint in ("shoulder", "elbow"):
         if joint not in arm.joints or not np.isfinite(arm.joints[joint]).any():
             return f"The recording has no {joint}."

@@ -9,7 +9,7 @@ from ..body import HAND
 from ..calibration import LeverArm
 from ..joint_angles import forearm_axes
 from ..linalg import rotate_covariance, skew
-from ..result.moving_arm import MovingArm
+from ..result import Recovery
 from ..rotation import Rotation
 from .definitions import WRIST
 from .forearm_mounting import ForearmMounting
@@ -20,7 +20,7 @@ _STEEP = 0.05
 
 
 def wrist_angles(
-    samples: MovingArm,
+    samples: Recovery,
     mounting: ForearmMounting,
 ) -> tuple[Angles, Angles]:  # values dict of (N,) deg, sigmas dict of (N,) deg
     """Flexion and deviation of the wrist, and their sigmas."""
@@ -65,7 +65,7 @@ def wrist_angles(
     return values, sigmas
 
 
-def between_joints(first: LeverArm, second: LeverArm, samples: MovingArm) -> FloatArray:
+def between_joints(first: LeverArm, second: LeverArm, samples: Recovery) -> FloatArray:
     """Variance (3,), m^2, of the vector between two joints: an error that all joints share is in it once."""
     bias_m = samples.estimates.joint_bias_sigma_m
     common = bias_m**2 if bias_m is not None and np.isfinite(bias_m) else 0.0
@@ -73,7 +73,7 @@ def between_joints(first: LeverArm, second: LeverArm, samples: MovingArm) -> Flo
     return np.asarray(np.maximum(either - common, 0.5 * either))
 
 
-def _forearm_covariance(samples: MovingArm, mounting: ForearmMounting) -> FloatArray:
+def _forearm_covariance(samples: Recovery, mounting: ForearmMounting) -> FloatArray:
     """How far the forearm's axes are turned, (3, 3) rad^2 in {F}: about y by the roll, across by levers."""
     calibration = samples.calibration
     assert calibration is not None
@@ -85,7 +85,7 @@ def _forearm_covariance(samples: MovingArm, mounting: ForearmMounting) -> FloatA
     return np.asarray(np.diag([tilt_rad, np.radians(mounting.roll_sigma_deg), tilt_rad]) ** 2)
 
 
-def why_no_wrist(arm: MovingArm, mounting: ForearmMounting, name: str) -> str:
+def why_no_wrist(arm: Recovery, mounting: ForearmMounting, name: str) -> str:
     """Why the wrist's angles are nowhere known, a sentence."""
     if mounting.R_F_A is None:
         return mounting.reason

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 from ..array_types import BoolArray, FloatArray
-from ..linalg import median_rate_hz
+from ..linalg import median_rate_hz, rows_of
 
 
 @dataclass(frozen=True)
@@ -50,5 +50,4 @@ class ImuStream:
 
     def select(self, rows: BoolArray | slice) -> ImuStream:
         """The same stream with some of the samples only."""
-        mag = None if self.mag is None else self.mag[rows]
-        return replace(self, t_s=self.t_s[rows], acc=self.acc[rows], gyro=self.gyro[rows], mag=mag)
+        return rows_of(self, rows, "t_s", "acc", "gyro", "mag")

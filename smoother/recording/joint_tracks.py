@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..array_types import BoolArray, CameraNumbers, FloatArray, IntArray
-from ..linalg import median_rate_hz
+from ..linalg import median_rate_hz, rows_of
 
 #: Joints of one arm, in the order of every joint axis. `strap` is the IMU's own position.
 JOINTS = ("shoulder", "elbow", "wrist", "hand", "strap")
@@ -109,10 +109,7 @@ class JointTracks:
 
     def select(self, rows: BoolArray | IntArray | slice) -> JointTracks:
         """The same tracks with some of the frames only."""
-        camera = None if self.camera is None else self.camera[rows]
-        return replace(
-            self, t_s=self.t_s[rows], position=self.position[rows], state=self.state[rows], camera=camera
-        )
+        return rows_of(self, rows, "t_s", "position", "state", "camera")
 
     def hide(self, hidden: BoolArray, joints: tuple[str, ...] = FOREARM_JOINTS) -> JointTracks:
         """A copy in which the joints are not tracked, and have no position, in the hidden frames (F,)."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 from ..array_types import BoolArray, FloatArray
+from ..linalg import rows_of
 
 
 @dataclass(frozen=True)
@@ -36,5 +37,4 @@ class Truth:
 
     def select(self, rows: BoolArray | slice) -> Truth:
         """The same reference with some of the samples only."""
-        joints = {joint: position[rows] for joint, position in self.joints.items()}
-        return Truth(self.t_s[rows], self.position[rows], self.quaternion[rows], self.score[rows], joints)
+        return rows_of(self, rows, "t_s", "position", "quaternion", "score", "joints")

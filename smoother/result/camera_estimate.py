@@ -12,46 +12,23 @@ from .plain import Matrix, Vector
 
 @dataclass(frozen=True)
 class CameraEstimate:
-    """A camera {C} of a recording in the first one's frame {K}.
-
-    Attributes
-    ----------
-    name : str
-    R_K_C : tuple of tuple of float, (3, 3), optional
-        Maps a vector from {C} to {K}; None if unknown.
-    p_K_C_m : tuple of float, (3,), m, optional
-        Its origin in {K}.
-    sigma_m, sigma_deg : float, m and degrees per axis
-        One standard deviation of both; 0 of the first camera, which defines {K}.
-    offset_s, offset_sigma_s : float, s
-        t_first = t_own + offset, in the middle of the recording.
-    skew : float, s/s
-        Steady drift of its clock against the first one's.
-    misfit_m : float, m
-        Median distance of its joints from the first one's, what is constant taken off.
-    together_s : float, s
-        Time during which both saw the forearm.
-    joint_sigma_m : dict of str to float, m per axis
-        Noise of its joints' samples.
-    reason : str
-        Why it was left out; "" where it is used.
-    seen_s : tuple of (float, float), s
-        When it saw the forearm, on the IMU's clock.
-    """
+    """A camera {C} of a recording in the first one's frame {K}."""
 
     name: str
-    R_K_C: Matrix | None = None
-    p_K_C_m: Vector | None = None
+    R_K_C: Matrix | None = None  # (3, 3): Maps a vector from {C} to {K}; None if unknown
+    p_K_C_m: Vector | None = None  # (3,), m: Its origin in {K}
+    # m and degrees per axis: One standard deviation of both; 0 of the first camera, which defines {K}
     sigma_m: float | None = None
     sigma_deg: float | None = None
-    offset_s: float | None = None
+    offset_s: float | None = None  # s: t_first = t_own + offset, in the middle of the recording
     offset_sigma_s: float | None = None
-    skew: float | None = None
+    skew: float | None = None  # s/s: Steady drift of its clock against the first one's
+    # m: Median distance of its joints from the first one's, what is constant taken off
     misfit_m: float | None = None
-    together_s: float | None = None
-    joint_sigma_m: dict[str, float] = field(default_factory=dict)
-    reason: str = ""
-    seen_s: tuple[tuple[float, float], ...] = ()
+    together_s: float | None = None  # s: Time during which both saw the forearm
+    joint_sigma_m: dict[str, float] = field(default_factory=dict)  # m per axis: Noise of its joints' samples
+    reason: str = ""  # Why it was left out; "" where it is used
+    seen_s: tuple[tuple[float, float], ...] = ()  # s: When it saw the forearm, on the IMU's clock
 
     @property
     def takes_part(self) -> bool:

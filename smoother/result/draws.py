@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import partial
 
 import numpy as np
@@ -10,7 +10,7 @@ import numpy as np
 from ..array_types import FloatArray
 from ..body import FURTHER, SEGMENTS
 from ..errors import UnoccludeError
-from ..linalg import by_columns
+from ..linalg import by_columns, rows_of
 from ..rotation import Rotation
 from ..splines import cubic_spline
 
@@ -67,13 +67,7 @@ class Draws:
 
     def first(self, count: int) -> Draws:
         """The first few of them: a draw does not depend on how many others there are."""
-        return replace(
-            self,
-            position=self.position[:count],
-            rotation=self.rotation[:count],
-            joints={joint: drawn[:count] for joint, drawn in self.joints.items()},
-            turns={segment: drawn[:count] for segment, drawn in self.turns.items()},
-        )
+        return rows_of(self, slice(count), "position", "rotation", "joints", "turns")
 
     def at(self, k: int, t_s: FloatArray) -> Deviation:
         """How far a drawn motion is from the answer at other times.
@@ -112,25 +106,13 @@ class Draws:
 
 @dataclass(frozen=True)
 class Deviation:
-    """A drawn motion minus the answer, sample by sample.
+    """A drawn motion minus the answer, sample by sample."""
 
-    Attributes
-    ----------
-    position, velocity : ndarray, shape (N, 3), m and m/s
-        Of the IMU in {K}.
-    rotation : ndarray, shape (N, 3), rad
-        In {K}: R_drawn = Exp(rotation) R_answer.
-    joints : dict of str to ndarray, shape (N, 3), m
-        By joint in {K}, those that were drawn.
-    turns : dict of str to ndarray, shape (N, 3), rad
-        Of IMUs on further segments.
-    """
-
-    position: FloatArray
-    velocity: FloatArray
-    rotation: FloatArray
-    joints: dict[str, FloatArray]
-    turns: dict[str, FloatArray]
+    position: FloatArray  # (N, 3), m: of the IMU in {K}
+    velocity: FloatArray  # (N, 3), m/s
+    rotation: FloatArray  # (N, 3), rad: In {K}: R_drawn = Exp(rotation) R_answer
+    joints: dict[str, FloatArray]  # (N, 3), m: By joint in {K}, those that were drawn
+    turns: dict[str, FloatArray]  # (N, 3), rad: Of IMUs on further segments
 
 
 def turned_by(rotation: FloatArray, quaternion: FloatArray) -> FloatArray:

@@ -18,80 +18,45 @@ Joint = Annotated[str, Field(pattern=f"^({'|'.join(JOINTS)})$")]
 
 @dataclass(frozen=True)
 class Estimates:
-    """What a method found besides the motion; None where it states nothing.
+    """What a method found besides the motion; None where it states nothing."""
 
-    Attributes
-    ----------
-    camera_sigma_m, camera_effective_sigma_m : dict of str to float, m per axis, optional
-        Noise of a joint's sample; of a white noise with the same long-run variance.
-    joint_bias_m : dict of str to tuple of float, m, optional
-        Constant errors of the camera's joints (x, y, z in {K}), free of their common part.
-    joint_bias_sigma_m : float, m per axis, optional
-        How large such an error is in this recording.
-    accelerometer_bias, gyroscope_bias : tuple of float, m/s^2 and rad/s, optional
-        Mean over the recording, in {A}.
-    magnetometer_blocks, magnetometer_blocks_used : int, optional
-        Means of the magnetic field over some seconds, and how many were used.
-    magnetometer_sigma_deg : float, degrees, optional
-        How well the field's direction is believed to be known.
-    magnetic_field_direction : tuple of float, optional
-        Unit vector in {K}.
-    given : tuple of str
-        What of the arm was given beforehand: lever arms by joint, `upper_arm`, `R_F_A`.
-    max_sigma_m : float, m, optional
-        Samples less certain than this on any axis are marked as not to be used.
-    sigma_factors : tuple of float, optional
-        By gap what its sigma of positions was multiplied by, from a calibration.
-    trusted : bool, optional
-        There is no sign that the set-up was wrong or the answer impossible.
-    reasons : tuple of str
-        Why it is not trusted.
-    cautions : tuple of str
-        What to take care of where it is trusted.
-    cause : str, optional
-        The likeliest cause where it is not trusted, and what to do; the first of the reasons.
-    remedies : tuple of str
-        Options that undo the cause ("--mirror x"); of several either one may be meant.
-    untrusted : tuple of UntrustedInterval
-        Times that are not to be trusted where the rest is.
-    findings : tuple of Finding
-        All that was found, with its kind: what `reasons`, `cautions` and `untrusted` say.
-    self_check : SelfCheck, optional
-        Visible stretches that were hidden and recovered.
-    pairing : Pairing, optional
-        Whether skeleton and IMU were shown to be of one motion.
-    clock_given_s : tuple of float, s, optional
-        Mean offset and sigma of a clock that was measured and given beforehand; t_imu = t_camera + offset.
-    cameras : tuple of CameraEstimate
-        Where a recording has several: the first one, then the further ones.
-    further : dict
-        What else a file or a baseline states, by name.
-    """
-
+    # m per axis: Noise of a joint's sample; of a white noise with the same long-run variance
     camera_sigma_m: dict[Joint, float] | None = None
     camera_effective_sigma_m: dict[Joint, float] | None = None
+    # m: Constant errors of the camera's joints (x, y, z in {K}), free of their common part
     joint_bias_m: dict[Joint, Vector] | None = None
-    joint_bias_sigma_m: float | None = None
-    accelerometer_bias: Vector | None = None
-    gyroscope_bias: Vector | None = None
+    joint_bias_sigma_m: float | None = None  # m per axis: How large such an error is in this recording
+    accelerometer_bias: Vector | None = None  # m/s^2: mean over the recording, in {A}
+    gyroscope_bias: Vector | None = None  # rad/s
+    # Means of the magnetic field over some seconds, and how many were used
     magnetometer_blocks: int | None = None
     magnetometer_blocks_used: int | None = None
+    # degrees: How well the field's direction is believed to be known
     magnetometer_sigma_deg: float | None = None
-    magnetic_field_direction: Vector | None = None
+    magnetic_field_direction: Vector | None = None  # Unit vector in {K}
+    # What of the arm was given beforehand: lever arms by joint, `upper_arm`, `R_F_A`
     given: tuple[str, ...] = ()
+    # m: Samples less certain than this on any axis are marked as not to be used
     max_sigma_m: float | None = None
+    # By gap what its sigma of positions was multiplied by, from a calibration
     sigma_factors: tuple[float, ...] = ()
-    trusted: bool | None = None
-    reasons: tuple[str, ...] = ()
-    cautions: tuple[str, ...] = ()
+    trusted: bool | None = None  # There is no sign that the set-up was wrong or the answer impossible
+    reasons: tuple[str, ...] = ()  # Why it is not trusted
+    cautions: tuple[str, ...] = ()  # What to take care of where it is trusted
+    # The likeliest cause where it is not trusted, and what to do; the first of the reasons
     cause: str | None = None
+    # Options that undo the cause ("--mirror x"); of several either one may be meant
     remedies: tuple[str, ...] = ()
-    untrusted: tuple[UntrustedInterval, ...] = ()
+    untrusted: tuple[UntrustedInterval, ...] = ()  # Times that are not to be trusted where the rest is
+    # All that was found, with its kind: what `reasons`, `cautions` and `untrusted` say
     findings: tuple[Finding, ...] = ()
-    self_check: SelfCheck | None = None
-    pairing: Pairing | None = None
+    self_check: SelfCheck | None = None  # Visible stretches that were hidden and recovered
+    pairing: Pairing | None = None  # Whether skeleton and IMU were shown to be of one motion
+    # s: Mean offset and sigma of a clock that was measured and given beforehand; t_imu = t_camera + offset
     clock_given_s: Annotated[tuple[float, ...], Field(min_length=2, max_length=2)] | None = None
+    # Where a recording has several: the first one, then the further ones
     cameras: tuple[CameraEstimate, ...] = ()
+    # What else a file or a baseline states, by name
     further: Mapping[str, object] = field(default_factory=dict)
 
     @property

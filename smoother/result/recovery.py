@@ -14,15 +14,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..array_types import BoolArray, FloatArray, IntArray
-from ..body import SEGMENTS
 from ..calibration import ArmCalibration
 from ..error_radius import error_radius, within_words
 from ..errors import UnoccludeError
-from ..linalg import median_rate_hz, rotation_sigma_deg
+from ..linalg import median_rate_hz, rotation_sigma_deg, rows_of
 from ..measurements.visibility import Gap
-from ..recording import JOINTS, JointTracks, arm_words
+from ..recording import JointTracks, arm_words
 from ..runtime.packages import pandas_module
-from .columns import arrow_table, flat_columns
+from .columns import SAMPLES, Column, columns_of, flat_columns
 from .draws import Draws, turned_by
 from .estimates import Estimates
 from .frame_residuals import BATCH_ROWS, FrameResiduals
@@ -196,24 +195,9 @@ class Recovery:
 
     def rows(self, rows: slice | IntArray) -> Recovery:
         """The recovery of some samples; frames, gaps and all else stay whole. A slice copies nothing."""
-
-        def part(column: NDArray) -> NDArray:
-            return column[rows]
-
-        return replace(
-            self,
-            t_s=part(self.t_s),
-            occluded=part(self.occluded),
-            position=part(self.position),
-            quaternion=part(self.quaternion),
-            velocity=part(self.velocity),
-            pose_covariance=part(self.pose_covariance),
-            velocity_covariance=part(self.velocity_covariance),
-            joints={joint: part(values) for joint, values in self.joints.items()},
-            joint_covariance={joint: part(values) for joint, values in self.joint_covariance.items()},
-            segments={name: motion.rows(rows) for name, motion in self.segments.items()},
-            trunk=None if self.trunk is None else self.trunk.rows(rows),
-        )
+        some = rows_of(self, rows, "t_s", *SAMPLES, "joints", "joint_covariance")
+        segments = {name: motion.rows(rows) for name, motion in self.segments.items()}
+        return replace(some, segments=segments, trunk=self.trunk and self.trunk.rows(rows))
 
     def drawn(self, k: int) -> Recovery:
         """A motion drawn from the posterior in place of the answer.
@@ -426,25 +410,11 @@ class Recovery:
         sigmas, `elbow_flexion_deg`, `elbow_flexion_sigma_deg` .. (see `angles`). The last is `trusted`
         (N,), a mask of the samples to be trusted; a result that was not judged has none.
         """
-        arrays: dict[str, FloatArray | BoolArray] = {
-            "t_s": self.t_s,
-            "occluded": self.occluded,
-            "imu": self.position,
-            "imu_quaternion": self.quaternion,
-            "velocity": self.velocity,
-            "sigma": self.sigma_m,
-            "sigma_deg": self.sigma_deg,
-        }
-        for joint in (name for name in JOINTS if name in self.joints):
-            arrays[joint] = self.joints[joint]
-            arrays[f"{joint}_sigma"] = np.sqrt(np.einsum("nii->ni", self.joint_covariance[joint]))
-        for name, motion in self.segments.items():
-            of, sigma = SEGMENTS[name].prefix, SEGMENTS[name].sigma_name
-            arrays |= {f"{of}_imu": motion.position, f"{of}_imu_quaternion": motion.quaternion}
-            arrays |= {sigma: motion.sigma_m, f"{sigma}_deg": motion.sigma_deg}
-        if self.trunk is not None:
-            arrays |= {"trunk_quaternion": self.trunk.quaternion, "trunk_sigma_deg": self.trunk.sigma_deg}
-        arrays |= self.angles().to_arrays()
+        return self._arrays(columns_of(self))
+
+    def _arrays(self, columns: Sequence[Column]) -> dict[str, FloatArray | BoolArray]:
+        arrays: dict[str, FloatArray | BoolArray] = {"t_s": self.t_s, "occluded": self.occluded}
+        arrays |= {column.name: column.values for column in columns if column.is_there}
         return arrays | {"trusted": self.trusted} if self.has_verdict else arrays
 
     def to_table(self) -> pyarrow.Table:
@@ -457,7 +427,20 @@ class Recovery:
             row of a result that was not judged. `table.schema.field(NAME).metadata` has the unit.
             `.to_pandas()` gives a pandas table where pandas is installed.
         """
-        return arrow_table(flat_columns(self.to_arrays()), len(self))
+        import pyarrow as pa
+
+        columns = columns_of(self)
+        units = {"t_s": "s"} | {name: each.unit for each in columns for name in each.flat}
+        arrays = {
+            name: pa.array(np.ascontiguousarray(values), from_pandas=True)
+            for name, values in flat_columns(self._arrays(columns)).items()
+        }
+        arrays.setdefault("trusted", pa.nulls(len(self), pa.bool_()))
+        fields = [
+            pa.field(name, array.type, metadata={"unit": units.get(name, "")})
+            for name, array in arrays.items()
+        ]
+        return pa.Table.from_arrays(list(arrays.values()), schema=pa.schema(fields))
 
     def to_dataframe(self) -> pandas.DataFrame:
         """The same as a pandas table; `trusted` is of pandas' type "boolean", which has missing values.
@@ -469,10 +452,8 @@ class Recovery:
         """
         pandas = pandas_module()
         frame = pandas.DataFrame(flat_columns(self.to_arrays()))
-        frame["trusted"] = pandas.array(
-            self.trusted if self.has_verdict else [None] * len(self), dtype="boolean"
-        )
-        return frame
+        trusted = self.trusted if self.has_verdict else [None] * len(self)
+        return frame.assign(trusted=pandas.array(trusted, dtype="boolean"))
 
 
 def _from_above(name: str) -> Callable[..., Any]:

@@ -61,18 +61,7 @@ def in_view(recovery: Recovery) -> list[UntrustedInterval]:
 
 
 def untrusted_sentences(recovery: Recovery) -> tuple[str, ...]:
-    """Which times are not to be trusted, and why, one sentence each without a full stop.
-
-    Parameters
-    ----------
-    recovery : Recovery
-
-    Returns
-    -------
-    sentences : tuple of str
-        First the gaps, then times in view. Empty where all of it is trusted, and where nothing is: the
-        verdict then gives the reason.
-    """
+    """Which times are not to be trusted, and why: gaps, then times in view; () if all is, or nothing."""
     if not partly_untrusted(recovery):
         return ()
     gaps = [

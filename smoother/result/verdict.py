@@ -16,19 +16,11 @@ from .plain import Known
 
 @dataclass(frozen=True)
 class UntrustedInterval:
-    """Times whose answer is not to be trusted.
+    """Times whose answer is not to be trusted."""
 
-    Attributes
-    ----------
-    start_s, end_s : float, s
-        On the IMU's clock.
-    reasons : tuple of str
-        Why, one sentence each without a full stop.
-    """
-
-    start_s: float
+    start_s: float  # s: On the IMU's clock
     end_s: float
-    reasons: tuple[str, ...]
+    reasons: tuple[str, ...]  # Why, one sentence each without a full stop
 
     def overlaps(self, start_s: float, end_s: float) -> bool:
         """Whether it reaches into the times between two."""
@@ -41,28 +33,15 @@ EVER = (-float("inf"), float("inf"))
 
 @dataclass(frozen=True)
 class Finding:
-    """What was found of a recording or its result.
+    """What was found of a recording or its result."""
 
-    Attributes
-    ----------
-    code : str
-        Its kind, as "camera-moved".
-    severity : {"caution", "times", "recording"}
-        A remark, or times whose answer it contradicts, or all of the answer.
-    start_s, end_s : float, s, optional
-        These times, on the IMU's clock; None for a remark and where it is all of it.
-    sentence : str
-        In words, without a full stop.
-    remedy : str
-        Options that undo it; "" where the sentence says what to do.
-    """
-
-    code: str
+    code: str  # Its kind, as "camera-moved"
+    # A remark, or times whose answer it contradicts, or all of the answer
     severity: Literal["caution", "times", "recording"]
-    start_s: float | None
+    start_s: float | None  # s: These times, on the IMU's clock; None for a remark and where it is all of it
     end_s: float | None
-    sentence: str
-    remedy: str = ""
+    sentence: str  # In words, without a full stop
+    remedy: str = ""  # Options that undo it; "" where the sentence says what to do
 
 
 def finding(
@@ -78,19 +57,11 @@ def finding(
 
 @dataclass(frozen=True)
 class GapVerdict:
-    """Whether the answer in a gap is to be trusted.
+    """Whether the answer in a gap is to be trusted."""
 
-    Attributes
-    ----------
-    start_s, end_s : float, s
-        The gap, on the IMU's clock.
-    reasons : tuple of str
-        Why it is not; empty where it is.
-    """
-
-    start_s: float
+    start_s: float  # s: The gap, on the IMU's clock
     end_s: float
-    reasons: tuple[str, ...] = ()
+    reasons: tuple[str, ...] = ()  # Why it is not; empty where it is
 
     @property
     def trusted(self) -> bool:
@@ -101,18 +72,7 @@ class GapVerdict:
 def gap_verdicts(
     gaps: Sequence[Gap], trusted: bool | None, reasons: Sequence[str], untrusted: Sequence[UntrustedInterval]
 ) -> tuple[GapVerdict, ...]:
-    """A verdict for every gap.
-
-    Parameters
-    ----------
-    gaps : sequence of Gap
-    trusted : bool, optional
-        Of the whole recording; None where not judged.
-    reasons : sequence of str
-        Why the recording is not trusted.
-    untrusted : sequence of UntrustedInterval
-        Parts of it that are not.
-    """
+    """A verdict for every gap, by that of the recording (None where not judged) and of parts of it."""
     verdicts = []
     for gap in gaps:
         own = [why for each in untrusted if each.overlaps(gap.start_s, gap.end_s) for why in each.reasons]
@@ -123,15 +83,7 @@ def gap_verdicts(
 
 
 def trusted_at(t_s: FloatArray, trusted: bool | None, untrusted: Sequence[UntrustedInterval]) -> BoolArray:
-    """Which times are trusted, (N,); all of them where not judged.
-
-    Parameters
-    ----------
-    t_s : ndarray, shape (N,), s
-        Increasing, on the IMU's clock.
-    trusted, untrusted
-        As in `gap_verdicts`.
-    """
+    """Which times (N,), increasing, are trusted; all of them where not judged (None)."""
     good = np.full(len(t_s), trusted is not False)
     for each in untrusted:
         good[slice(*np.searchsorted(t_s, [each.start_s, each.end_s], side="left").tolist())] = False
@@ -140,45 +92,23 @@ def trusted_at(t_s: FloatArray, trusted: bool | None, untrusted: Sequence[Untrus
 
 @dataclass(frozen=True)
 class SelfCheck:
-    """Visible stretches that were hidden, recovered and compared with what the camera saw.
+    """Visible stretches that were hidden, recovered and compared with what the camera saw."""
 
-    Attributes
-    ----------
-    stretches : int
-        How many were hidden.
-    unanswered : int
-        Of them, those that could not be recovered at all.
-    failed : int
-        Those, and the ones that were recovered elsewhere with a sigma that contradicts them.
-    length_s : float, s
-        Their median length; 0 without any.
-    rms_m : float, m
-        3D error against the camera's hidden wrist (or only joint); nan without any.
-    stated_sigma_m : float, m
-        What was stated of the same quantity, the camera's own noise included.
-    inside_95 : float
-        Share of the hidden samples inside the stated 95 % region.
-    worst_nees : float
-        Largest mean squared error in sigmas / 3 of a stretch; 1 is expected.
-    sigma_factor : float
-        What sigma in gaps was multiplied by; 1 where the stretches do not require more.
-    note : str
-        Why there are none, or fewer than wanted.
-    error_95_m, stated_95_m : float, m
-        95 % of the hidden samples were recovered to within the first; the second is what was stated of it
-        (`error_radius`), the camera's own noise included. Nan where a file does not state them.
-    """
-
-    stretches: int
-    unanswered: int = 0
-    length_s: float = 0.0
+    stretches: int  # How many were hidden
+    unanswered: int = 0  # Of them, those that could not be recovered at all
+    length_s: float = 0.0  # s: Their median length; 0 without any
+    # m: 3D error against the camera's hidden wrist (or only joint); nan without any
     rms_m: Known = float("nan")
+    # m: What was stated of the same quantity, the camera's own noise included
     stated_sigma_m: Known = float("nan")
-    inside_95: Known = float("nan")
-    worst_nees: Known = float("nan")
+    inside_95: Known = float("nan")  # Share of the hidden samples inside the stated 95 % region
+    worst_nees: Known = float("nan")  # Largest mean squared error in sigmas / 3 of a stretch; 1 is expected
+    # What sigma in gaps was multiplied by; 1 where the stretches do not require more
     sigma_factor: float = 1.0
-    note: str = ""
-    failed: int = 0
+    note: str = ""  # Why there are none, or fewer than wanted
+    failed: int = 0  # Those, and the ones that were recovered elsewhere with a sigma that contradicts them
+    # m: 95 % of the hidden samples were recovered to within the first; the second is what was stated of it
+    # (`error_radius`), the camera's own noise included. Nan where a file does not state them
     error_95_m: Known = float("nan")
     stated_95_m: Known = float("nan")
 
@@ -201,27 +131,11 @@ class SelfCheck:
 
 @dataclass(frozen=True)
 class Pairing:
-    """Whether the skeleton and the IMU are of one motion.
+    """Whether the skeleton and the IMU are of one motion."""
 
-    Attributes
-    ----------
-    proved : bool
-        The motion itself proves it, or the user stated the clock.
-    chance : float
-        How often streams that do not belong together agree as well, at most.
-    evidence : float
-        Evidence from the motion; grows with the length of the recording.
-    offset_s : float, s
-        t_imu - t_camera to some tens of milliseconds, as the motion has it.
-    reason : str
-        Why the result is not to be trusted; "" where nothing speaks against the pairing.
-    caution : str
-        What is open where nothing speaks against it.
-    """
-
-    proved: bool
-    chance: Known = float("nan")
-    evidence: Known = float("nan")
-    offset_s: Known = float("nan")
-    reason: str = ""
-    caution: str = ""
+    proved: bool  # The motion itself proves it, or the user stated the clock
+    chance: Known = float("nan")  # How often streams that do not belong together agree as well, at most
+    evidence: Known = float("nan")  # Evidence from the motion; grows with the length of the recording
+    offset_s: Known = float("nan")  # s: t_imu - t_camera to some tens of milliseconds, as the motion has it
+    reason: str = ""  # Why the result is not to be trusted; "" where nothing speaks against the pairing
+    caution: str = ""  # What is open where nothing speaks against it

@@ -16,7 +16,7 @@ from made_results import assert_same, recovery
 from calib.file import CalibrationFile, read_calibration, write_calibration
 from smoother.calibration import ArmCalibration, Length, LeverArm
 from smoother.io import export_csv, read_recovery, write_recovery
-from smoother.io.export.csv import csv_columns
+from smoother.io.export.csv import file_columns
 from smoother.io.export.markers import C3dContent, write_c3d, write_trc
 from smoother.io.export.parquet import METADATA_KEY, export_parquet
 from smoother.io.mcap.messages import nanoseconds
@@ -161,16 +161,17 @@ def test_tables_of_results(tmp_path: Path, made: Recovery):
 
     export_csv(made, tmp_path / "a.csv", force=True)
     export_parquet(made, tmp_path / "a.parquet", force=True)
-    stamp, (names, values) = nanoseconds(made.t_s, made.origin_ns), csv_columns(made)
+    stamp, numbers = nanoseconds(made.t_s, made.origin_ns), list(file_columns(made))
+    names, values = [name for name, *_ in numbers], np.stack([each for _, each, _ in numbers], axis=1)
     with open(tmp_path / "a.csv", newline="") as file:
         header, *rows = csv.reader(file)
-    assert header == [*names, "trusted", "usable"]
+    assert header == ["t_s", "occluded", *names, "trusted", "usable"]
     cells = np.array([[float(cell or "nan") for cell in row[2:-2]] for row in rows])
     np.testing.assert_allclose(cells, values, atol=0.5e-9, rtol=1e-15)  # nine decimals
     assert [round(float(row[0].replace(".", ""))) for row in rows] == [round(float(n)) for n in stamp]
     table = parquet.read_table(tmp_path / "a.parquet")
     assert table["stamp_ns"].to_pylist() == stamp.tolist()
-    for name, column in zip(names[2:], values.T, strict=True):
+    for name, column in zip(names, values.T, strict=True):
         np.testing.assert_array_equal(table[name].to_numpy(), column)
     assert json.loads(table.schema.metadata[METADATA_KEY])["name"] == made.name
 

@@ -22,7 +22,7 @@ from ...recording import JOINTS, CameraFrame, ImuStream, JointState, Recording
 from ...result import Recovery
 from ...result.untrusted import usable
 from ...runtime.outputs import writing
-from .csv import column_groups
+from .csv import file_columns
 
 BIDS_VERSION = "1.10.0"
 #: Sessions begin here: true dates say who a person is. Streams keep their distance from each other.
@@ -125,11 +125,10 @@ def recorded_systems(recording: Recording) -> list[TrackingSystem]:
 
 def recovered_system(recovery: Recovery, version: str) -> TrackingSystem:
     """The answer: every column of the CSV export, with its sigmas, on the forearm IMU's clock."""
-    channels = []
-    for group in column_groups(recovery):
-        units = "" if group.unit == "1" else group.unit
-        for name, values in zip(group.names, group.values.T, strict=True):
-            channels.append(Channel(name, *_kind(name), units, "", group.description, values))
+    channels = [
+        Channel(name, *_kind(name), column.unit, "", column.description, values)
+        for name, values, column in file_columns(recovery)
+    ]
     marks = {
         "occluded": (recovery.occluded, "1: the camera did not see the forearm"),
         "usable": (usable(recovery), "1: there is an answer that is not distrusted"),

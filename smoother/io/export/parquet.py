@@ -19,7 +19,7 @@ from ...runtime.printable import plain
 from ..mcap.messages import nanoseconds
 from ..result.tables import rounded
 from ..result.write import recovery_values
-from .csv import column_groups
+from .csv import file_columns
 
 if TYPE_CHECKING:
     import pyarrow
@@ -43,10 +43,9 @@ def export_parquet(
         ("t_s", pa.array(stamp * 1e-9), "s", "the IMU's own stamp"),
         ("occluded", pa.array(recovery.occluded), "", "the camera did not see the forearm"),
     ]
-    for group in column_groups(recovery):
-        for name, values in zip(group.names, group.values.T, strict=True):
-            array = pa.array(np.ascontiguousarray(values), from_pandas=True)
-            columns.append((name, array, group.unit, group.description))
+    for name, values, column in file_columns(recovery):
+        array = pa.array(np.ascontiguousarray(values), from_pandas=True)
+        columns.append((name, array, column.unit, column.description))
     columns.append(
         ("trusted", trusted_array(recovery), "", "the answer is to be trusted; null without a verdict")
     )

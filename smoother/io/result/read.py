@@ -18,11 +18,12 @@ from ...errors import RecordingError
 from ...measurements.visibility import Reason
 from ...recording import JointTracks
 from ...result import Draws, Estimates, FrameResiduals, Recovery
+from ...result.columns import SAMPLES
 from ...result.segment_motion import SegmentMotion, TrunkMotion
 from ..mcap.container import Container
 from ..mcap.messages import DamageNote, plain_name, seconds, told_behind
 from ..recording.read import METADATA
-from .tables import SAMPLES, SEGMENT, TRUNK, Columns, read_table
+from .tables import SEGMENT, TRUNK, Columns, read_table
 from .write import RESULT, STATED
 
 #: What values of a result that somebody else wrote, or that are damaged, end in.

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...result import Recovery
+from ...result.columns import SAMPLES
 from ..mcap.messages import nanoseconds
 from ..wire.layout import Buffer
 
@@ -17,8 +18,7 @@ Columns = dict[str, NDArray]
 _ROWS = 4_000
 #: Drawn motions are rounded to this many parts of a metre, which is 8 micrometres, and of a radian.
 _PARTS = 2.0**17
-#: Columns of samples by the names of their attributes.
-SAMPLES = ("occluded", "position", "quaternion", "velocity", "pose_covariance", "velocity_covariance")
+#: Columns of segments and of the trunk by the names of their attributes.
 SEGMENT, TRUNK = ("position", "quaternion", "pose_covariance"), ("quaternion", "covariance")
 
 
