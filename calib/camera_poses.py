@@ -14,12 +14,13 @@ from smoother.errors import CalibrationError
 from smoother.recording import FIRST_CAMERA, CameraPose, Recording
 
 from .file import CalibrationFile
-from .protocol import Answer, Verdict
+from .protocol import Answer, Finding
 
 #: The top-level table of a calibration file, one table per camera.
 TABLE = "cameras"
 #: A pose is good for the answer where its sigmas, per axis, are below these, degrees and m.
 GOOD_DEG, GOOD_M = 0.5, 0.01
+FAR = "record a minute in which both cameras see the arm reach far to all sides"
 #: A rotation matrix may be off by this.
 ROUNDING = 1e-4
 
@@ -86,7 +87,6 @@ def cameras_answer(set_up: CameraSetUp) -> Answer:
             f" and {100 * pose.sigma_m:.1f} cm per axis where the arm is"
         )
     grade = "not good enough" if set_up.left_out else "good" if is_good else "usable"
-    again = () if is_good else ("record a minute in which both cameras see the arm reach far to all sides",)
     figures = {
         "recordings": list(set_up.recordings),
         "cameras": {
@@ -100,13 +100,14 @@ def cameras_answer(set_up: CameraSetUp) -> Answer:
         },
         "left_out": list(set_up.left_out),
     }
-    verdict = Verdict(grade, "; ".join(sentences), set_up.left_out, again)
-    return Answer(
-        verdict,
-        (),
-        CalibrationFile().with_table(TABLE, table),
-        figures | verdict.words,
-    )
+    checks = [Finding(text) for text in set_up.left_out]
+    for name, each in table.items():
+        checks += [
+            Finding(f"{name}: sigma of the turn", each["sigma_deg"], GOOD_DEG, "degrees", FAR),
+            Finding(f"{name}: sigma of the place", each["sigma_m"], GOOD_M, "m", FAR),
+        ]
+    file = CalibrationFile().with_table(TABLE, table)
+    return Answer(grade, "; ".join(sentences), checks, file, figures)
 
 
 def camera_poses(file: CalibrationFile) -> dict[str, CameraPose]:

@@ -6,8 +6,9 @@ calibration file has for a recording's clock.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import combinations
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -19,7 +20,7 @@ from smoother.measurements.clock import Clock
 from smoother.recording import Recording
 
 from .file import CalibrationFile, checked
-from .protocol import Answer, Verdict
+from .protocol import Answer, Finding
 
 if TYPE_CHECKING:
     from .motion_clock import MotionClock
@@ -133,98 +134,32 @@ class ClockNetwork:
         ]
 
 
-#: A pair's skew is looked for where its events lie this far apart, s.
-SKEW_SPAN_S = 2.0
-#: Up to this many events every line through two of them is tried; what is wrong is far wrong, s.
-FEW = 12
-NEAR_S = 0.0005
-USUAL_SKEW = 3e-4
-#: Events that a pair's slope is taken from; more tell no more.
-MOST = 300
-PLAUSIBLE_SKEW = 2e-3
+#: A pair's line is sought through this many of its events, spread over time.
+MOST = 40
+#: A skew is sought where they lie this far apart, s; events near a line, s; what skews usually are, at most.
+SKEW_SPAN_S, NEAR_S, USUAL_SKEW, PLAUSIBLE_SKEW = 2.0, 0.0005, 3e-4, 2e-3
 
 
-def _start_values(
-    edges: list[_Edge],
-    node: IntArray,  # (M,)
-    t: FloatArray,  # (M,) s
-    count: int,
-) -> tuple[FloatArray, FloatArray, IntArray, FloatArray]:
-    """Offsets and skews of all nodes against the first of their group, the groups, and their time zero."""
-    back = [(v, u, at + off, -off, -skew / (1 + skew), n) for u, v, at, off, skew, n in edges]
-    edges = sorted([*edges, *back], key=lambda edge: -edge[-1])  # most events first
-    a, b, group = np.zeros(count), np.zeros(count), np.full(count, -1, dtype=np.int64)
-    tau0: list[float] = []
-    for first in range(count):
-        if group[first] >= 0:
-            continue
-        mine = t[node == first]
-        near = [at for u, _, at, *_ in edges if u == first]
-        tau0.append(float(mine.mean()) if len(mine) else (near[0] if near else 0.0))
-        own = group[first] = len(tau0) - 1
-        # the strongest edge out of the group adds the next node
-        while edge := next((e for e in edges if group[e[0]] == own and group[e[1]] < 0), None):
-            u, v, at, offset, skew, _ = edge
-            a[v], b[v] = a[u] + offset + skew * (tau0[-1] + a[u] - at), b[u] + skew
-            group[v] = own
-    return a, b, group, np.array(tau0)
-
-
-#: Two nodes, a time, the offset there, the skew, and how many events tell.
-_Edge = tuple[int, int, float, float, float, int]
-
-
-def _pairs(event: IntArray, node: IntArray, t: FloatArray) -> list[_Edge]:
-    """An edge for each pair of nodes with common events."""
-    events = np.unique(event)
-    if not len(events):
-        return []
-    present = np.unique(node)
-    table = np.full((len(events), int(present.max()) + 1), np.nan)
-    table[np.searchsorted(events, event), node] = t
-    pairs = []
-    for k, u in enumerate(present.tolist()):
-        for v in present[k + 1 :].tolist():
-            both = np.isfinite(table[:, u]) & np.isfinite(table[:, v])
-            if both.any():
-                pairs.append((u, v, *_line(table[both, u], table[both, v]), int(both.sum())))
-    return pairs
-
-
-def _line(t_from: FloatArray, t_to: FloatArray) -> tuple[float, float, float]:
-    """Time, offset there and skew by medians (Theil and Sen): half of the events may be wrong."""
-    if len(t_from) > MOST:
-        chosen = np.linspace(0, len(t_from) - 1, MOST).astype(int)
-        t_from, t_to = t_from[chosen], t_to[chosen]
-    at, skew = float(np.median(t_from)), 0.0
-    difference = t_to - t_from
-    if len(t_from) <= FEW:
-        skew, offset = _consensus(t_from - at, difference)
-        return at, offset, skew
-    if np.ptp(t_from) > SKEW_SPAN_S:
-        i, j = np.triu_indices(len(t_from), 1)
-        apart = t_from[j] - t_from[i]
-        far = np.abs(apart) > 0.2 * np.ptp(t_from)
-        skew = float(np.median((difference[j] - difference[i])[far] / apart[far]))
-        skew = skew if abs(skew) < PLAUSIBLE_SKEW else 0.0
-    return at, float(np.median(difference - skew * (t_from - at))), skew
-
-
-def _consensus(dt: FloatArray, difference: FloatArray) -> tuple[float, float]:
-    """Skew and offset of the line that most events lie near to, and that no crystal would be ashamed of."""
-    skews = [0.0]
+def consensus(t_from: FloatArray, t_to: FloatArray) -> tuple[float, float, float]:
+    """Time, offset there and skew of the line between two events that most others lie near to."""
+    chosen = np.unique(np.linspace(0, len(t_from) - 1, MOST).astype(int))
+    at, difference = float(np.median(t_from)), (t_to - t_from)[chosen]
+    dt, slope = t_from[chosen] - at, np.zeros(1)
     if np.ptp(dt) > SKEW_SPAN_S:
         i, j = np.triu_indices(len(dt), 1)
-        far = dt[j] != dt[i]
+        far = np.abs(dt[j] - dt[i]) > 0.2 * np.ptp(dt)
         slopes = (difference[j] - difference[i])[far] / (dt[j] - dt[i])[far]
-        skews += slopes[np.abs(slopes) < PLAUSIBLE_SKEW].tolist()
-    slope = np.array(skews)
+        slope = np.append(slope, slopes[np.abs(slopes) < PLAUSIBLE_SKEW])
     level = difference - slope[:, None] * dt  # (slopes, n): an offset through each event
     apart = level[:, None, :] - level[:, :, None]
     loss = np.log1p((apart / NEAR_S) ** 2).sum(axis=2) + ((slope / USUAL_SKEW) ** 2)[:, None]
     k, event = np.unravel_index(int(np.argmin(loss)), loss.shape)
     near = np.abs(apart[k, event]) < 3 * NEAR_S
-    return float(slope[k]), float(level[k][near].mean())
+    return at, float(level[k][near].mean()), float(slope[k])
+
+
+def _reversed(at: float, offset: float, skew: float) -> tuple[float, float, float]:
+    return at + offset, -offset, -skew / (1 + skew)
 
 
 #: The stated noise of a source is treated as this many samples when its noise is measured.
@@ -299,12 +234,35 @@ class _System:
         self.node = np.array([number_of[name] for name in names], dtype=np.int64)
         self.ends = np.array([[number_of[u], number_of[v]] for u, v in ends], dtype=np.int64).reshape(-1, 2)
         self.count = len(self.nodes)
-        edges = _pairs(self.event, self.node, self.t)
-        for (u, v), link in zip(self.ends.tolist(), links, strict=True):
-            edges.append((u, v, link.at_s, link.offset_s, 1e-6 * link.skew_ppm, 1))
-        a, b, self.group, self.tau0 = _start_values(edges, self.node, self.t, self.count)
-        self.start = a, b
+        self.start = self._start()
         self.free = np.setdiff1d(np.arange(self.count), np.unique(self.group, return_index=True)[1])
+
+    def _start(self) -> tuple[FloatArray, FloatArray]:
+        """Offsets and skews (n,) to the first of each group, along the pairs with the most events."""
+        from scipy.sparse.csgraph import breadth_first_order, connected_components, minimum_spanning_tree
+
+        heard = np.full((int(self.event.max(initial=-1)) + 1, self.count), np.nan)
+        heard[self.event, self.node] = self.t
+        weight = np.zeros((self.count, self.count))
+        edges: dict[tuple[int, int], tuple[float, float, float]] = {}  # time on u, offset there, skew
+        for (u, v), link in zip(self.ends.tolist(), self.links, strict=True):
+            weight[u, v], edges[u, v] = 1, (link.at_s, link.offset_s, 1e-6 * link.skew_ppm)
+        for u, v in combinations(range(self.count), 2):
+            both = heard[np.isfinite(heard[:, u] + heard[:, v])]
+            if len(both):
+                weight[u, v], edges[u, v] = 1 / len(both), consensus(both[:, u], both[:, v])
+        self.group = connected_components(weight, directed=False)[1].astype(np.int64)
+        tree, a, b, tau0 = minimum_spanning_tree(weight), np.zeros(self.count), np.zeros(self.count), []
+        for first in np.unique(self.group, return_index=True)[1].tolist():
+            own = self.t[self.node == first]
+            linked = (at for (u, _), (at, *_) in edges.items() if u == first)
+            tau0.append(float(own.mean()) if len(own) else next(linked, 0.0))
+            order, before = breadth_first_order(tree, first, directed=False)
+            for v, u in zip(order[1:].tolist(), before[order[1:]].tolist(), strict=True):
+                at, offset, skew = edges.get((u, v)) or _reversed(*edges[v, u])
+                a[v], b[v] = a[u] + offset + skew * (tau0[-1] + a[u] - at), b[u] + skew
+        self.tau0 = np.array(tau0)
+        return a, b
 
     def on_reference(self, k: IntArray, t: FloatArray, a: FloatArray, b: FloatArray) -> FloatArray:
         """Times of nodes (M,) on their own clocks as time since tau0 on the reference."""
@@ -474,6 +432,12 @@ DISAGREE = 4.0
 #: One late reception among fewer rounds than this cannot be detected.
 FEW_ROUNDS = 4
 SKEW_KNOWN_PPM = 20.0
+#: What to do next time.
+ONE_NAME = "name a clock that two sources share alike in both, see --sound-clocks and --motion-clocks"
+ROUNDS_AGAIN = "broadcast twenty rounds; every pair of nodes needs several that both received"
+TWICE = "measure once at the start and once at the end of the session: the two give the skew"
+NEARER = "hold the buzzer right in front of the microphone, so that it is louder than its echo"
+BRISKLY = "move the forearm briskly in view for 20 s; only fast motion determines the clock"
 
 
 @dataclass(frozen=True)
@@ -503,28 +467,20 @@ def calibrate_clocks(
 def clock_answer(calibration: ClockCalibration) -> Answer:
     """How good the clocks are now, what the data left open, and what to record next."""
     network, links = calibration.network, calibration.network.links()
-    groups = network.groups
-    apart = disagreements(network)
-    left_open = [*apart, *_open_questions(calibration, links)]
     worst = max(links, key=lambda link: link.sigma_s)
     sentence = (
         f"{len(network.nodes)} clocks are linked by {len(links)} pairs; the worst pair"
-        f" ({worst.from_clock}, {worst.to_clock}) is known to {1e3 * worst.sigma_s:.2f} ms"
+        f" ({worst.from_clock}, {worst.to_clock}) is known to {1e3 * worst.sigma_s:.2f} ms; an offset is"
+        " valid for its recording only: measure it again in every session"
     )
-    findings = ["a clock offset is valid for its recording only: measure it again in every session"]
-    if len(groups) > 1:
-        listed = "; ".join(map(", ".join, groups))
-        findings.insert(0, f"nothing links these groups of clocks with each other: {listed}")
+    apart = disagreements(network)
     grade = "good" if all(link.sigma_s <= WEAK_S for link in links) else "usable"
     rows = [
         {
             "from": link.from_clock,
             "to": link.to_clock,
-            "offset_s": float(link.offset_s),
-            "sigma_s": float(link.sigma_s),
-            "skew_ppm": float(link.skew_ppm),
-            "skew_sigma_ppm": float(link.skew_sigma_ppm),
-            "at_s": float(link.at_s),
+            **{name: float(getattr(link, name)) for name in ("offset_s", "sigma_s", "skew_ppm")},
+            **{name: float(getattr(link, name)) for name in ("skew_sigma_ppm", "at_s")},
         }
         for link in links
     ]
@@ -543,18 +499,14 @@ def clock_answer(calibration: ClockCalibration) -> Answer:
             for left in network.leftovers
         ],
         "beeps": [{key: getattr(beep, key) for key in shown} for beep in calibration.beeps],
-        "not_determined": left_open,
     }
-    table = {"session": calibration.session, "valid_for": "this session alone", "links": rows}
     return Answer(
-        Verdict(
-            "not good enough" if apart or len(groups) > 1 else grade,
-            sentence,
-            tuple(findings),
-            tuple(_next_time(calibration, links)),
+        "not good enough" if apart or len(network.groups) > 1 else grade,
+        sentence,
+        [*(Finding(text, is_open=True) for text in apart), *_checks(calibration, links)],
+        CalibrationFile().with_table(
+            "clock", {"session": calibration.session, "valid_for": "this session alone", "links": rows}
         ),
-        tuple(left_open),
-        CalibrationFile().with_table("clock", table),
         figures,
     )
 
@@ -569,73 +521,31 @@ def disagreements(network: ClockNetwork) -> list[str]:
     ]
 
 
-def _open_questions(calibration: ClockCalibration, links: list[ClockLink]) -> list[str]:
-    """What the data left open, one sentence each."""
-    network, receptions = calibration.network, calibration.receptions
-    beeps, motion, groups = calibration.beeps, calibration.motion, calibration.network.groups
-    sentences = []
-    for each in receptions:
-        lost = sorted(set(each.node) - set(network.nodes))
-        sentences += [
-            f"{name} received nothing that another clock received: it is not linked" for name in lost
-        ]
-    if len(groups) > 1:
-        apart = "; ".join(map(", ".join, groups))
-        sentences.append(
-            f"the clocks fall into {len(groups)} groups that nothing links ({apart}): a clock that two"
-            " sources share must have one name in both, see --sound-clocks and --motion-clocks"
-        )
+def _checks(calibration: ClockCalibration, links: list[ClockLink]) -> Iterator[Finding]:
+    """What is looked at, against its bounds."""
+    network, receptions, motion = calibration.network, calibration.receptions, calibration.motion
+    if len(network.groups) > 1:
+        apart = "; ".join(map(", ".join, network.groups))
+        yield Finding(f"nothing links these groups of clocks: {apart}", remedy=ONE_NAME, is_open=True)
+    for name in sorted({name for each in receptions for name in each.node} - set(network.nodes)):
+        yield Finding(f"{name} received nothing that another clock received: it is not linked", is_open=True)
     for left in network.leftovers:
-        dropped = int((~left.used).sum())
-        if dropped:
-            sentences.append(
-                f"{left.source}: {dropped} of {len(left.used)} times did not fit and were rejected"
-            )
+        name = f"{left.source}: times of {len(left.used)} that did not fit and were rejected"
+        yield Finding(name, int((~left.used).sum()), 0, is_open=True)
+    has_clear_beep = any(beep.sigma_s < WEAK_S for beep in calibration.beeps)
     for link in links:
-        pair = f"{link.from_clock} and {link.to_clock}"
-        if link.sigma_s > WEAK_S:
-            sentences.append(f"{pair} are known to {1e3 * link.sigma_s:.0f} ms only")
-        common = _common(receptions, link)
-        if 0 < common < FEW_ROUNDS and not any(beep.sigma_s < WEAK_S for beep in beeps):
-            sentences.append(f"{pair} heard {common} rounds together: a late reception would go unnoticed")
-    weak = [link for link in links if link.skew_sigma_ppm > SKEW_KNOWN_PPM]
-    if weak:
-        pairs = ", ".join(f"{link.from_clock}-{link.to_clock}" for link in weak[:4])
-        sentences.append(
-            f"the skew of {pairs}{' and others' if len(weak) > 4 else ''} is not measured: the offset may"
-            f" drift by some {6e-2 * max(link.skew_sigma_ppm for link in weak):.0f} ms per minute from the"
-            " time that it is stated for"
-        )
-    sentences += [
-        f"the beep that ends at {beep.end_s:.2f} s is followed by a loud echo: its end is known to"
-        f" {1e3 * beep.sigma_s:.0f} ms only"
-        for beep in beeps
-        if beep.loud_room
-    ]
-    if motion is not None and not motion.used.all():
-        sentences.append(
-            f"{int((~motion.used).sum())} of {len(motion.used)} excerpts of the motion did not fit the line"
-        )
-    return sentences
-
-
-def _next_time(calibration: ClockCalibration, links: list[ClockLink]) -> list[str]:
-    """What to record next, one sentence each."""
-    receptions, beeps, motion = calibration.receptions, calibration.beeps, calibration.motion
-    sentences = []
-    if receptions and not beeps and any(0 < _common(receptions, link) < 2 * FEW_ROUNDS for link in links):
-        sentences.append("broadcast twenty rounds; every pair of nodes needs several that both received")
-    if any(link.skew_sigma_ppm > SKEW_KNOWN_PPM for link in links):
-        sentences.append(
-            "measure once at the start and once at the end of the session: the two give the skew"
-        )
-    if any(beep.loud_room for beep in beeps):
-        sentences.append(
-            "hold the buzzer right in front of the microphone, so that it is louder than its echo"
-        )
-    if motion is not None and motion.link.sigma_s > 0.003:
-        sentences.append("move the forearm briskly in view for 20 s; only fast motion determines the clock")
-    return sentences or ["record in the same way: nothing is missing"]
+        pair, common = f"{link.from_clock} and {link.to_clock}", _common(receptions, link)
+        yield Finding(f"{pair}: sigma", 1e3 * link.sigma_s, 1e3 * WEAK_S, "ms", is_open=True)
+        if common and not has_clear_beep:
+            yield Finding(f"{pair}: rounds together", common, FEW_ROUNDS, "", ROUNDS_AGAIN, True, True)
+    skew = max(link.skew_sigma_ppm for link in links)
+    yield Finding("sigma of a skew", skew, SKEW_KNOWN_PPM, "ppm", TWICE, is_open=True)
+    for beep in calibration.beeps:
+        name = f"sigma of the beep that ends at {beep.end_s:.2f} s, by its echo"
+        yield Finding(name, 1e3 * beep.sigma_s * beep.loud_room, 0.0, "ms", NEARER, is_open=True)
+    if motion is not None:
+        yield Finding("excerpts of the motion off the line", int((~motion.used).sum()), 0, is_open=True)
+        yield Finding("sigma by motion", 1e3 * motion.link.sigma_s, 3.0, "ms", BRISKLY)
 
 
 def _common(receptions: Sequence[Receptions], link: ClockLink) -> int:

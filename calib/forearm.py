@@ -20,7 +20,7 @@ from smoother.smoothing import smooth
 
 from .file import CalibrationFile
 from .motion import forearm_frame
-from .protocol import Answer, Verdict
+from .protocol import Answer, Finding
 
 #: The pose is held at least this long, and looked at for no longer than that, s.
 SHORTEST_S, LONGEST_S = 0.8, 5.0
@@ -353,21 +353,16 @@ AGREE = 2.5
 CORONAL_RAD = np.radians(35.0)
 RESTLESS_RAD_S = 0.12
 
+_STRAP = "the strap slid between pose and motion, or its place was measured wrongly"
 #: What to look at when a measure of the pose and of the motion contradict each other.
 _BROKEN = {
-    "upper arm": "shoulder or elbow is placed differently in the pose than in motion (a sleeve, a shrugged"
-    " shoulder)",
-    "forearm": "the camera places elbow or wrist differently in the pose than in motion (the arm pointed"
-    " to the camera)",
-    "strap to wrist": "the strap slid along the arm between the pose and the motion, or its place was"
-    " measured wrongly",
-    "strap to elbow": "the strap slid along the arm between the pose and the motion, or its place was"
-    " measured wrongly",
+    "upper arm": "shoulder or elbow is placed differently in the pose (a sleeve, a shrugged shoulder)",
+    "forearm": "elbow or wrist is placed differently in the pose (the arm pointed to the camera)",
+    "strap to wrist": _STRAP,
+    "strap to elbow": _STRAP,
     "radius": "the forearm is not straight, or the strap was found beside the arm",
-    "direction": "the sensor turned on the arm between the pose and the motion, or the arm was not still"
-    " in the pose",
-    "roll": "the palm did not face the camera in the pose, or the sensor does not sit on the back of the"
-    " wrist",
+    "direction": "the sensor turned on the arm since the pose, or the arm was not still in it",
+    "roll": "hold the palm square to the camera, and put the sensor on the back of the wrist",
 }
 
 
@@ -437,39 +432,41 @@ def compare(calibration: ForearmCalibration) -> list[Compared]:
 def forearm_answer(calibration: ForearmCalibration) -> Answer:
     """What the pose gave, whether the motion agrees and which assumption broke, and what to record next."""
     rows, pose, arm = compare(calibration), calibration.pose, calibration.calibration
-    broken = {row.measure: row for row in rows if not row.agrees}
-    left_open = _open_questions(calibration)
-    if arm.R_F_A is not None and {"direction", "roll"} & broken.keys():  # one of the two is wrong
+    broken = [row.measure for row in rows if not row.agrees]
+    contradicts = bool({"direction", "roll"} & set(broken))
+    if contradicts:  # one of the two is wrong
         arm = replace(arm, R_F_A=None)
-        left_open.append("R_F_A is not written: pose and motion contradict each other")
-    said = [f"the pose was held from {pose.start_s:.1f} to {pose.end_s:.1f} s"]
+    sentence = (
+        f"the pose was held from {pose.start_s:.1f} to {pose.end_s:.1f} s; pose and motion agree in"
+        f" {len(rows) - len(broken)} of {len(rows)} measures within their sigmas"
+    )
+    y, middle = calibration.R_K_F[:, 1], pose.position[1]
+    towards = float(np.degrees(np.arcsin(np.abs(y @ middle) / np.linalg.norm(middle))))
+    checks = [
+        *(
+            Finding(f"{row.measure}, {row.pose:.0f} {row.unit} in the pose and {row.motion:.0f} in motion",
+                    row.apart, AGREE, "sigmas apart", _BROKEN[row.measure])
+            for row in rows
+        ),
+        Finding("length of the pose", pose.end_s - pose.start_s, 2.0, "s", "hold it for three seconds", True),
+        Finding("turning of the sensor in the pose", float(np.degrees(pose.turning_rad_s)),
+                float(np.degrees(RESTLESS_RAD_S)), "degrees/s", "keep the arm still", is_open=True),
+        Finding("forearm towards or away from the camera, where depth errors are in its length", towards,
+                float(np.degrees(CORONAL_RAD)), "degrees", "hold the arm across", is_open=True),
+    ]  # fmt: skip
     if not rows:
         why = calibration.why_not or "the motion did not show the forearm"
-        said.append(f"there is no motion to compare it with: {why}")
-    elif not broken:
-        said.append(f"pose and motion agree in all {len(rows)} measures within their sigmas")
-    else:
-        said.append(f"pose and motion agree in {len(rows) - len(broken)} of {len(rows)} measures")
-    said += [
-        f"{name}: {row.pose:.0f} {row.unit} in the pose, {row.motion:.0f} in motion, {row.apart:.1f}"
-        f" sigmas apart: {_BROKEN[name]}"
-        for name, row in broken.items()
-    ]
-    advice = []
+        checks.insert(0, Finding(f"there is no motion to compare the pose with: {why}"))
     if calibration.calibration.R_F_A is None:
-        advice.append(
-            "after the pose, move for 20 s in view: bend and stretch the elbow, turn the palm up and down"
+        text = (
+            f"lever arms and R_F_A: the sensor's orientation in the pose is not known ({calibration.why_not})"
         )
+        checks.append(Finding(text, remedy=THEN_MOVE, is_open=True))
+    elif contradicts:
+        checks.append(Finding("R_F_A is not written: pose and motion contradict each other", is_open=True))
     if calibration.measured.strap_from == "usual":
-        advice.append(
-            "measure by ruler from the middle of the strap to the wrist's crease and half the wrist's"
-            " thickness (--strap-to-wrist-m, --radius-m), or record the camera's images and use `unocclude"
-            " import strap`"
-        )
-    if "roll" in broken:
-        advice.append("hold the palm square to the camera, and put the sensor on the back of the wrist")
-    if pose.end_s - pose.start_s < 2.0:
-        advice.append("hold the pose for three seconds")
+        text = "the strap's place was neither seen nor measured: usual values are used"
+        checks.append(Finding(text, remedy=BY_RULER, is_open=True))
     sigma_deg = {
         "direction": float(np.degrees(calibration.direction_sigma_rad)),
         "roll": float(np.degrees(calibration.roll_sigma_rad)),
@@ -480,7 +477,6 @@ def forearm_answer(calibration: ForearmCalibration) -> Answer:
         table |= {f"{name}_m": float(length.value_m), f"{name}_sigma_m": float(length.sigma_m)}
     if arm.R_F_A is not None:
         table |= {f"R_F_A_{name}_sigma_deg": value for name, value in sigma_deg.items()}
-    grade = "not good enough" if arm.R_F_A is None else "good" if rows and not broken else "usable"
     figures = {
         "side": arm.side,
         "pose": {"from_s": pose.start_s, "to_s": pose.end_s, "chosen": pose.chosen},
@@ -490,40 +486,15 @@ def forearm_answer(calibration: ForearmCalibration) -> Answer:
         "R_F_A": arm.R_F_A,
         "R_F_A_sigma_deg": sigma_deg,
         "against_motion": [asdict(row) | {"sigmas_apart": row.apart, "agrees": row.agrees} for row in rows],
-        "verdict": said,
-        "not_determined": left_open,
     }
-    nothing = ("record in the same way: nothing is missing",)
-    return Answer(
-        Verdict(grade, said[1], (said[0], *said[2:]), tuple(advice) or nothing),
-        tuple(left_open),
-        CalibrationFile().with_arm(arm).with_table("forearm", {arm.side or "any": table}),
-        figures,
-    )
+    file = CalibrationFile().with_arm(arm).with_table("forearm", {arm.side or "any": table})
+    grade = "not good enough" if arm.R_F_A is None else "good" if rows and not broken else "usable"
+    return Answer(grade, sentence, checks, file, figures)
 
 
-def _open_questions(calibration: ForearmCalibration) -> list[str]:
-    """What the pose left open, one sentence each."""
-    said = []
-    if calibration.calibration.R_F_A is None:
-        said.append(
-            "lever arms and R_F_A are not determined: the sensor's orientation in the pose is not known"
-            f" ({calibration.why_not})"
-        )
-    if calibration.measured.strap_from == "usual":
-        said.append(
-            "the strap's place was neither seen nor measured: usual values are used (5 +- 2 cm to the"
-            " wrist, 3.5 +- 0.8 cm to the forearm's axis)"
-        )
-    if calibration.pose.turning_rad_s > RESTLESS_RAD_S:
-        said.append(
-            f"the sensor turned by {np.degrees(calibration.pose.turning_rad_s):.0f} degrees/s in the pose"
-        )
-    y, middle = calibration.R_K_F[:, 1], calibration.pose.position[1]
-    towards = float(np.abs(y @ middle) / np.linalg.norm(middle))
-    if towards > np.sin(CORONAL_RAD):
-        said.append(
-            f"the forearm points {np.degrees(np.arcsin(towards)):.0f} degrees towards or away from the"
-            " camera: depth errors are in its length"
-        )
-    return said
+#: What to record next.
+THEN_MOVE = "after the pose, move for 20 s in view: bend and stretch the elbow, turn the palm up and down"
+BY_RULER = (
+    "measure by ruler from the middle of the strap to the wrist's crease and half the wrist's thickness"
+    " (--strap-to-wrist-m, --radius-m), or record the camera's images and use `unocclude import strap`"
+)

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 from scipy.ndimage import binary_dilation, uniform_filter1d
-from scipy.optimize import least_squares, nnls
+from scipy.optimize import least_squares
 from scipy.signal import lfilter
 from scipy.spatial import cKDTree
 
@@ -22,10 +22,10 @@ from smoother.array_types import BoolArray, FloatArray
 from smoother.errors import CalibrationError
 from smoother.linalg import robust_sigma, runs, sphere, unit
 from smoother.recording import ImuStream
-from smoother.units import GRAVITY, STANDARD_GRAVITY
+from smoother.units import GRAVITY
 
 from .file import CalibrationFile
-from .protocol import Answer, Verdict
+from .protocol import Answer, Finding
 from .sensor import sensor_name
 
 #: Directions that the sphere is looked at; neighbours are some 4 degrees apart.
@@ -219,7 +219,6 @@ class AccelerometerCalibration:
     sigma: float  # m/s^2: root mean square over all directions of the corrected length's standard deviation
     worst_sigma: float  # m/s^2: its largest
     worst_direction: FloatArray  # (3,): Where that is
-    remarks: tuple[str, ...] = ()  # What is worth a word, one sentence each
 
     @property
     def rms(self) -> float:
@@ -272,35 +271,15 @@ def calibrate_accelerometer(rests: Rests, gravity: float) -> AccelerometerCalibr
         weak = np.linalg.svd(unit(rests.acc))[2][2]
     else:
         weak = directions[int(np.argmax(sigma))]
-    worst, remarks = float(sigma.max()), []
+    worst = float(sigma.max())
     if worst > REFUSED_SIGMA:
         raise CalibrationError(
             f"the {rests.poses} rest poses leave the sensor's {axis_words(weak)} undetermined; add rests"
             " in which it points up, and others in which it points down, until all six sides and some"
             " edges have been up."
         )
-    if worst > DOUBTED_SIGMA:
-        remarks.append(
-            f"with the sensor's {axis_words(weak)} up the result is known to {worst:.3f} m/s^2 only; "
-            "add rests in that direction and in the opposite one"
-        )
-    if np.abs(residual).max() > LARGE_RESIDUAL:
-        k = int(np.argmax(np.abs(residual)))
-        remarks.append(
-            f"rest {k + 1} is off gravity by {abs(residual[k]):.3f} m/s^2: it was not quite still, or"
-            " the sensor is not linear; lay it on something firm"
-        )
-    return AccelerometerCalibration(
-        offset=offset,
-        matrix=matrix,
-        covariance=covariance,
-        poses=rests.poses,
-        residual=residual,
-        sigma=float(np.sqrt(np.mean(sigma**2))),
-        worst_sigma=worst,
-        worst_direction=weak,
-        remarks=tuple(remarks),
-    )
+    rms = float(np.sqrt(np.mean(sigma**2)))
+    return AccelerometerCalibration(offset, matrix, covariance, rests.poses, residual, rms, worst, weak)
 
 
 _ROWS, _COLUMNS = np.triu_indices(3)
@@ -322,74 +301,28 @@ def _mapped(p: FloatArray, raw: FloatArray) -> tuple[FloatArray, FloatArray]:
     return mapped, np.hstack([-mapped @ S, by_matrix])
 
 
-#: Shortest rest that gives the white noise, and shortest that can give what is slower, s.
+#: Shortest rest that gives the white noise, s.
 WHITE_S = 20.0
-SLOW_S = 300.0
-#: Averaging times a decade, and how often the longest fits into the rest.
-_A_DECADE = 8
-_LONGEST_SHARE = 9
-#: Averaging times over which white noise is read, s: longer than filters, shorter than drift.
-_WHITE_TAU_S = (0.1, 2.0)
-_FLICKER = 2.0 * np.log(2.0) / np.pi
-#: A part that makes up less of the variance than this wherever one looks was not seen.
-_SEEN = 0.25
+#: Averaging times over which it is read, s: longer than filters, shorter than drift; how many of them.
+_WHITE_TAU_S, _TAUS = (0.1, 2.0), 11
 
 
-@dataclass(frozen=True)
-class SensorNoise:
-    """One triaxial sensor at rest; per axis (3,), in SI: x is m/s^2 or rad/s."""
-
-    tau_s: FloatArray  # (k,) s: averaging times
-    deviation: FloatArray  # (k, 3): allan deviation, x
-    density: FloatArray  # (3,): white noise N, x/sqrt(Hz)
-    instability: FloatArray  # (3,): bias instability B, x; nan where the rest was too short to show it
-    walk: FloatArray  # (3,): random walk K, x/sqrt(s); nan likewise
-    duration_s: float  # Of the rest
-
-
-def allan_noise(samples: FloatArray, rate_hz: float) -> SensorNoise | None:
-    """Noise figures of a sensor's samples at rest (N, 3); None where they last less than 20 s."""
-    duration = len(samples) / rate_hz
-    if duration < WHITE_S:
+def noise_density(samples: FloatArray, rate_hz: float) -> FloatArray | None:  # samples (N, 3) -> (3,)
+    """White noise of a sensor at rest, unit/sqrt(Hz), by its Allan deviation; None for less than 20 s."""
+    if len(samples) < WHITE_S * rate_hz:
         return None
-    tau, deviation = allan_deviation(samples, rate_hz)
-    # independent averages at each time: the relative variance of the Allan variance is one over half of them
-    weight = np.sqrt(np.maximum(duration / tau - 1.0, 1.0))
-    white = (tau >= max(_WHITE_TAU_S[0], 1.0 / rate_hz)) & (tau <= _WHITE_TAU_S[1])
-    density, instability, walk = np.full(3, np.nan), np.full(3, np.nan), np.full(3, np.nan)
-    for axis in range(3):
-        variance = deviation[:, axis] ** 2
-        if not (variance > 0).all():
-            density[axis] = 0.0
-            continue
-        density[axis] = np.exp(np.average(np.log(variance * tau)[white], weights=weight[white] ** 2) / 2.0)
-        if duration < SLOW_S:
-            continue
-        long = tau >= _WHITE_TAU_S[0]
-        parts = np.stack([1.0 / tau, np.full(len(tau), _FLICKER), tau / 3.0], axis=1)[long]
-        scale = weight[long] / variance[long]
-        power, _ = nnls(parts * scale[:, None], weight[long])
-        share = parts * power / (parts @ power)[:, None]
-        density[axis] = np.sqrt(power[0]) if power[0] > 0 else density[axis]
-        if share[:, 1].max() > _SEEN:
-            instability[axis] = np.sqrt(power[1])
-        if share[:, 2].max() > _SEEN:
-            walk[axis] = np.sqrt(power[2])
-    return SensorNoise(tau, deviation, density, instability, walk, duration)
+    tau = np.geomspace(*_WHITE_TAU_S, _TAUS)
+    counts = np.unique(np.maximum(np.round(tau * rate_hz), 1).astype(int))
+    variance = np.array([allan_deviation(samples, count) ** 2 * count / rate_hz for count in counts])
+    # each averaging time weighs by how often it fits into the rest
+    return np.sqrt(np.average(variance, axis=0, weights=len(samples) / counts - 1.0))
 
 
-def allan_deviation(samples: FloatArray, rate_hz: float) -> tuple[FloatArray, FloatArray]:
-    """Overlapping Allan deviation of samples (N, 3): averaging times (k,) s, and deviations (k, 3)."""
-    count = len(samples)
-    longest = max(count // _LONGEST_SHARE, 1)
-    steps = int(np.ceil(np.log10(longest) * _A_DECADE)) + 1
-    m = np.unique(np.round(np.logspace(0.0, np.log10(longest), steps)).astype(int))
+def allan_deviation(samples: FloatArray, count: int) -> FloatArray:
+    """Overlapping Allan deviation (3,) of samples (N, 3) averaged over so many of them."""
     sums = np.vstack([np.zeros(samples.shape[1]), np.cumsum(samples - samples.mean(axis=0), axis=0)])
-    deviation = np.empty((len(m), samples.shape[1]))
-    for k, n in enumerate(m):
-        second = sums[2 * n :] - 2.0 * sums[n:-n] + sums[: -2 * n]
-        deviation[k] = np.sqrt(np.mean(second**2, axis=0) / (2.0 * n**2))
-    return m / rate_hz, deviation
+    second = sums[2 * count :] - 2.0 * sums[count:-count] + sums[: -2 * count]
+    return np.sqrt(np.mean(second**2, axis=0) / (2.0 * count**2))
 
 
 #: Still samples that a mean needs (Le et al. take the first 200).
@@ -466,27 +399,17 @@ class ImuCalibration:
     gyroscope: GyroscopeCalibration  # Its bias
     # None where the recording is one long rest, which gives the noise only
     accelerometer: AccelerometerCalibration | None
-    accelerometer_noise: SensorNoise | None  # From the longest rest; None where it is too short
-    gyroscope_noise: SensorNoise | None  # From the longest rest; None where it is too short
+    noise_rest_s: float  # Length of the longest rest
+    densities: dict[str, FloatArray]  # (3,): white noise by sensor, per sqrt(Hz); empty of a short rest
     gravity: float = GRAVITY  # m/s^2: that the accelerometer was fitted to
 
-    @property
-    def noises(self) -> dict[str, SensorNoise]:
-        """Noise by sensor, where the longest rest gave it."""
-        pairs = {"accelerometer": self.accelerometer_noise, "gyroscope": self.gyroscope_noise}
-        return {name: noise for name, noise in pairs.items() if noise is not None}
-
     def tables(self) -> dict[str, dict[str, Any]]:
-        """The sensor's tables for the calibration file; plain values.
-
-        Of noise the axes' root mean square, as `smooth` takes one number a sensor.
-        """
-        acc: dict[str, Any] = {}
+        """The sensor's tables for the calibration file; of noise the axes' root mean square."""
         gyro = {"offset": self.gyroscope.offset.tolist(), "offset_sigma": self.gyroscope.sigma.tolist()}
-        if self.accelerometer is not None:
-            found = self.accelerometer
+        tables: dict[str, dict[str, Any]] = {"gyroscope": gyro, "accelerometer": {}}
+        if (found := self.accelerometer) is not None:
             sigma = np.sqrt(np.diag(found.covariance))
-            acc = {
+            tables["accelerometer"] = {
                 "offset": found.offset.tolist(),
                 "matrix": found.matrix.tolist(),
                 "offset_sigma": sigma[:3].tolist(),
@@ -496,128 +419,73 @@ class ImuCalibration:
                 "sigma": found.sigma,
                 "worst_sigma": found.worst_sigma,
             }
-        tables = {"gyroscope": gyro, "accelerometer": acc}
-        for name, noise in self.noises.items():
-            for key, values in (
-                ("noise_density", noise.density),
-                ("bias_instability", noise.instability),
-                ("random_walk", noise.walk),
-            ):
-                known = values[np.isfinite(values)]
-                if known.any():
-                    tables[name][key] = float(np.sqrt(np.mean(known**2)))
-            tables[name]["noise_rest_s"] = noise.duration_s
+        for name, density in self.densities.items():
+            own = {"noise_density": float(np.sqrt(np.mean(density**2))), "noise_rest_s": self.noise_rest_s}
+            tables[name] |= own
         return {name: table for name, table in tables.items() if table}
 
 
 def calibrate_imu(imu: ImuStream, gravity: float = GRAVITY) -> ImuCalibration:
     """Calibrate accelerometer and gyroscope from a recording of rest poses, or of one long rest."""
     rests = find_rests(imu)
-    noise: tuple[SensorNoise | None, SensorNoise | None] = (None, None)
-    long_rest = False
+    densities, rest_s, is_long = {}, 0.0, False
     if len(rests):
         rest = rests.longest()
-        noise = allan_noise(imu.acc[rest], imu.rate_hz), allan_noise(imu.gyro[rest], imu.rate_hz)
-        lasts = (rest.stop - rest.start) / imu.rate_hz
-        long_rest = lasts >= LONG_REST_S and rest.stop - rest.start >= _MOSTLY * len(imu)
-    accelerometer = None
-    if not (long_rest and rests.poses < 3):
-        accelerometer = calibrate_accelerometer(rests, gravity)
-    return ImuCalibration(
-        imu.name, rests, calibrate_gyroscope(imu, rests), accelerometer, noise[0], noise[1], gravity
-    )
+        rest_s = (rest.stop - rest.start) / imu.rate_hz
+        for name, samples in (("accelerometer", imu.acc), ("gyroscope", imu.gyro)):
+            if (density := noise_density(samples[rest], imu.rate_hz)) is not None:
+                densities[name] = density
+        is_long = rest_s >= LONG_REST_S and rest.stop - rest.start >= _MOSTLY * len(imu)
+    noise_only = is_long and rests.poses < 3
+    accelerometer = None if noise_only else calibrate_accelerometer(rests, gravity)
+    gyroscope = calibrate_gyroscope(imu, rests)
+    return ImuCalibration(imu.name, rests, gyroscope, accelerometer, rest_s, densities, gravity)
 
 
-#: A better calibration than this is wasted on a wrist: half a milliradian of gravity, m/s^2.
-GOOD_SIGMA = 0.005
-#: Noise figures in a datasheet's units: sensor, name and unit, attribute, factor.
-_DATASHEET = (
-    ("accelerometer", "noise density, µg/√Hz", "density", 1e6 / STANDARD_GRAVITY),
-    ("accelerometer", "bias instability, µg", "instability", 1e6 / STANDARD_GRAVITY),
-    ("accelerometer", "random walk, µg/√s", "walk", 1e6 / STANDARD_GRAVITY),
-    ("gyroscope", "noise density, degrees/s/√Hz", "density", np.degrees(1.0)),
-    ("gyroscope", "angle random walk, degrees/√h", "density", 60.0 * np.degrees(1.0)),
-    ("gyroscope", "bias instability, degrees/h", "instability", 3600.0 * np.degrees(1.0)),
-    ("gyroscope", "random walk, degrees/s/√s", "walk", np.degrees(1.0)),
-)
+POSES = "twelve rest poses of three seconds each, the sensor on its six sides and on six edges between them"
 
 
 def imu_answer(calibration: ImuCalibration) -> Answer:
     """What was found of accelerometer and gyroscope, whether it serves, and what to record next."""
     acc, gyro, tables = calibration.accelerometer, calibration.gyroscope, calibration.tables()
-    said, advice, remarks = [], [], acc.remarks if acc is not None else ()
-    if acc is not None:
-        word = "well" if acc.worst_sigma < DOUBTED_SIGMA else "roughly"
-        said.append(
-            f"{acc.poses} rest poses determine the accelerometer"
-            f" {'very well' if acc.worst_sigma < GOOD_SIGMA else word}: corrected, gravity's length is known"
-            f" to {acc.sigma:.4f} m/s^2 on average and {acc.worst_sigma:.4f} in the worst direction"
-        )
-        off = np.linalg.norm(calibration.rests.acc, axis=1) - calibration.gravity
-        said.append(
-            f"gravity at rest was off by {np.sqrt(np.mean(off**2)):.3f} m/s^2 (root mean square) before the"
-            f" correction, and by {acc.rms:.4f} now"
-        )
-    else:
-        said.append(
-            "this is one long rest: it gives the noise and the gyroscope's bias, not the accelerometer"
-        )
-        advice.append(
-            "for offset, scale and cross-axis: twelve rest poses of three seconds each, the sensor on its six"
-            " sides and on six edges between them"
-        )
-    source = f"the mean of {gyro.samples} still samples"
-    if gyro.rule == "running":
-        source = f"the running mean of {gyro.samples} stable samples, as the sensor never lay still for long"
-        advice.append("for the gyroscope's bias: leave the sensor lying for five seconds while it records")
-    bias = ", ".join(f"{value:+.3f}" for value in np.degrees(gyro.offset))
-    said.append(f"the gyroscope's bias is {bias} degrees/s, {source}")
-    noise = calibration.gyroscope_noise
-    if noise is None:
-        advice.append(
-            f"for the noise: one rest of {WHITE_S:.0f} s at least; bias instability takes an hour or more"
-        )
-    elif noise.duration_s < SLOW_S:
-        advice.append(
-            f"for bias instability and random walk: one rest of an hour or more (the longest was"
-            f" {noise.duration_s:.0f} s)"
-        )
-    elif np.isnan(noise.instability).all() or np.isnan(noise.walk).all():
-        advice.append(
-            f"bias instability or random walk did not show in {noise.duration_s / 60.0:.0f} minutes; a longer"
-            " rest at an even temperature may show them"
-        )
     figures: dict[str, Any] = {
         "imu": calibration.name,
         "rests": len(calibration.rests),
         "poses": calibration.rests.poses,
         "gravity": calibration.gravity,
         "accelerometer": {**tables.get("accelerometer", {})},
-        "gyroscope": {**tables["gyroscope"], "rule": gyro.rule, "samples": gyro.samples},
-        "noise": [
-            {"sensor": sensor, "figure": name, "x, y, z": factor * getattr(own, attribute)}
-            for sensor, name, attribute, factor in _DATASHEET
-            if (own := calibration.noises.get(sensor)) is not None
-        ],
+        "gyroscope": tables["gyroscope"] | {"rule": gyro.rule, "samples": gyro.samples},
     }
-    if acc is not None:
-        shown = ("covariance", "worst_direction", "residual", "remarks")
-        figures["accelerometer"] |= {name: getattr(acc, name) for name in shown}
-    for name, own in calibration.noises.items():
-        figures[name]["allan"] = {
-            "tau_s": own.tau_s,
-            "deviation": own.deviation,
-            "noise_density": own.density,
-            "bias_instability": own.instability,
-            "random_walk": own.walk,
+    checks = [
+        Finding("still samples of the gyroscope", gyro.samples * (gyro.rule == "rest"), STILL_SAMPLES, "",
+                "for the gyroscope's bias: leave the sensor lying for five seconds while it records", True),
+        Finding("longest rest, for the noise", calibration.noise_rest_s, WHITE_S, "s",
+                f"for the noise: one rest of {WHITE_S:.0f} s at least", True),
+    ]  # fmt: skip
+    grade, sentence = "usable", "this is one long rest: it gives the noise and the gyroscope's bias"
+    if acc is None:
+        checks.insert(0, Finding("offset, scale and cross-axis", remedy=f"record {POSES}", is_open=True))
+    else:
+        figures["accelerometer"] |= {
+            name: getattr(acc, name) for name in ("covariance", "worst_direction", "residual")
         }
-    good = acc is not None and acc.worst_sigma < DOUBTED_SIGMA
-    return Answer(
-        Verdict("good" if good else "usable", said[0], tuple(said[1:]), tuple(advice)),
-        tuple(remarks),
-        CalibrationFile().with_table("imu", {sensor_name(calibration.name): tables}),
-        figures,
-    )
+        off = np.linalg.norm(calibration.rests.acc, axis=1) - calibration.gravity
+        sentence = (
+            f"{acc.poses} rest poses determine the accelerometer: corrected, gravity's length is known to"
+            f" {acc.sigma:.4f} m/s^2 on average; at rest it was off by {np.sqrt(np.mean(off**2)):.3f} m/s^2"
+            f" (root mean square) before the correction, and by {acc.rms:.4f} now"
+        )
+        axis = axis_words(acc.worst_direction)
+        worst = int(np.argmax(np.abs(acc.residual)))
+        grade = "good" if acc.worst_sigma < DOUBTED_SIGMA else "usable"
+        checks += [
+            Finding(f"sigma with the sensor's {axis} up", acc.worst_sigma, DOUBTED_SIGMA, "m/s^2",
+                    f"add rests with the sensor's {axis} up, and with it down", is_open=True),
+            Finding(f"rest {worst + 1} off gravity", abs(float(acc.residual[worst])), LARGE_RESIDUAL, "m/s^2",
+                    "lay the sensor on something firm, and leave it quite still"),
+        ]  # fmt: skip
+    file = CalibrationFile().with_table("imu", {sensor_name(calibration.name): tables})
+    return Answer(grade, sentence, checks, file, figures)
 
 
 #: Fewer samples than this are not taken for a calibration.
@@ -651,7 +519,7 @@ class MagnetometerCalibration:
     radii: FloatArray  # (3,): the ellipsoid's radii, in the sensor's unit, ascending
     samples: int  # How many were used
     coverage: Coverage  # Of the sphere by the corrected samples
-    remarks: tuple[str, ...] = ()  # What is worth a word, one sentence each
+    strays: float = 0.0  # Share of the samples that lie far off the rest: a magnet came near
 
     def apply(self, raw: FloatArray) -> FloatArray:
         """Corrected samples (N, 3) of raw ones (N, 3)."""
@@ -700,25 +568,10 @@ def calibrate_magnetometer(raw: FloatArray) -> MagnetometerCalibration:
             " soft iron does not do; turn the sensor about all its axes, away from magnets."
         )
     _check_residual(residual)
-    remarks, off = [], np.abs(length - 1.0)
-    stray = float(np.mean(off > max(_STRAY * float(robust_sigma(length - 1.0)), LARGE_MAG_RESIDUAL)))
-    if stray > STRAY_SHARE:
-        remarks.append(
-            f"{100 * stray:.1f} % of the samples lie far off the rest and hardly counted: a magnetic"
-            " object came near for a while"
-        )
-    if coverage.hole_rad > LARGE_HOLE_RAD:
-        remarks.append(
-            f"{hole_deg:.0f} degrees of the sphere around the sensor's {towards} were not covered; the next"
-            " recording should fill them"
-        )
-    if residual > LARGE_MAG_RESIDUAL:
-        remarks.append(
-            f"the samples lie {100 * residual:.1f} % off the ellipsoid (root mean square): the field was"
-            " not homogeneous; record on one spot, half a metre from iron and electronics"
-        )
+    off = np.abs(length - 1.0)
+    strays = float(np.mean(off > max(_STRAY * float(robust_sigma(length - 1.0)), LARGE_MAG_RESIDUAL)))
     return MagnetometerCalibration(
-        middle + scale * offset, matrix / scale, residual, radii, len(samples), coverage, tuple(remarks)
+        middle + scale * offset, matrix / scale, residual, radii, len(samples), coverage, strays
     )
 
 
@@ -779,43 +632,33 @@ def _check_residual(residual: float) -> None:
 
 def magnetometer_answer(calibration: MagnetometerCalibration, imu_name: str) -> Answer:
     """Hard and soft iron, whether they serve, and what to record next."""
-    radii, coverage, remarks = calibration.radii, calibration.coverage, calibration.remarks
-    shift = float(np.linalg.norm(calibration.offset)) / float(np.mean(radii))
-    findings = (
-        f"hard iron shifts the field by {100 * shift:.0f} % of its strength, soft iron makes it"
-        f" {100 * (radii[2] / radii[0] - 1.0):.0f} % longer in one direction than in another",
-        f"{100 * coverage.share:.0f} % of the sphere's cells were covered, the largest hole reaches"
-        f" {np.degrees(coverage.hole_rad):.0f} degrees",
-    )
-    advice = [
-        "calibrate again when the sensor's battery, case or strap buckle changes: iron on it moves the field"
-    ]
-    if calibration.residual > 0.5 * LARGE_MAG_RESIDUAL:
-        advice.insert(
-            0,
-            "turn the sensor on one spot rather than carrying it about, half a metre from iron, loudspeakers"
-            " and telephones",
-        )
+    radii, coverage, residual = calibration.radii, calibration.coverage, calibration.residual
+    on_one_spot = "turn the sensor on one spot, half a metre from iron, loudspeakers and telephones"
+    hole_deg, towards = float(np.degrees(coverage.hole_rad)), axis_words(coverage.towards)
+    checks = [
+        Finding(f"hole in the coverage, around the sensor's {towards}", hole_deg,
+                float(np.degrees(LARGE_HOLE_RAD)), "degrees", "continue turning until it is filled"),
+        Finding("samples off the ellipsoid (rms)", residual, LARGE_MAG_RESIDUAL, "of the field", on_one_spot),
+        Finding("samples far off the rest", calibration.strays, STRAY_SHARE, "of all", on_one_spot),
+    ]  # fmt: skip
+    grade = "good" if all(row.is_good for row in checks) else "usable"
     table = {
         "offset": calibration.offset.tolist(),
         "matrix": calibration.matrix.tolist(),
-        "residual_rms": calibration.residual,
+        "residual_rms": residual,
         "samples": calibration.samples,
     }
-    figures = {
-        **table,
+    figures = table | {
         "radii": radii,
         "largest_hole_rad": coverage.hole_rad,
         "covered_share": coverage.share,
-        "remarks": remarks,
+        "hard_iron_share": float(np.linalg.norm(calibration.offset) / np.mean(radii)),
+        "soft_iron_share": float(radii[2] / radii[0] - 1.0),
     }
     sentence = (
-        f"{calibration.samples} samples determine the magnetometer {'roughly' if remarks else 'well'}:"
-        f" they lie {100 * calibration.residual:.1f} % off the ellipsoid (root mean square)"
+        f"{calibration.samples} samples determine the magnetometer: they lie {100 * residual:.1f} % off the"
+        " ellipsoid (root mean square); iron on the sensor moves the field: calibrate again when battery,"
+        " case or buckle change"
     )
-    return Answer(
-        Verdict("usable" if remarks else "good", sentence, findings, tuple(advice)),
-        remarks,
-        CalibrationFile().with_table("imu", {sensor_name(imu_name): {"magnetometer": table}}),
-        {"imu": imu_name, "magnetometer": figures},
-    )
+    file = CalibrationFile().with_table("imu", {sensor_name(imu_name): {"magnetometer": table}})
+    return Answer(grade, sentence, checks, file, {"imu": imu_name, "magnetometer": figures})

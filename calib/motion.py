@@ -24,6 +24,7 @@ from smoother.measurements.segment import Segment, split_into_segments
 from smoother.recording import JOINTS, Recording
 from smoother.recovery.imu_signs import PLATEAU_SHARE, clipped
 from smoother.result import Recovery
+from smoother.rotation import Rotation
 from smoother.runtime.pool import Pool
 from smoother.selfcal.pairing import synchronise_coarsely
 from smoother.selfcal.rounds import self_calibrate
@@ -32,7 +33,7 @@ from smoother.selfcal.session import find_straps
 from smoother.window.priors import with_measured_noise
 
 from .file import CalibrationFile, with_sigma_table
-from .protocol import Answer, Verdict
+from .protocol import Answer, Finding
 from .sigma_factor import hidden_gap_factors, short_recordings
 
 #: Nearer to the elbow-wrist line than this the IMU does not show which way the back of the hand is, m.
@@ -187,22 +188,13 @@ def _counted(parts: Iterable[BoolArray]) -> dict[str, int]:
 
 def _turns(recovery: Recovery) -> tuple[FloatArray, BoolArray]:
     """Rotation vectors (N - 1, 3) in {A} from sample to sample, zero without an answer; which were seen."""
-    q = recovery.quaternion
-    good: BoolArray = np.all(np.isfinite(q), axis=1)
+    good: BoolArray = np.all(np.isfinite(recovery.quaternion), axis=1)
+    R = Rotation.from_quat(
+        np.where(good[:, None], recovery.quaternion, [1.0, 0.0, 0.0, 0.0]), scalar_first=True
+    )
     both = good[1:] & good[:-1] & (np.diff(recovery.t_s) > 0)
-    turn = np.zeros((len(both), 3))
-    turn[both] = _turn_between(q[:-1][both], q[1:][both])
+    turn = np.where(both[:, None], (R[:-1].inv() * R[1:]).as_rotvec(), 0.0)
     return turn, both & ~(recovery.occluded[1:] | recovery.occluded[:-1])
-
-
-def _turn_between(before: FloatArray, after: FloatArray) -> FloatArray:
-    """Rotation vectors (n, 3) of conj(before) * after, quaternions (n, 4) with qw first: no matrix each."""
-    w0, w1, v0, v1 = before[:, 0], after[:, 0], before[:, 1:], after[:, 1:]
-    w = w0 * w1 + np.einsum("ni,ni->n", v0, v1)
-    v = w0[:, None] * v1 - w1[:, None] * v0 - np.cross(v0, v1)
-    sine = np.linalg.norm(v, axis=1)
-    angle = 2.0 * np.arctan2(sine, np.abs(w)) * np.where(w < 0, -1.0, 1.0)
-    return v * np.divide(angle, sine, out=2.0 / w, where=sine > 0)[:, None]
 
 
 def _turns_of_segment(segment: Segment) -> tuple[FloatArray, FloatArray, BoolArray]:
@@ -433,7 +425,7 @@ class ArmEstimates:
 
 def motion_answer(estimates: ArmEstimates) -> Answer:
     """How well the arm is known now, and what belongs into the file: the arm, and sigma's factors in gaps."""
-    arm, left_open = estimates.calibration, estimates.not_determined
+    arm, open_questions = estimates.calibration, estimates.not_determined
     file = CalibrationFile().with_arm(arm)
     if arm.sigma_factors is not None:
         rows = [
@@ -441,13 +433,13 @@ def motion_answer(estimates: ArmEstimates) -> Answer:
             for row in arm.sigma_factors.by_length
         ]
         file = with_sigma_table(file, rows, "the camera's joints", [])
-    if not arm.lever_arms:
-        verdict = Verdict("not good enough", "no lever arm was found", (), (MOVE,))
-    else:
-        worst_m = max(float(np.max(lever.sigma_m)) for lever in arm.lever_arms.values())
-        sentence = f"lever arms are known to {1e3 * worst_m:.0f} mm per axis at worst (one sigma)"
-        verdict = Verdict("usable" if left_open else "good", sentence, (), (MOVE,) if left_open else ())
-    return Answer(verdict, left_open, file, estimates.figures)
+    worst_m = max((float(np.max(lever.sigma_m)) for lever in arm.lever_arms.values()), default=np.nan)
+    grade = "not good enough" if not arm.lever_arms else "usable" if open_questions else "good"
+    sentence = f"lever arms are known to {1e3 * worst_m:.0f} mm per axis at worst (one sigma)"
+    checks = [Finding(each, remedy=MOVE, is_open=True) for each in open_questions]
+    return Answer(
+        grade, sentence if arm.lever_arms else "no lever arm was found", checks, file, estimates.figures
+    )
 
 
 def names_given(known: ArmCalibration | None) -> tuple[str, ...]:
@@ -546,19 +538,23 @@ def calibrate_motion(
     evidence = gather(segments, calibration.forearm_direction)
     coarse = [clock for _, clock in moved]
     offsets = _offsets(recordings, coarse, {segment.recording for segment in segments}, solved)
-    left_open = not_determined(calibration, frame, evidence, known, solved.joint_bias.sigma_m)
+    bias_m = solved.joint_bias.sigma_m
     shifts_m = np.linalg.norm(solved.joint_bias.error_m, axis=1)
     return ArmEstimates(
         calibration=calibration,
         frame=frame,
         offsets=offsets,
         evidence=evidence,
-        not_determined=(*left_open, *clocks_not_determined(offsets), *left_out),
+        not_determined=(
+            *not_determined(calibration, frame, evidence, known, bias_m),
+            *clocks_not_determined(offsets),
+            *left_out,
+        ),
         camera={
             joint: JointError(noise.sample_m, float(shifts_m[JOINTS.index(joint)]))
             for joint, noise in solved.joint_noise.items()
         },
-        joint_bias_sigma_m=solved.joint_bias.sigma_m,
+        joint_bias_sigma_m=bias_m,
         given=names_given(known),
         self_calibration=solved,
     )

@@ -10,7 +10,7 @@ as the depth has it, which shifts with the depth's error.
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations, permutations
 from pathlib import Path
@@ -18,6 +18,7 @@ from typing import Annotated, Any, Self
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, model_validator
+from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
 from smoother.array_types import BoolArray, FloatArray
@@ -27,8 +28,18 @@ from smoother.linalg import nearest_rotation, skew, unit
 from .file import CalibrationFile, checked, toml_document
 from .images import Blobs, View, check_size, find_blobs
 from .intrinsics import Intrinsics
-from .plane import Frame, Panel, Plane, Regions, fit_plane, on_plane, panel_regions, regions_on_plane
-from .protocol import Answer, Verdict
+from .plane import (
+    Frame,
+    Panel,
+    Plane,
+    Regions,
+    fit_plane,
+    on_plane,
+    panel_regions,
+    regions_on_plane,
+    robust_plane,
+)
+from .protocol import Answer, Finding
 
 #: A panel that is larger, or whose markers are nearer, was not measured in metres.
 LARGEST_M, NEAREST_M = 5.0, 0.02
@@ -183,7 +194,8 @@ def identify_spots(blobs: Blobs, depth_m: FloatArray, rays: FloatArray, panel: P
             " check that all four face the camera and nothing covers them."
         )
     sets = np.array(list(combinations(range(len(blobs)), 4)))
-    thetas, known = _planes(blobs.pixels[sets], depth_m, rays)
+    thetas = _planes(blobs.pixels[sets], depth_m, rays)
+    known = np.isfinite(thetas).all(axis=1)
     if not known.any():
         if _on_one_line(blobs):
             raise _edge_on_line(name)
@@ -261,36 +273,16 @@ def _faces(reading: Reading, panel: Panel) -> bool:
     return bool(np.cross(axes[0], axes[1]) @ at.mean(axis=0) < 0)
 
 
-def _planes(corners: FloatArray, depth_m: FloatArray, rays: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Planes (S, 3) of the depth between four spots each, and whether there was enough depth for one."""
-    rng = np.random.default_rng(0)
-    weights = rng.dirichlet(np.ones(4), 400)
+def _planes(corners: FloatArray, depth_m: FloatArray, rays: FloatArray) -> FloatArray:
+    """Planes (S, 3) of the depth between four spots each (S, 4, 2); nan where there was too little of it."""
+    weights = np.random.default_rng(0).dirichlet(np.ones(4), 400)
     weights = weights[weights.max(axis=1) < 0.8][:240]  # away from the markers' own holes
-    at = np.rint(np.einsum("nk,skj->snj", weights, corners)).astype(int)
-    depth = depth_m[at[..., 1], at[..., 0]]
-    full = np.concatenate([rays[at[..., 1], at[..., 0]], np.ones((*depth.shape, 1))], axis=2)
-    seen = np.isfinite(depth)
-    known = seen.sum(axis=1) >= 30
-    inverse = np.where(seen, 1 / depth, 0.0)
-    triples = rng.integers(0, depth.shape[1], (60, 3))
-    matrices, values = full[:, triples], inverse[:, triples]
-    sound = seen[:, triples].all(axis=2) & (np.abs(np.linalg.det(matrices)) > 1e-8)
-    matrices = np.where(sound[..., None, None], matrices, np.eye(3))
-    tried = np.linalg.solve(matrices, values[..., None])[..., 0]  # (S, T, 3)
-    off = np.abs(np.einsum("snj,stj->stn", full, tried) - inverse[:, None])
-    off = np.where(seen[:, None], off, np.nan)
-    with np.errstate(invalid="ignore"):
-        median = np.nanmedian(np.where(known[:, None, None], off, 0.0), axis=2)
-    median = np.where(sound, median, np.inf)
-    best = np.argmin(median, axis=1)
-    rows = np.arange(len(corners))
-    theta, limit = tried[rows, best], 3 * 1.4826 * median[rows, best] + 1e-4
-    near = seen & (off[rows, best] <= limit[:, None])
-    known &= np.isfinite(median[rows, best]) & (near.sum(axis=1) >= 20)
-    weight = near[..., None] * full
-    normal = np.einsum("snj,snk->sjk", weight, full) + 1e-12 * np.eye(3)
-    refined = np.linalg.solve(normal, np.einsum("snj,sn->sj", weight, inverse)[..., None])[..., 0]
-    return np.where(known[:, None], refined, theta), known
+    thetas = np.full((len(corners), 3), np.nan)
+    for row, pixels in enumerate(np.rint(weights @ corners).astype(int)):
+        u, v = pixels[np.isfinite(depth_m[pixels[:, 1], pixels[:, 0]])].T
+        if len(u) >= 30:
+            thetas[row] = robust_plane(rays[v, u], depth_m[v, u])
+    return thetas
 
 
 def _none_fits(name: str, blobs: Blobs, places: FloatArray) -> NotSeen:
@@ -361,15 +353,13 @@ def raised(theta: FloatArray, height_m: float) -> FloatArray:
 
 @dataclass(frozen=True)
 class PanelSolution:
-    """The graph's answer."""
+    """The least-squares answer."""
 
     camera_from_mocap: Frame  # p_K = R p_E + origin
     # (6, 6): Of a small rotation about {K}'s axes at the camera's place (rad) and a shift (m)
     covariance: FloatArray
     depth_offset_m: float  # The camera's depth is this much too long; 0 and inf where it was not solved
     depth_offset_sigma_m: float  # The camera's depth is this much too long; 0 and inf where it was not solved
-    offset_apart_m: float  # That error by the markers' spacing alone
-    offset_apart_sigma_m: float  # That error by the markers' spacing alone
     ray_residuals: FloatArray  # (poses, 4): of a marker's ray from where the answer puts the mocap marker
     # (poses, 4) m: Distance between a marker in mocap and where the answer puts it
     marker_residuals_m: FloatArray
@@ -377,151 +367,90 @@ class PanelSolution:
     plane_residuals_m: FloatArray
     misfit: float  # Squared residuals over what the stated noise makes expected
     residuals: int  # Number of independent residuals
+    offset_apart_m: float = 0.0  # The depth's error by the markers' spacing alone
+    offset_apart_sigma_m: float = np.inf
 
 
 def solve(poses: list[PoseData]) -> PanelSolution:
     """Solve for camera from mocap."""
-    free = _graph_solution(poses, solve_offset=True)
+    free = solution(poses, solve_offset=True)
     clear = abs(free.depth_offset_m) > CLEAR * free.depth_offset_sigma_m and free.misfit < EXPLAINED
-    answer = free if len(poses) > 1 or clear else _graph_solution(poses, solve_offset=False)
+    answer = free if len(poses) > 1 or clear else solution(poses, solve_offset=False)
     return replace(answer, offset_apart_m=free.depth_offset_m, offset_apart_sigma_m=free.depth_offset_sigma_m)
 
 
-def _graph_solution(poses: list[PoseData], solve_offset: bool) -> PanelSolution:
-    import gtsam
+#: About one sigma of the turn, rad, of the shift, m, and of the depth's error, m.
+_UNITS = np.array([1e-4] * 6 + [1e-3])
+#: Weights have settled where none changes by more.
+_SETTLED, _ROUNDS = 1e-9, 50
 
-    graph, start = _build(poses, solve_offset)
-    settings = gtsam.LevenbergMarquardtParams()
-    settings.setRelativeErrorTol(1e-12)
-    settings.setAbsoluteErrorTol(1e-12)
-    try:
-        values = gtsam.LevenbergMarquardtOptimizer(graph, start, settings).optimize()
-        marginals = gtsam.Marginals(graph, values)
-        covariance = np.array(marginals.marginalCovariance(_CAMERA))
-        offset_variance = marginals.marginalCovariance(_OFFSET)[0, 0] if solve_offset else np.inf
-    except RuntimeError as error:
+
+def solution(poses: list[PoseData], solve_offset: bool) -> PanelSolution:
+    """Least squares over all poses, with Huber's loss of rays and mocap markers by weights found in turn.
+
+    Unknowns in about their sigmas: the camera's small turn and shift, the depth's error, then by pose the
+    plane in the depth's camera and the four markers in the mocap frame.
+    """
+    rays, markers_E = (np.array([getattr(pose, name) for pose in poses]) for name in ("rays", "markers_E"))
+    sigmas = np.array([pose.sigmas for pose in poses])[..., None]
+    sigma_E, height = (np.array([[getattr(p, n)] for p in poses]) for n in ("sigma_E_m", "height_m"))
+    roots = np.linalg.cholesky([pose.plane.covariance for pose in poses])
+    first = kabsch(np.concatenate(markers_E), np.concatenate([pose.points_K() for pose in poses]))
+
+    def camera(x: FloatArray) -> Frame:
+        turn = Rotation.from_rotvec(_UNITS[:3] * x[:3]).as_matrix()
+        return Frame(turn @ first.R, turn @ first.origin + _UNITS[3:6] * x[3:6])
+
+    def misfits(x: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Of rays (P, 4, 2), mocap markers (P, 4, 3) and the rest, in sigmas."""
+        at, offset, own = camera(x), _UNITS[6] * x[6] * solve_offset, x[7:].reshape(-1, 15)
+        plane = np.array([pose.plane.at_offset(offset) for pose in poses])
+        theta, moved = plane + np.einsum("pij,pj->pi", roots, own[:, :3]), own[:, 3:].reshape(-1, 4, 3)
+        points = (markers_E + sigma_E[..., None] * moved) @ at.R.T + at.origin
+        seen = (points[..., :2] / points[..., 2:] - rays) / sigmas
+        away = (np.einsum("pki,pi->pk", points, theta) - 1) / np.linalg.norm(theta, axis=1)[:, None] + height
+        prior = _UNITS[6] * x[6:7] / OFFSET_SIGMA_M
+        return seen, moved, np.concatenate([prior, (away / ON_PLANE_SIGMA_M).ravel(), own[:, :3].ravel()])
+
+    def weighted(x: FloatArray, weights: list[FloatArray]) -> FloatArray:
+        *parts, rest = misfits(x)
+        return np.concatenate([*((w * part).ravel() for w, part in zip(weights, parts, strict=True)), rest])
+
+    x, sizes = np.zeros(7 + 15 * len(poses)), [np.zeros((len(poses), 4, 1))] * 2
+    for _ in range(_ROUNDS):
+        weights = [np.sqrt(np.minimum(HUBER / np.maximum(size, HUBER), 1.0)) for size in sizes]
+        fit = least_squares(weighted, x, args=(weights,), method="lm")
+        before, x = sizes, fit.x
+        *parts, rest = misfits(x)
+        sizes = [np.linalg.norm(part, axis=2, keepdims=True) for part in parts]
+        if max(np.abs(a - b).max() for a, b in zip(sizes, before, strict=True)) < _SETTLED:
+            break
+    information = fit.jac.T @ fit.jac
+    if not np.linalg.cond(information) < 1e12:
         raise CalibrationError(
             "the panel's poses contradict each other or do not determine the transform; check that images and"
             " markers of a pose were taken at the same moment"
-        ) from error
-    camera_in_mocap = values.atPose3(_CAMERA)
-    inverse = camera_in_mocap.inverse()
-    transform = Frame(inverse.rotation().matrix(), np.array(inverse.translation()))
-    offset = float(values.atVector(_OFFSET)[0]) if solve_offset else 0.0
-    misfit, count = 2 * graph.error(values), 6 * len(poses)
+        )
+    robust = sum(float(np.where(z < HUBER, z**2, HUBER * (2 * z - HUBER)).sum()) for z in sizes)
+    misfit, count = robust + float(rest @ rest), 6 * len(poses)
     scale = (PRIOR_RESIDUALS + misfit) / (PRIOR_RESIDUALS + count)
+    covariance = np.linalg.inv(information)[:7, :7] * np.outer(_UNITS, _UNITS) * scale
+    offset_m, transform = float(_UNITS[6] * x[6] * solve_offset), camera(x)
+    at = markers_E @ transform.R.T + transform.origin
+    seen = np.array([pose.points_K(offset_m) for pose in poses])
+    theta = np.array([pose.plane.at_offset(offset_m) for pose in poses])
+    away = (np.einsum("pki,pi->pk", at, theta) - 1) / np.linalg.norm(theta, axis=1)[:, None]
     return PanelSolution(
         camera_from_mocap=transform,
-        covariance=covariance * scale,
-        depth_offset_m=offset,
-        depth_offset_sigma_m=float(np.sqrt(offset_variance * scale)),
-        offset_apart_m=0.0,
-        offset_apart_sigma_m=np.inf,
+        covariance=covariance[:6, :6],
+        depth_offset_m=offset_m,
+        depth_offset_sigma_m=float(np.sqrt(covariance[6, 6])) if solve_offset else np.inf,
+        ray_residuals=np.linalg.norm(at[..., :2] / at[..., 2:] - rays, axis=2),
+        marker_residuals_m=np.linalg.norm(at - seen, axis=2),
+        plane_residuals_m=away + height,
         misfit=misfit / count,
         residuals=count,
-        **_residuals(poses, transform, offset),
     )
-
-
-_CAMERA, _OFFSET = 0, 1
-
-
-def _marker(pose: int, k: int) -> int:
-    return 10 + 5 * pose + k
-
-
-def _plane(pose: int) -> int:
-    return 10 + 5 * pose + 4
-
-
-def _build(poses: list[PoseData], solve_offset: bool) -> tuple[Any, Any]:
-    """The graph and its start: Kabsch on rays that meet the depth's plane."""
-    import gtsam
-
-    graph, start = gtsam.NonlinearFactorGraph(), gtsam.Values()
-    lens = gtsam.Cal3_S2(1.0, 1.0, 0.0, 0.0, 0.0)
-    huber = gtsam.noiseModel.mEstimator.Huber.Create(HUBER)
-    on_plane = gtsam.noiseModel.Isotropic.Sigma(1, ON_PLANE_SIGMA_M)
-    seen = np.concatenate([pose.points_K() for pose in poses])
-    first = kabsch(seen, np.concatenate([pose.markers_E for pose in poses]))
-    start.insert(_CAMERA, gtsam.Pose3(gtsam.Rot3(first.R), first.origin))
-    if solve_offset:
-        start.insert(_OFFSET, np.zeros(1))
-        graph.add(
-            gtsam.PriorFactorVector(_OFFSET, np.zeros(1), gtsam.noiseModel.Isotropic.Sigma(1, OFFSET_SIGMA_M))
-        )
-    for p, pose in enumerate(poses):
-        mocap = gtsam.noiseModel.Robust.Create(huber, gtsam.noiseModel.Isotropic.Sigma(3, pose.sigma_E_m))
-        start.insert(_plane(p), pose.plane.theta)
-        graph.add(_depth_factor(p, pose.plane, solve_offset))
-        for k in range(4):
-            start.insert(_marker(p, k), pose.markers_E[k])
-            graph.add(gtsam.PriorFactorPoint3(_marker(p, k), pose.markers_E[k], mocap))
-            ray = gtsam.noiseModel.Isotropic.Sigma(2, float(pose.sigmas[k]))
-            graph.add(
-                gtsam.GenericProjectionFactorCal3_S2(
-                    pose.rays[k],
-                    gtsam.noiseModel.Robust.Create(huber, ray),
-                    _CAMERA,
-                    _marker(p, k),
-                    lens,
-                )
-            )
-            graph.add(_on_plane_factor(p, k, pose.height_m, on_plane))
-    return graph, start
-
-
-def _depth_factor(p: int, plane: Plane, solve_offset: bool) -> Any:
-    """The pose's plane as the depth has it once its constant error is taken off."""
-    import gtsam
-
-    noise = gtsam.noiseModel.Gaussian.Covariance(plane.covariance)
-    keys = [_plane(p), _OFFSET] if solve_offset else [_plane(p)]
-
-    def error(this: Any, values: Any, jacobians: Any) -> FloatArray:
-        offset = float(values.atVector(_OFFSET)[0]) if solve_offset else 0.0
-        if jacobians is not None:
-            jacobians[0] = np.eye(3)
-            if solve_offset:
-                jacobians[1] = -(plane.offset_rate + 2 * offset * plane.offset_curve)[:, None]
-        return np.asarray(values.atVector(_plane(p)) - plane.at_offset(offset))
-
-    return gtsam.CustomFactor(noise, keys, error)
-
-
-def _on_plane_factor(p: int, k: int, height_m: float, noise: Any) -> Any:
-    """Signed distance of a marker from the pose's plane, less its height, m."""
-    import gtsam
-
-    def error(this: Any, values: Any, jacobians: Any) -> FloatArray:
-        camera, theta = values.atPose3(_CAMERA), values.atVector(_plane(p))
-        d_camera, d_marker = np.zeros((3, 6), order="F"), np.zeros((3, 3), order="F")
-        at = camera.transformTo(values.atPoint3(_marker(p, k)), d_camera, d_marker)
-        size = float(np.linalg.norm(theta))
-        away = (float(theta @ at) - 1) / size
-        if jacobians is not None:
-            normal = theta / size
-            jacobians[0] = (normal @ d_camera)[None]
-            jacobians[1] = (normal @ d_marker)[None]
-            jacobians[2] = ((at - away * normal) / size)[None]
-        return np.array([away + height_m])  # the normal theta points away from the camera
-
-    return gtsam.CustomFactor(noise, [_CAMERA, _marker(p, k), _plane(p)], error)
-
-
-def _residuals(poses: list[PoseData], transform: Frame, offset_m: float) -> dict[str, FloatArray]:
-    rays, markers, planes = [], [], []
-    for pose in poses:
-        at = pose.markers_E @ transform.R.T + transform.origin
-        rays.append(np.linalg.norm(at[:, :2] / at[:, 2:] - pose.rays, axis=1))
-        markers.append(np.linalg.norm(at - pose.points_K(offset_m), axis=1))
-        theta = pose.plane.at_offset(offset_m)
-        planes.append((at @ theta - 1) / np.linalg.norm(theta) + pose.height_m)
-    return {
-        "ray_residuals": np.array(rays),
-        "marker_residuals_m": np.array(markers),
-        "plane_residuals_m": np.array(planes),
-    }
 
 
 #: Noise of a mocap marker where nothing else is said, m per axis.
@@ -670,6 +599,7 @@ CONTRADICTS = 4.0
 DEFINITION_M = 0.002
 #: Enough poses, and enough spread of their normals, degrees.
 ENOUGH_POSES, ENOUGH_SPREAD_DEG = 4, 15.0
+MORE_POSES = "record 4 to 8 poses: error falls with their number, and the depth's constant error is found"
 
 
 @dataclass(frozen=True)
@@ -702,124 +632,6 @@ def accuracy(calibration: PanelCalibration) -> PanelAccuracy:
     )
 
 
-def verdict(calibration: PanelCalibration) -> Verdict:
-    """Whether the answer is good, for what, and what to record next."""
-    found = accuracy(calibration)
-    rotation = 2 * float(np.linalg.norm(found.rotation_deg))
-    position = 2 * found.within_m
-    misfit = calibration.solution.misfit
-    good = rotation <= GOOD_DEG and position <= GOOD_M and misfit < CONTRADICTS
-    usable = rotation <= USABLE_DEG and position <= USABLE_M and misfit < 3 * CONTRADICTS
-    grade, use = "not good enough", "for comparing with motion capture; record again as follows"
-    if good:
-        grade, use = "good", "for comparing arm motion with motion capture to a centimetre and a degree"
-    elif usable:
-        grade, use = "usable", "for comparing arm motion with motion capture to some centimetres"
-    sentence = (
-        f"Rotation within {rotation:.2f} degrees, positions within"
-        f" {2e3 * float(np.linalg.norm(found.at_panel_m)):.1f} mm at the panel and {1e3 * position:.1f} mm"
-        f" {WITHIN_M:.0f} m away from it (two sigmas): {grade} {use}."
-    )
-    return Verdict(grade, sentence, tuple(_findings(calibration)), tuple(_next(calibration, grade)))
-
-
-def _findings(calibration: PanelCalibration) -> list[str]:
-    solution, poses = calibration.solution, len(calibration.seen)
-    sentences = []
-    if np.isfinite(solution.depth_offset_sigma_m):
-        offset, sigma = 1e3 * solution.depth_offset_m, 1e3 * solution.depth_offset_sigma_m
-        length = "long" if offset > 0 else "short"
-        sentences.append(
-            f"The camera's depth is {abs(offset):.1f} +- {sigma:.1f} mm too {length}, by the markers'"
-            " spacing; the result is corrected for it."
-        )
-    else:
-        sentences.append(
-            "A constant depth error of the camera is ignored: one pose separates it from the markers'"
-            f" spacing only as {1e3 * solution.offset_apart_m:+.1f} +-"
-            f" {1e3 * solution.offset_apart_sigma_m:.1f} mm, and it would pass into the distance; several"
-            " poses would show it."
-        )
-    if solution.misfit > CONTRADICTS:
-        pose, marker = np.unravel_index(
-            np.argmax(solution.marker_residuals_m), solution.marker_residuals_m.shape
-        )
-        worst = 1e3 * solution.marker_residuals_m[pose, marker]
-        sentences.append(
-            f"The residuals are {np.sqrt(solution.misfit):.1f} times what the stated noise makes expected,"
-            f" and sigma is widened for it; the worst is marker {calibration.labels[pose][marker]} of"
-            f" {calibration.names[pose]}, {worst:.1f} mm off: try without that pose."
-        )
-    ends = np.array(list(combinations(range(4), 2))).T
-    wanted, *measured = (
-        np.linalg.norm(at[ends[0]] - at[ends[1]], axis=1)
-        for at in (calibration.panel.markers_P, *calibration.markers_E)
-    )
-    shape = max(float(np.sqrt(np.mean((each - wanted) ** 2))) for each in measured)
-    if shape > DEFINITION_M:
-        sentences.append(
-            f"The mocap markers' distances differ from the panel's definition by {1e3 * shape:.1f} mm rms;"
-            " the definition only shows which marker is which, so the result is not affected."
-        )
-    tilted = [
-        name for name, each in zip(calibration.names, calibration.seen, strict=True) if each.tilt_deg > 45
-    ]
-    if tilted:
-        sentences.append(
-            f"{', '.join(tilted)}: turned more than 45 degrees from the camera, where depth is poor."
-        )
-    ours, theirs = solution.camera_from_mocap, calibration.published
-    if theirs is None:
-        sentences.append(
-            "The published method (principal components of regions) has too few depth points along the arms."
-        )
-        return sentences
-    angle = np.arccos(np.clip((np.trace(ours.R @ theirs.R.T) - 1) / 2, -1, 1))
-    middle = np.mean(np.concatenate(calibration.markers_E), axis=0)
-    apart = np.linalg.norm((ours.R - theirs.R) @ middle + ours.origin - theirs.origin)
-    mean = ", mean of the poses" if poses > 1 else ""
-    sentences.append(
-        f"The published method (principal components of regions{mean}) differs from the result by"
-        f" {np.degrees(angle):.2f} degrees and {1e3 * apart:.1f} mm at the panel."
-    )
-    return sentences
-
-
-def _next(calibration: PanelCalibration, grade: str) -> list[str]:
-    seen = calibration.seen
-    sentences = []
-    if len(seen) < ENOUGH_POSES:
-        sentences.append(
-            f"Record {ENOUGH_POSES} to 8 poses instead of {len(seen)}: error falls with their number, and the"
-            " depth's constant error is found."
-        )
-    normals = np.array([each.plane.normal for each in seen])
-    spread = max(
-        (float(np.degrees(np.arccos(np.clip(a @ b, -1, 1)))) for a, b in combinations(normals, 2)),
-        default=0.0,
-    )
-    if len(seen) > 1 and spread < ENOUGH_SPREAD_DEG:
-        sentences.append(
-            f"Tilt the panel about 20 degrees to different sides: its normals differ by {spread:.0f} degrees."
-        )
-    far = [each.distance_m for each in seen]
-    if max(far) > 2.5:
-        sentences.append(
-            f"Hold the panel nearer than 2.5 m (farthest {max(far):.1f} m): depth is better there."
-        )
-    if len(seen) > 1:
-        middles = np.array([each.points_K.mean(axis=0) for each in seen])
-        if float(np.ptp(middles, axis=0).max()) < 0.3:
-            sentences.append("Spread the poses over the volume in which the arm will move.")
-    if not sentences:
-        sentences.append(
-            "Nothing more is needed; record again when camera or mocap has been moved."
-            if grade == "good"
-            else "Record more poses with the panel still, facing the camera within 30 degrees, 1 to 2 m away."
-        )
-    return sentences
-
-
 def _moved(covariance: FloatArray, point: FloatArray) -> FloatArray:
     """Covariance (6, 6) of the small rotation and of what it and the shift do to a point in {K}."""
     J = np.eye(6)
@@ -832,19 +644,32 @@ NAME = "camera_from_mocap"
 
 def panel_answer(calibration: PanelCalibration) -> Answer:
     """Camera from mocap, p_camera = R p_mocap + t, m; camera optical, x right, y down, z forward."""
-    found, words, solution = accuracy(calibration), verdict(calibration), calibration.solution
-    table = _transform_values(solution.camera_from_mocap)
-    table |= {
+    found, solution, seen = accuracy(calibration), calibration.solution, calibration.seen
+    known = bool(np.isfinite(solution.depth_offset_sigma_m))
+    rotation = 2 * float(np.linalg.norm(found.rotation_deg))
+    position = 2 * found.within_m
+    grade = "not good enough"
+    for word, most_deg, most_m, factor in (
+        ("usable", USABLE_DEG, USABLE_M, 3),
+        ("good", GOOD_DEG, GOOD_M, 1),
+    ):
+        if rotation <= most_deg and position <= most_m and solution.misfit < factor * CONTRADICTS:
+            grade = word
+    sentence = (
+        f"Rotation within {rotation:.2f} degrees, positions within"
+        f" {2e3 * float(np.linalg.norm(found.at_panel_m)):.1f} mm at the panel and {1e3 * position:.1f} mm"
+        f" {WITHIN_M:.0f} m away from it (two sigmas): {grade} for comparing arm motion with motion capture"
+    )
+    table = _transform_values(solution.camera_from_mocap) | {
         "rotation_sigma_deg": found.rotation_deg.tolist(),
         "translation_sigma_m": found.translation_m.tolist(),
         "position_sigma_at_panel_m": found.at_panel_m.tolist(),
         "covariance": found.covariance.tolist(),
-        "poses": len(calibration.seen),
+        "poses": len(seen),
         "misfit": _rounded(solution.misfit),
-        "grade": words.grade,
-        "verdict": words.sentence,
+        "grade": grade,
+        "verdict": sentence,
     }
-    known = bool(np.isfinite(solution.depth_offset_sigma_m))
     if known:
         table["depth_offset_m"] = float(solution.depth_offset_m)
         table["depth_offset_sigma_m"] = float(solution.depth_offset_sigma_m)
@@ -852,23 +677,66 @@ def panel_answer(calibration: PanelCalibration) -> Answer:
         {
             "pose": calibration.names[number],
             "markers": list(calibration.labels[number]),
-            "distance_m": round(seen.distance_m, 4),
-            "tilt_deg": round(seen.tilt_deg, 2),
+            "distance_m": round(each.distance_m, 4),
+            "tilt_deg": round(each.tilt_deg, 2),
             "pixels_rms": _rms(calibration.lens.focal_px * solution.ray_residuals[number]),
             "markers_rms_m": _rms(solution.marker_residuals_m[number]),
             "plane_rms_m": _rms(solution.plane_residuals_m[number]),
-            "depth_noise_m": _rounded(seen.plane.noise_m),
-            "depth_pixels": int(seen.plane.inliers.sum()),
+            "depth_noise_m": _rounded(each.plane.noise_m),
+            "depth_pixels": int(each.plane.inliers.sum()),
         }
-        for number, seen in enumerate(calibration.seen)
+        for number, each in enumerate(seen)
     ]
     if calibration.published is not None:
         table["published"] = _transform_values(calibration.published)
-    return Answer(
-        verdict=words,
-        open_questions=() if known else ("a constant error of the camera's depth",),
-        table=CalibrationFile().with_table(NAME, table),
-        figures={NAME: table, "words": words.words},
+    file = CalibrationFile().with_table(NAME, table)
+    return Answer(grade, sentence, list(_checks(calibration)), file, {NAME: table})
+
+
+def _checks(calibration: PanelCalibration) -> Iterator[Finding]:
+    """What is looked at, against its bounds."""
+    solution, seen = calibration.solution, calibration.seen
+    yield Finding("poses of the panel", len(seen), ENOUGH_POSES, "", MORE_POSES, at_least=True)
+    if not np.isfinite(solution.depth_offset_sigma_m):
+        offset, sigma = 1e3 * solution.offset_apart_m, 1e3 * solution.offset_apart_sigma_m
+        text = f"a constant error of the camera's depth ({offset:+.1f} +- {sigma:.1f} mm by this pose)"
+        yield Finding(text, remedy=MORE_POSES, is_open=True)
+    residuals = solution.marker_residuals_m
+    pose, marker = np.unravel_index(np.argmax(residuals), residuals.shape)
+    worst = f"{calibration.labels[pose][marker]} of {calibration.names[pose]}"
+    name = f"residuals over the stated noise (worst: marker {worst}, {1e3 * residuals.max():.1f} mm off)"
+    yield Finding(name, np.sqrt(solution.misfit), np.sqrt(CONTRADICTS), "", f"try without {worst}")
+    ends = np.array(list(combinations(range(4), 2))).T
+    wanted, *measured = (
+        np.linalg.norm(at[ends[0]] - at[ends[1]], axis=1)
+        for at in (calibration.panel.markers_P, *calibration.markers_E)
+    )
+    shape = max(float(np.sqrt(np.mean((each - wanted) ** 2))) for each in measured)
+    yield Finding(
+        "markers' distances off the panel's definition (rms)", 1e3 * shape, 1e3 * DEFINITION_M, "mm"
+    )
+    for name, each in zip(calibration.names, seen, strict=True):
+        yield Finding(f"{name}: turned from the camera", each.tilt_deg, 45.0, "degrees", TURN_IT)
+    far = max(each.distance_m for each in seen)
+    yield Finding("farthest pose", far, 2.5, "m", "hold the panel nearer: depth is better there")
+    if len(seen) > 1:
+        normals = np.array([each.plane.normal for each in seen])
+        spread = float(np.degrees(np.arccos(np.clip(normals @ normals.T, -1, 1).min())))
+        yield Finding("spread of the panel's normals", spread, ENOUGH_SPREAD_DEG, "degrees",
+                      "tilt the panel about 20 degrees to different sides", at_least=True)  # fmt: skip
+        middles = np.array([each.points_K.mean(axis=0) for each in seen])
+        yield Finding("spread of the panel's places", float(np.ptp(middles, axis=0).max()), 0.3, "m",
+                      "spread the poses over the arm's volume", at_least=True)  # fmt: skip
+    ours, theirs = solution.camera_from_mocap, calibration.published
+    if theirs is None:
+        yield Finding("the published method has too few depth points along the arms")
+        return
+    angle = float(np.degrees(Rotation.from_matrix(ours.R @ theirs.R.T).magnitude()))
+    middle = np.mean(np.concatenate(calibration.markers_E), axis=0)
+    apart = 1e3 * float(np.linalg.norm((ours.R - theirs.R) @ middle + ours.origin - theirs.origin))
+    yield Finding(
+        f"the published method (principal components of regions) differs by {angle:.2f} degrees and"
+        f" {apart:.1f} mm at the panel"
     )
 
 

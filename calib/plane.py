@@ -106,7 +106,7 @@ def fit_plane(
             " measures depth there (dull surface, 0.5 to 4 m away, no sunlight)."
         )
     full = np.column_stack([rays, np.ones(len(rays))])
-    theta = _start(full, 1 / depth_m)
+    theta = robust_plane(rays, depth_m)
     inliers = np.ones(len(depth_m), dtype=bool)
     for _ in range(6):
         residuals = depth_m - 1 / (full @ theta)
@@ -145,9 +145,10 @@ def fit_plane(
     )
 
 
-def _start(full: FloatArray, inverse: FloatArray) -> FloatArray:
-    """Least median of squares over random triples."""
+def robust_plane(rays: FloatArray, depth_m: FloatArray) -> FloatArray:
+    """The plane (3,) of pixels half of which may be off it: least median of squares, then their inliers."""
     rng = np.random.default_rng(0)
+    full, inverse = np.column_stack([rays, np.ones(len(rays))]), 1 / depth_m
     triples = rng.integers(0, len(full), (TRIPLES, 3))
     matrices = full[triples]
     usable = np.abs(np.linalg.det(matrices)) > 1e-9
@@ -156,7 +157,9 @@ def _start(full: FloatArray, inverse: FloatArray) -> FloatArray:
     thetas = np.linalg.solve(matrices[usable], inverse[triples[usable]][..., None])[..., 0]
     some = rng.permutation(len(full))[:1500]
     misfit = np.median(np.abs(full[some] @ thetas.T - inverse[some, None]), axis=0)
-    return np.asarray(thetas[np.argmin(misfit)])
+    best = int(np.argmin(misfit))
+    near = np.abs(full @ thetas[best] - inverse) <= 3 * 1.4826 * misfit[best] + 1e-4
+    return np.asarray(np.linalg.lstsq(full[near], inverse[near], rcond=None)[0], np.float64)
 
 
 def _least_squares(full: FloatArray, depth_m: FloatArray, start: FloatArray) -> FloatArray:

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -14,38 +14,84 @@ from smoother.table import Table
 from .file import CalibrationFile
 
 
-@dataclass(frozen=True)
-class Verdict:
-    """The answer in words."""
+class Finding(NamedTuple):
+    """A statistic of what was found against its bound, and what to record where it is beyond it."""
 
-    grade: str  # "good", "usable" or "not good enough"
-    sentence: str  # The value's sigma and what it is good for
-    findings: tuple[str, ...] = ()  # What else is to be known
-    next: tuple[str, ...] = ()  # What to record next
+    name: str  # What it is; a whole sentence where there is no number to it
+    value: float | None = None
+    bound: float = np.inf
+    unit: str = ""
+    remedy: str = ""
+    at_least: bool = False  # The bound is the smallest value that is good
+    is_open: bool = False  # Beyond the bound something is not determined
 
     @property
-    def words(self) -> dict[str, Any]:
-        """Plain values for `--json`."""
-        return {
-            "grade": self.grade,
-            "verdict": self.sentence,
-            "findings": self.findings,
-            "next": self.next,
-        }
+    def is_good(self) -> bool:
+        """Within its bound; sentences are not."""
+        if self.value is None:
+            return False
+        return self.value >= self.bound if self.at_least else self.value <= self.bound
+
+    @property
+    def sentence(self) -> str:
+        """In words."""
+        if self.value is None:
+            return self.name
+        wanted = f"{'at least' if self.at_least else 'at most'} {self.bound:.3g} {self.unit}".strip()
+        return f"{self.name}: {self.value:.3g} {self.unit}".strip() + f" ({wanted} is good)"
 
 
 @dataclass(frozen=True)
 class Answer:
     """What a calibration found."""
 
-    verdict: Verdict  # What the answer is good for, and what to record next
-    open_questions: tuple[str, ...]  # What was not determined, one sentence each
+    grade: str  # "good", "usable" or "not good enough"
+    sentence: str  # The value's sigma and what it is good for
+    checks: Sequence[Finding]  # All that was looked at, the most important first
     table: CalibrationFile  # What belongs into the calibration file, for `write_calibration`
     figures: dict[str, Any]  # What `--json` writes; keys end in their unit, sigma stands beside its value
 
+    @property
+    def findings(self) -> list[str]:
+        """What else is to be known."""
+        return [row.sentence for row in self.checks if not row.is_good and not row.is_open]
+
+    @property
+    def open_questions(self) -> list[str]:
+        """What was not determined."""
+        return [row.sentence for row in self.checks if not row.is_good and row.is_open]
+
+    @property
+    def next(self) -> list[str]:
+        """What to record next."""
+        remedies = dict.fromkeys(row.remedy for row in self.checks if not row.is_good and row.remedy)
+        return [*remedies] or ["record in the same way: nothing is missing"]
+
+    def to_dict(self) -> dict[str, Any]:
+        """All of it as plain values."""
+        return self.figures | {
+            "grade": self.grade,
+            "verdict": self.sentence,
+            "findings": [
+                row._asdict() | {"good": row.is_good, "sentence": row.sentence} for row in self.checks
+            ],
+            "not_determined": self.open_questions,
+            "next": self.next,
+        }
+
+    def tables(self) -> Iterator[Table]:
+        """The figures, and the statistics that were checked against their bounds."""
+        yield from tables_of(self.figures)
+        rows = [
+            (row.name, f"{row.value:.3g}", f"{'>=' if row.at_least else '<='} {row.bound:.3g}", row.unit)
+            for row in self.checks
+            if row.value is not None and np.isfinite(row.bound)
+        ]
+        yield Table("Checks", ("what", "value", "good", "unit"), rows)
+
 
 #: Figures that are not shown: words, which stand elsewhere, and curves.
-_WORDS = {"words", "verdict", "findings", "next", "remarks", "not_determined", "grade", "allan"}
+_WORDS = {"grade", "verdict", "not_determined"}
 #: Units at the end of a key, and what people read instead.
 _UNITS = {"_m": (1e3, "mm"), "_rad": (180.0 / np.pi, "deg"), "_deg_s": (1.0, "deg/s"), "_s": (1.0, "s"),
           "_deg": (1.0, "deg"), "_ppm": (1.0, "ppm"), "_hz": (1.0, "Hz"), "_db": (1.0, "dB")}  # fmt: skip
@@ -53,7 +99,7 @@ _UNITS = {"_m": (1e3, "mm"), "_rad": (180.0 / np.pi, "deg"), "_deg_s": (1.0, "de
 _MOST = 9
 
 
-def findings(figures: Mapping[str, Any], title: str = "") -> list[Table]:
+def tables_of(figures: Mapping[str, Any], title: str = "") -> list[Table]:
     """Figures as tables: one of single values, then one of every list of rows.
 
     A value is written to two digits of its sigma, which stands under the same key with `sigma` in it.
@@ -80,7 +126,7 @@ def _below(values: Mapping[str, Any], key: str, name: str) -> list[Table]:
         return [_rows(name, [{"of": _name(part), **each} for part, each in values.items()])]
     numbers = all(isinstance(each, int | float) for each in values.values())
     unit = _unit(key) if numbers else ""  # of joints under `camera_sigma_m`, say
-    return findings({part + unit: each for part, each in values.items()}, name)
+    return tables_of({part + unit: each for part, each in values.items()}, name)
 
 
 def _rows(name: str, rows: Sequence[Mapping[str, Any]]) -> Table:

@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
 from smoother.array_types import FloatArray
@@ -22,7 +23,7 @@ from .images import View
 from .intrinsics import Intrinsics
 from .panel import SeenPanel, see_panel
 from .plane import Panel
-from .protocol import Answer, Verdict
+from .protocol import Answer, Finding
 from .sensor import corrected_streams, sensor_of
 
 #: Samples this far from a pose's time may count to it, s.
@@ -146,8 +147,6 @@ BIAS_M_S2, CORRECTED_M_S2 = 0.03, 0.012
 IRON, ROOM_RAD = 0.05, np.radians(2.0)
 #: Magnetic dip is not asked for: any from the equator to the pole, rad.
 DIP_RAD = 3.0
-#: Steps of the fit; a gain smaller than this share of the sum of squares ends it; of the derivatives.
-_ROUNDS, _SMALL, _STEP = 60, 1e-8, 1e-7
 
 
 @dataclass(frozen=True)
@@ -376,43 +375,22 @@ class _Chain:
         rows.append((at.rest - start.rest) / self._bias_sigma)
         return np.concatenate([np.ravel(row) for row in rows])
 
-    def _slopes(self, at: Attitudes, misfit: FloatArray, size: int) -> FloatArray:
-        """Derivatives (r, c) of the misfits at some attitudes, by small steps."""
-        steps = _STEP * np.eye(size)
-        return np.stack([(self.misfit(at.moved(step)) - misfit) / _STEP for step in steps], axis=1)
-
     def solved(self) -> WorldSolution:
-        """Least squares over all poses, by Gauss and Newton with Levenberg's damping."""
-        at, count, damping = self._start, len(self._seen), 1e-6
+        """Least squares over all poses; once more about the first answer, so that its slopes are local."""
+        at, count = self._start, len(self._seen)
         size = 6 + 6 * count + len(at.rest)
-        misfit = self.misfit(at)
-        for _ in range(_ROUNDS):
-            jacobian = self._slopes(at, misfit, size)
-            normal = jacobian.T @ jacobian
-            step = np.linalg.solve(normal + damping * np.diag(np.diag(normal)), -jacobian.T @ misfit)
-            trial = at.moved(np.asarray(step, dtype=np.float64))
-            tried = self.misfit(trial)
-            gain = float(misfit @ misfit - tried @ tried)
-            if gain < 0:
-                damping = max(damping, 1e-8) * 10
-                continue
-            at, misfit, damping = trial, tried, damping / 10
-            if gain < _SMALL * (1 + tried @ tried):
-                break
-        jacobian = self._slopes(at, misfit, size)
+        for _ in range(2):
+            fit = least_squares(lambda x, about=at: self.misfit(about.moved(x)), np.zeros(size), method="lm")
+            at = at.moved(fit.x)
+        cost = 2 * float(fit.cost)
         # three rows of a direction have two degrees; a few poses may fit by luck
-        spare = len(misfit) - (2 if self._field is None else 4) * count - size
-        spread = max(1.0, float(misfit @ misfit) / spare) if spare > 0 else 1.0
+        spare = len(fit.fun) - (2 if self._field is None else 4) * count - size
+        spread = max(1.0, cost / spare) if spare > 0 else 1.0
         bias = size - len(at.rest)
         kept = np.r_[0:3, bias : bias + 3, 3:6]
-        covariance = np.linalg.inv(jacobian.T @ jacobian) * spread
-        return WorldSolution(
-            at,
-            covariance[np.ix_(kept, kept)],
-            self.camera_left(at),
-            np.linalg.norm(self.of_poses(at), axis=2).max(axis=1),
-            float(misfit @ misfit),
-        )
+        covariance = np.linalg.inv(fit.jac.T @ fit.jac)[np.ix_(kept, kept)] * spread
+        worst = np.linalg.norm(self.of_poses(at), axis=2).max(axis=1)
+        return WorldSolution(at, covariance, self.camera_left(at), worst, cost)
 
 
 #: An IMU that was lined up with the panel by eye is off by this, per axis.
@@ -609,11 +587,6 @@ class WorldAccuracy:
     mounting_deg: FloatArray  # (3,) degrees: of the panel's IMU on the panel, about the IMU's axes
     off_deg: float  # How far that mounting is from lined up
 
-    @property
-    def heading_free(self) -> bool:
-        """Nothing of use is known about the heading."""
-        return self.heading_deg > FREE_DEG
-
 
 def accuracy(calibration: WorldCalibration) -> WorldAccuracy:
     """Sigmas of rotation, tilt, heading and mounting."""
@@ -632,50 +605,13 @@ def accuracy(calibration: WorldCalibration) -> WorldAccuracy:
     )
 
 
-def verdict(calibration: WorldCalibration) -> Verdict:
-    """Good or not, for what, and what to record next."""
-    sigma = accuracy(calibration)
-    grade, use = "not good enough", "not better than assuming a level camera"
-    if sigma.tilt_deg <= GOOD_DEG:
-        grade, use = "good", "good for `smooth`, which takes gravity from the base IMU"
-    elif sigma.tilt_deg <= USABLE_DEG:
-        grade, use = "usable", "of use for `smooth`, which weighs gravity from the base IMU by this sigma"
-    said, advice = [], []
-    if sigma.heading_free:
-        said.append(
-            "The heading between camera and base IMU is undetermined: neither a magnetometer nor a"
-            " rotation of the camera shows it. Gravity is valid while the camera is placed about as in"
-            " these poses."
-        )
-    else:
-        said.append(f"The heading between camera and base IMU is known to {sigma.heading_deg:.1f} degrees.")
-    if calibration.by_eye:
-        said.append(
-            "The poses do not show how the IMU sits on the panel: it was taken as lined up with the panel's "
-            "axes to 3 degrees, as in the published method."
-        )
-        advice.append(
-            "Hold the panel in at least four different poses: rolled by 90 degrees in the image, and tilted."
-        )
-    else:
-        said.append(
-            f"The IMU on the panel is {sigma.off_deg:.1f} degrees off the panel's axes "
-            f"(+- {float(np.linalg.norm(sigma.mounting_deg)):.1f})."
-        )
-    if sigma.heading_free:
-        advice.append(
-            "To have the heading, turn and tilt the camera with its base IMU by 30 degrees or more between "
-            "some poses, the panel in view."
-        )
-    if not calibration.by_eye and sigma.mounting_deg.max() > GOOD_DEG:
-        advice.append(
-            "Tilt the panel by 30 to 40 degrees, in another direction in each pose; rolls alone leave"
-            " one rotation undetermined."
-        )
-    elif not sigma.heading_free and sigma.tilt_deg > GOOD_DEG:
-        advice.append("Take more poses, the camera tilted anew for each, and hold each for two seconds.")
-    sentence = f"{grade}: the camera's tilt is known to {sigma.tilt_deg:.2f} degrees (one sigma): {use}."
-    return Verdict(grade, sentence, (*said, *calibration.notes), tuple(advice))
+#: What to record next.
+MORE_POSES = "hold the panel in at least four different poses: rolled by 90 degrees, and tilted by 30 to 40"
+TURN_CAMERA = (
+    "to have the heading, turn and tilt the camera with its base IMU by 30 degrees or more between some"
+    " poses, the panel in view"
+)
+AGAIN = "take more poses, the camera tilted anew for each, and hold each for two seconds"
 
 
 NAME = "camera_from_base"
@@ -694,9 +630,23 @@ class CameraFromBase:
 
 def world_answer(calibration: WorldCalibration) -> Answer:
     """Camera from base IMU, and its tables; quaternions are qw, qx, qy, qz, sigmas one standard deviation."""
-    sigma, words, solution = accuracy(calibration), verdict(calibration), calibration.solution
+    sigma, solution = accuracy(calibration), calibration.solution
     at = solution.at
     down = -(at.R_K_B * at.R_W_B.inv()).apply([0.0, 0.0, 1.0])
+    grade = next(
+        (word for word, most in (("good", GOOD_DEG), ("usable", USABLE_DEG)) if sigma.tilt_deg <= most),
+        "not good enough",
+    )
+    is_free = sigma.heading_deg > FREE_DEG
+    sentence = f"{grade}: the camera's tilt is known to {sigma.tilt_deg:.2f} degrees (one sigma)"
+    checks = [
+        Finding("sigma of the tilt", sigma.tilt_deg, GOOD_DEG, "degrees", AGAIN),
+        Finding("sigma of the heading between camera and base IMU", sigma.heading_deg, FREE_DEG, "degrees",
+                TURN_CAMERA, is_open=True),
+        Finding("sigma of how the IMU sits on the panel", float(sigma.mounting_deg.max()), GOOD_DEG,
+                "degrees", MORE_POSES, is_open=calibration.by_eye),
+        *map(Finding, calibration.notes),
+    ]  # fmt: skip
     tables = {
         NAME: {
             "rotation": _quaternion(at.R_K_B),
@@ -708,15 +658,16 @@ def world_answer(calibration: WorldCalibration) -> Answer:
         "panel_from_imu": {
             "rotation": _quaternion(at.R_P_I),
             "rotation_sigma_deg": sigma.mounting_deg.tolist(),
+            "off_deg": sigma.off_deg,
             "lined_up_by_eye": calibration.by_eye,
         },
         "world": {
             "tilt_sigma_deg": sigma.tilt_deg,
-            "heading": "free" if sigma.heading_free else "known",
+            "heading": "free" if is_free else "known",
             "heading_sigma_deg": sigma.heading_deg,
             "poses": len(calibration.poses),
-            "grade": words.grade,
-            "verdict": words.sentence,
+            "grade": grade,
+            "verdict": sentence,
             "residuals": [
                 {
                     "pose": pose.name,
@@ -729,14 +680,7 @@ def world_answer(calibration: WorldCalibration) -> Answer:
             ],
         },
     }
-    heading = ("the heading between camera and base IMU",) if sigma.heading_free else ()
-    mounting = ("how the IMU sits on the panel",) if calibration.by_eye else ()
-    return Answer(
-        verdict=words,
-        open_questions=(*heading, *mounting),
-        table=CalibrationFile(tables=tables),
-        figures={**tables, "words": words.words},
-    )
+    return Answer(grade, sentence, checks, CalibrationFile(tables=tables), dict(tables))
 
 
 def read_table(file: CalibrationFile) -> CameraFromBase | None:

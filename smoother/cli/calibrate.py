@@ -60,7 +60,7 @@ def finish(
         from ..report.calibration_page import calibration_page
 
         calibration_page(title, answer, notes).write(report, force)
-    write_json(json_file, {**answer.figures, "notes": notes}, force)
+    write_json(json_file, {**answer.to_dict(), "notes": notes}, force)
     if output is not None:
         write_calibration(output, answer.table)
     print_answer(answer)
@@ -70,16 +70,14 @@ def finish(
 
 def print_answer(answer: Answer) -> None:
     """Print the figures, the verdict, what was not determined, and what to record next."""
-    from calib.protocol import findings
-
-    for table in findings(answer.figures):
+    for table in answer.tables():
         show(table)
-    say(f"verdict: {answer.verdict.sentence}")
-    for sentence in answer.verdict.findings:
+    say(f"verdict: {answer.sentence}")
+    for sentence in answer.findings:
         say(f"  {sentence}")
     for sentence in answer.open_questions:
         say(f"not determined: {sentence}")
-    for sentence in answer.verdict.next:
+    for sentence in answer.next:
         say(f"next: {sentence}")
 
 
@@ -136,7 +134,7 @@ def motion(
                 )
         answers.append((recordings[0], motion_answer(estimates)))
     notes = [note for recordings, _ in arms for recording in recordings for note in recording.notes]
-    figures = [answer.figures for _, answer in answers]
+    figures = [answer.to_dict() for _, answer in answers]
     together = arms_figures([recording for recording, _ in answers], figures)
     write_json(json_file, {**together, "notes": list(dict.fromkeys(notes))}, force)
     for recording, answer in answers:

@@ -233,10 +233,10 @@ def print_recovery(recording: Recording, recovery: Recovery, verbose: bool = Fal
     if verbose:
         say_more(len(gaps), most, "gaps more; --json and the report have them all")
         if found is not None:
-            from calib.protocol import findings
+            from calib.protocol import tables_of
 
             known = ("lever_arms", "lengths") if found.all_given else ()
-            for table in findings({key: value for key, value in found.figures.items() if key not in known}):
+            for table in tables_of({key: value for key, value in found.figures.items() if key not in known}):
                 show(table)
         show(rejected_table(recovery))
     notes = dict.fromkeys((*recording.notes, *recovery.notes))

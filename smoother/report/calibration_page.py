@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from calib.protocol import Answer, findings
+from calib.protocol import Answer
 
 from ..linalg import robust_sigma
 from .sheet import Page, Section, notes, rendered
@@ -18,18 +18,15 @@ if TYPE_CHECKING:
 
 def calibration_page(title: str, answer: Answer, remarks: Iterable[str] = ()) -> Page:
     """The page of an answer; `remarks` are of its input."""
-    subtitle = (
-        f"Grade: {answer.verdict.grade}. Sigma is one standard deviation; quaternions are qw, qx, qy, qz."
-    )
-    return Page(title, subtitle, [answer.verdict.sentence], _sections(answer, remarks))
+    subtitle = f"Grade: {answer.grade}. Sigma is one standard deviation; quaternions are qw, qx, qy, qz."
+    return Page(title, subtitle, [answer.sentence], _sections(answer, remarks))
 
 
 def _sections(answer: Answer, remarks: Iterable[str]) -> Iterator[Section]:
-    following = answer.verdict.next or ("Nothing is missing: record the next session in the same way.",)
-    yield Section("What to record next", sentences=following)
-    yield from map(rendered, findings(answer.figures))
-    yield Section("What else was found", sentences=answer.verdict.findings)
-    yield Section("What stayed open", sentences=answer.open_questions or ("Nothing stayed open.",))
+    yield Section("What to record next", sentences=answer.next)
+    yield from map(rendered, answer.tables())
+    yield Section("What else was found", sentences=answer.findings)
+    yield Section("What stayed open", sentences=answer.open_questions or ["Nothing stayed open."])
     yield notes(remarks)
 
 

@@ -17,7 +17,7 @@ from calib import CalibrationFile, read_calibration, write_calibration
 from calib.clock import calibrate_clocks, clock_answer
 from calib.file import to_toml
 from calib.imu import calibrate_imu, calibrate_magnetometer, imu_answer, magnetometer_answer
-from calib.protocol import Answer, findings
+from calib.protocol import Answer, tables_of
 from calib.sound import beep_receptions, buzzer_node
 from smoother.calibration import ArmCalibration, Length, LeverArm
 from smoother.errors import CalibrationError
@@ -345,9 +345,11 @@ def answers() -> list[Answer]:
 def test_one_form(tmp_path: Path):
     path = tmp_path / "cal.toml"
     for answer in answers():
-        assert findings(answer.figures)
-        assert answer.verdict.grade in ("good", "usable", "not good enough") and answer.verdict.sentence
-        json.dumps(plain(answer.figures), allow_nan=False)
+        assert list(answer.tables())
+        assert answer.grade in ("good", "usable", "not good enough") and answer.sentence
+        written = plain(answer.to_dict())
+        json.dumps(written, allow_nan=False)
+        assert {row["sentence"] for row in written["findings"] if not row["good"]} >= {*answer.open_questions}
         write_calibration(path, answer.table)
     tables = read_calibration(path).tables
     (held,) = tables["imu"].values()
@@ -361,7 +363,7 @@ def test_one_form(tmp_path: Path):
 def test_figures_are_written_to_two_digits_of_their_sigma():
     figures = {"place_m": [0.12345, 1.0], "place_sigma_m": [0.0042, 0.0], "grade": "good", "tilt_rad": 0.1}
     figures |= {"of_joints": {"elbow": {"offset_s": 0.5, "sigma_s": 0.012}}, "noise_m": {"wrist": 0.01}}
-    single, rows, noise = findings(figures)
+    single, rows, noise = tables_of(figures)
     assert single.rows == [("place", "123.5 +- 4.2, 1000", "mm"), ("tilt", "5.7296", "deg")]
     assert rows.title == "Of joints" and rows.columns == ["of", "offset, s"]
     assert rows.rows == [["elbow", "0.500 +- 0.012"]] and noise.rows == [("wrist", "10", "mm")]

@@ -115,7 +115,7 @@ def test_several_poses_are_the_dense_solution() -> None:
 
 def test_one_pose_is_the_dense_solution() -> None:
     poses = [pose(1)]
-    found, free = solve(poses), panel._graph_solution(poses, solve_offset=True)
+    found, free = solve(poses), panel.solution(poses, solve_offset=True)
     agrees(found, Dense(poses, False), poses)
     agrees(free, Dense(poses, True), poses)
     assert found.depth_offset_m == 0.0 and found.depth_offset_sigma_m == np.inf
