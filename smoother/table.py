@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 
 @dataclass(frozen=True)
@@ -20,6 +21,29 @@ class Table:
         """The table in Markdown, without its title."""
         lines = [self.columns, ["---"] * len(self.columns), *self.rows]
         return "".join(f"| {' | '.join(map(cell_text, line))} |\n" for line in lines)
+
+
+def tabulated(
+    title: str,
+    rows: Iterable[Any],
+    columns: Mapping[str, str | Callable[[Any], object]],
+    caption: str = "",
+) -> Table:
+    """Figures in SI under headings: by their keys, whose ends are the units, or by functions."""
+    return Table(
+        title, list(columns), [[_figure(row, key) for key in columns.values()] for row in rows], caption
+    )
+
+
+def _figure(row: Any, key: str | Callable[[Any], object]) -> object:
+    if not isinstance(key, str):
+        return key(row)
+    value = row.get(key) if isinstance(row, Mapping) else getattr(row, key)
+    if key.endswith("_m"):
+        return centimetres(value)
+    if key.endswith(("coverage_95", "inside_95", "_share")):
+        return percent(value)
+    return f"{value:g}" if key.endswith("length_s") else value
 
 
 def cell_text(value: object, nothing: str = "-") -> str:

@@ -62,15 +62,7 @@ def benchmark(
     Example: unocclude benchmark --data datasets -o benchmark
     """
     from .. import __version__
-    from ..evaluation.benchmark import (
-        all_notes,
-        find_trials,
-        gap_rows,
-        markdown,
-        plain,
-        run_benchmark,
-        summary,
-    )
+    from ..evaluation.benchmark import digest, find_trials, gap_rows, plain, run_benchmark, summary
     from ..evaluation.datasets import DATASETS, SPLITS
 
     folder = data or (Path(os.environ[VARIABLE]) if os.environ.get(VARIABLE) else None)
@@ -92,15 +84,15 @@ def benchmark(
     began = time.perf_counter()
     with progress_bar("benchmark") as progress:
         run = run_benchmark(folder, found, names, progress, seed, processes or 0)
-    figures = plain(run, seed, __version__)
+    figures = plain(run, seed, __version__, digest(found))
+    tables = [summary(each) for each in figures["datasets"]]
     for path in (files[0], json_file):
         write_json(path, figures, force)
-    write_text(files[1], markdown(run), force)
+    write_text(files[1], "\n".join(f"### {each.title}\n\n{each.markdown()}" for each in tables), force)
     write_csv(files[2], gap_rows(run), force)
-    for key in run.tables:
-        table = summary(run, *key)
+    for table in tables:
         show(replace(table, title=f"{table.title}; median / rms in gaps, cm"))
-    notes = [*missing, *all_notes(run)]
+    notes = [*missing, *figures["notes"]]
     print_notes(notes[:_MOST_NOTES])
     say_more(len(notes), _MOST_NOTES, f"notes more in {files[0]}")
     say(f"{len(found)} trials in {(time.perf_counter() - began) / 60:.1f} minutes")

@@ -6,13 +6,13 @@ import os
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from ..errors import CalibrationError
 from ..evaluation.methods import GRAPH, LIVE_METHODS, METHODS, make_methods
-from ..table import Table, centimetres, percent
+from ..table import Table, tabulated
 from . import options as o
 from .arm_output import each_arm
 from .load import ArmInput, refuse_twice
@@ -32,77 +32,24 @@ if TYPE_CHECKING:
     from calib.sigma_factor import LengthFactor
 
     from ..calibration import ArmCalibration
-    from ..evaluation.gap_table import GapTable, RealGaps, SinceFigures
+    from ..evaluation.gaps import GapTable
     from ..io.recording.choose import Selection
     from ..recording import Recording
 
 
-def gap_figures(table: GapTable, real: RealGaps | None = None) -> dict[str, Any]:
-    """All figures as plain values; `spread` has the quartiles over the gaps of a length."""
-    from ..evaluation.gap_table import spread_by_length
-
-    spread = [
-        {"length_s": length, "methods": {name: each.to_dict() for name, each in methods.items()}}
-        for length, methods in spread_by_length(table.rows).items()
-    ]
-    figures = table.to_dict() | {"spread": spread}
-    return figures if real is None else figures | {"real_gaps": real.to_dict() | {"sentence": real.sentence}}
-
-
-def gap_table(table: GapTable, whose: str = "") -> Table:
-    """Error against gap length; `whose` goes into the title."""
-    reference = next((row.reference for row in table.rows if row.reference), "truth")
-    against = "truth" if reference == "truth" else f"camera's hidden samples of the {reference}"
-    rows = [
-        (
-            f"{length:g}",
-            name,
-            centimetres(result.figures.position_rms_m),
-            centimetres(result.figures.position_median_m),
-            centimetres(result.figures.position_p95_m),
-            centimetres(result.figures.position_max_m),
-            result.figures.nees,
-            percent(result.figures.coverage_95),
-            f"{result.gaps}" if not result.failed else f"{result.gaps} ({result.failed} failed)",
-        )
-        for length, methods in table.lengths.items()
-        for name, result in methods.items()
-    ]
-    columns = ("gap, s", "method", "rms, cm", "median", "95 %", "max", "NEES", "inside 95 %", "gaps")
-    return Table(f"Error in hidden gaps against the {against}{whose}", columns, rows)
-
-
-def since_table(rows: Sequence[SinceFigures]) -> Table:
-    """What each method has at a time since the last frame."""
-    columns = ("since the last frame, s", "method", "rms, cm", "median", "95 %", "NEES")
-    cells = [
-        (
-            f"{row.from_s:g} to {row.to_s:g}",
-            row.method,
-            centimetres(row.figures.position_rms_m),
-            centimetres(row.figures.position_median_m),
-            centimetres(row.figures.position_p95_m),
-            row.figures.nees,
-        )
-        for row in rows
-    ]
-    return Table("Error by the time since the last frame that showed the forearm", columns, cells)
-
-
 def factor_table(factors: Sequence[LengthFactor]) -> Table:
     """The sigma correction factors by length of gap."""
-    columns = ("gap, s", "for 50 %", "for 95 %", "to be applied", "hidden gaps")
-    rows = [
-        (
-            f"{row.length_s:g}",
-            f"{row.factor_50:.2f}",
-            f"{row.factor_95:.2f}",
-            f"{row.factor:.2f}",
-            f"{row.count} of all lengths" if row.pooled else f"{row.count}",
-        )
-        for row in factors
-    ]
-    return Table("Sigma correction factor", columns, rows)
+    return tabulated(
+        "Sigma correction factor",
+        factors,
+        {
+            "gap, s": "length_s",
+            "for 50 %": lambda row: f"{row.factor_50:.2f}",
+            "for 95 %": lambda row: f"{row.factor_95:.2f}",
+            "to be applied": lambda row: f"{row.factor:.2f}",
+            "hidden gaps": lambda row: f"{row.count} of all lengths" if row.pooled else f"{row.count}",
+        },
+    )
 
 
 def gaps(
@@ -150,8 +97,7 @@ def gaps(
     from calib.file import read_calibration
     from calib.sigma_factor import factor_sentences
 
-    from ..evaluation.gap_table import compare_real_gaps, pooled, since_last_frame
-    from ..evaluation.gaps import evaluate_gaps
+    from ..evaluation.gaps import compare_real_gaps, evaluate_gaps, pooled, since_last_frame, since_table
     from ..recording import arm_words
     from .config import read_config, with_processes
 
@@ -214,26 +160,26 @@ def gaps(
     real = compare_real_gaps(recordings, table)
     factors = table.sigma_factors(GRAPH)
     notes = [*notes, *(note for recording in recordings for note in recording.notes), *table.notes]
-    sentences = [*factor_sentences(factors), real.sentence]
+    sentences = [*factor_sentences(factors), real["sentence"]]
     if report is not None:
         from ..report.method_comparison import gap_curves_page
 
         name = ", ".join(recording.name for recording in recordings)
         gap_curves_page(table, name, (*sentences, *notes)).write(report, force)
-    figures = gap_figures(table, real) | {"notes": list(dict.fromkeys(notes))}
+    figures = table.to_dict() | {"real_gaps": real, "notes": list(dict.fromkeys(notes))}
     since = since_last_frame(table, names) if live else []
     if live:
-        figures["since_last_frame"] = [row.to_dict() for row in since]
+        figures["since_last_frame"] = since
     by_arm: dict[tuple[str, int | None], list[GapTable]] = {}  # of all recordings together
     for recording, one in zip(recordings, tables, strict=True):
         by_arm.setdefault((recording.side, recording.body), []).append(one)
     each = {arm: pooled(by_arm[arm]) for arm in sorted(by_arm, key=str)} if several else {}
     if each:
-        figures["arms"] = [{"side": arm[0], "body": arm[1], **gap_figures(own)} for arm, own in each.items()]
+        figures["arms"] = [{"side": arm[0], "body": arm[1], **own.to_dict()} for arm, own in each.items()]
     write_json(json_file, figures, force)
     for arm, own in each.items():
-        show(gap_table(own, f" ({arm_words(*arm)})"))
-    show(gap_table(table, " (all arms together)" if each else ""))
+        show(own.table(f" ({arm_words(*arm)})"))
+    show(table.table(" (all arms together)" if each else ""))
     show(since_table(since))
     show(factor_table(factors))
     for sentence in sentences:
@@ -268,9 +214,8 @@ def keep(
         {name: round(value, 4) if name in digits else value for name, value in row.to_dict().items()}
         for row in factors
     ]
-    reference = next((row.reference for row in table.rows if row.reference), "truth")
     names = [recording.name for recording in recordings]
-    write_calibration(path, with_sigma_table(CalibrationFile(), rows, reference, names))
+    write_calibration(path, with_sigma_table(CalibrationFile(), rows, table.reference, names))
 
 
 def parse_lengths(text: str) -> list[float]:

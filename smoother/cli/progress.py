@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 from ..errors import UnoccludeError
 from ..table import Table, percent
@@ -15,7 +15,6 @@ from .output import check_outputs, print_notes, say, say_written, show, write_cs
 
 if TYPE_CHECKING:
     from ..evaluation.progress import PersonProgress, Series
-    from ..evaluation.reliability import Reliability
 
 NO_DIAGNOSIS = (
     "This is not a diagnosis: a clear change is one that the measurement error does not explain; a person"
@@ -63,8 +62,8 @@ def progress(
 
     Example: unocclude progress recovered --person p12 --report p12.html
     """
-    from ..evaluation.measure_files import read_detectable
-    from ..evaluation.reliability import reliability_of
+    from ..evaluation.measure_agreement import read_detectable
+    from ..evaluation.progress import reliability_of
     from ..report.progress import progress_page
     from ..study.progress import progress_of, read_rows, sessions_of
 
@@ -96,7 +95,7 @@ def progress(
     repeated = reliability_of(persons) if reliability else []
     figures: dict[str, object] = {"persons": [each.to_dict() for each in persons], "left_out": left_out}
     if reliability:
-        figures["reliability"] = [each.to_dict() for each in repeated]
+        figures["reliability"] = repeated
     write_json(json_file, figures, force)
     write_csv(csv, _csv_rows(persons), force)
     for each in persons:
@@ -122,15 +121,15 @@ def _print(progress: PersonProgress) -> None:
     print_notes([*progress.notes, *_limits(progress), *progress.left_out])
 
 
-def _print_reliability(repeated: Sequence[Reliability]) -> None:
+def _print_reliability(repeated: Sequence[Mapping[str, Any]]) -> None:
     """Print the table over all persons."""
-    from ..evaluation.reliability import COLUMNS, FEWEST_PERSONS, reliability_cells
+    from ..evaluation.progress import FEWEST_PERSONS, reliability_table
 
     if not repeated:
         raise UnoccludeError(
             f"--reliability needs {FEWEST_PERSONS} persons with two sessions each; no measure has them"
         )
-    show(Table("Reliability, for sessions without true change", COLUMNS, reliability_cells(repeated)))
+    show(reliability_table(repeated))
 
 
 def _cells(series: Series) -> tuple[object, ...]:

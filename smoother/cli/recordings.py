@@ -31,7 +31,6 @@ from .run import NOT_TRUSTED
 if TYPE_CHECKING:
     from ..calibration import ArmCalibration
     from ..config import Config
-    from ..evaluation.gaps import TriedGaps
     from ..io.info import RecordingInfo
     from ..io.recording.choose import Selection
     from ..matching import ImuMatch
@@ -340,11 +339,11 @@ def check(
             for place, arm in enumerate(arms)
         ]
         progress(1.0, "done")
-    figures = arms_figures(recordings, [mine for mine, _ in findings])
+    figures = arms_figures(recordings, findings)
     write_json(json_file, figures, force)
-    for recording, (mine, allowed) in zip(recordings, findings, strict=True):
+    for recording, mine in zip(recordings, findings, strict=True):
         say_arm(recording, len(arms))
-        print_check(mine, allowed)
+        print_check(mine)
         print_notes(recording.notes)
     say_written(json_file)
     if not figures["trusted"]:
@@ -357,13 +356,13 @@ def checked(
     config: Config,
     clock: Clock | None,
     progress: Callable[[float, str], None],
-) -> tuple[dict[str, Any], TriedGaps | None]:
-    """The figures of an arm, and what its recording allows where a result could be trusted."""
+) -> dict[str, Any]:
+    """The figures of an arm, with what its recording allows where a result could be trusted."""
     from calib.motion import found_in
 
     from ..cameras import join_cameras
     from ..errors import CalibrationError, SolveError
-    from ..evaluation.gaps import try_gaps
+    from ..evaluation.gaps import allowed_gaps
     from ..evaluation.summary import verdict_figures
     from ..measurements.segment import Timeline
     from ..recovery.cameras import with_cameras
@@ -391,17 +390,16 @@ def checked(
             def trying(part: float, text: str) -> None:
                 progress(0.3 + 0.7 * part, text)
 
-            allowed = try_gaps(blind, recover, left_open, trying, config.windows.processes)
+            allowed = allowed_gaps(blind, recover, left_open, trying, config.windows.processes)
     except (SolveError, CalibrationError) as error:  # what cannot be recovered is the finding
         sentence = str(error)
         figures = {"trusted": False, "verdict": f"Cannot be recovered: {sentence.rstrip('.')}."}
         figures |= {"reasons": [sentence], "cautions": [], "cause": None, "remedies": []}
         figures |= {"signs": [], "findings": []}
-    figures["allows"] = None if allowed is None else allowed.to_dict()
-    return {"recording": recording.name, "side": recording.side, **figures}, allowed
+    return {"recording": recording.name, "side": recording.side, **figures, "allows": allowed}
 
 
-def print_check(figures: dict[str, Any], allowed: TriedGaps | None) -> None:
+def print_check(figures: dict[str, Any]) -> None:
     """Print the verdict, further cameras, and what the recording allows."""
     say(figures["verdict"])
     for camera in figures.get("cameras", [])[1:]:
@@ -412,8 +410,8 @@ def print_check(figures: dict[str, Any], allowed: TriedGaps | None) -> None:
                 f" {camera['sigma_deg']:.1f} degrees, {100 * camera['sigma_m']:.1f} cm); both see"
                 f" the forearm for {camera['together_s']:.0f} s"
             )
-    if allowed is not None:
-        allows, *open_questions = allowed.sentences
+    if figures["allows"] is not None:
+        allows, *open_questions = figures["allows"]["sentences"]
         say(f"allows: {allows}")
         for sentence in open_questions:
             say(f"not determined: {sentence}")

@@ -30,7 +30,8 @@ def print_measures(validation: Validation, verbose: bool) -> None:
     comparison = validation.measures
     if comparison is None:
         return
-    several = max((one.recordings for one in comparison.agreements), default=0) > 1
+    found = [one for by_key in comparison.agreements.values() for one in by_key.values()]
+    several = max((one["recordings"] for one in found), default=0) > 1
     first = first_of([pair.key for pair in comparison.pairs if pair.scope == "session"], FEW_MEASURES)
     chosen = None if verbose else first
     if verbose or not several:
@@ -81,8 +82,7 @@ def validate(
 
     Example: unocclude validate out.mcap --truth trial.c3d --markers map.toml --calibration rig.toml
     """
-    from ..evaluation.measure_agreement import unique_pairs
-    from ..evaluation.measure_files import read_pairs
+    from ..evaluation.measure_agreement import read_pairs, unique_pairs
     from ..evaluation.reference import read_reference
     from ..evaluation.validate import validate
 

@@ -8,8 +8,9 @@ and Conditioning Research 19:231-240 (2005), SEM and minimal difference.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -28,41 +29,30 @@ CONFIDENCE = 0.95
 FORGOTTEN = 0.05
 
 
-@dataclass(frozen=True)
-class Agreement:
-    """Agreement of an answer with a reference, in the unit of both; None where there are too few samples."""
-
-    samples: int  # How many were compared
-    independent: float  # Samples as the interval counts them: neighbours in time are not independent
-    rmse: float | None = None  # Root mean square of answer minus reference
-    bias: float | None = None  # Mean of answer minus reference
-    limits_low: float | None = None  # Limits of agreement, bias -+ 1.96 standard deviations
-    limits_high: float | None = None
-    icc: float | None = None  # ICC(A,1) with its 95 % interval
-    icc_low: float | None = None
-    icc_high: float | None = None
+#: Agreement of an answer with a reference, in the unit of both, by name; None where samples are too few.
+#: `samples` or `pairs`; `rmse`; `bias`, mean of answer minus reference; `limits_low` and `limits_high`, bias
+#: -+ 1.96 standard deviations; `icc`, ICC(A,1) with its 95 % interval; `independent`: samples as the interval
+#: counts them, as neighbours in time are not independent.
+Agreement = dict[str, Any]
 
 
-def agreement(
-    answer: FloatArray,  # (n,)
-    reference: FloatArray,  # (n,)
-    *,
-    degrees: bool = False,
-) -> Agreement:
+def agreement(answer: FloatArray, reference: FloatArray, *, degrees: bool = False) -> Agreement:  # (n,)
     """Agreement of two series; a pair with nan is left out."""
     good = np.isfinite(answer) & np.isfinite(reference)
     answer, reference = answer[good], reference[good]
     if degrees:
         answer, reference = unwound_deg(answer, reference)
     count = len(answer)
+    names = ("rmse", "bias", "limits_low", "limits_high", "icc", "icc_low", "icc_high")
+    found: Agreement = {"samples": count, "independent": float(count), **dict.fromkeys(names)}
     if count < FEWEST_PAIRS:
-        return Agreement(count, float(count))
+        return found
     difference = answer - reference
     bias, half = float(difference.mean()), LIMITS * float(difference.std(ddof=1))
     independent = count / memory(reference)
     icc = icc_a1(np.column_stack([answer, reference]), independent)
-    rmse = float(np.sqrt(np.mean(difference**2)))
-    return Agreement(count, independent, rmse, bias, bias - half, bias + half, *icc)
+    values = (float(np.sqrt(np.mean(difference**2))), bias, bias - half, bias + half, *icc)
+    return found | {"independent": independent} | dict(zip(names, values, strict=True))
 
 
 def interval(low: float | None, high: float | None, digits: int) -> str | None:
@@ -70,9 +60,11 @@ def interval(low: float | None, high: float | None, digits: int) -> str | None:
     return None if low is None or high is None else f"{low:.{digits}f} to {high:.{digits}f}"
 
 
-def with_interval(value: float | None, low: float | None, high: float | None, digits: int = 3) -> str | None:
+def with_interval(row: Mapping[str, Any], name: str = "icc", digits: int = 3) -> str | None:
     """A coefficient with its interval, for a cell; None where there is none."""
-    return None if value is None else f"{value:.{digits}f} ({interval(low, high, digits)})"
+    value = row[name]
+    ends = interval(row[f"{name}_low"], row[f"{name}_high"], digits)
+    return None if value is None else f"{value:.{digits}f} ({ends})"
 
 
 def unwound_deg(answer: FloatArray, reference: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -140,22 +132,11 @@ def icc_a1(
 FEWEST_PAIRS = 3
 
 
-class AgreementLimits(NamedTuple):
-    """Mean difference and limits of agreement (-+ 1.96 standard deviations), each with its 95 % interval."""
+def limits_of_agreement(difference: FloatArray) -> dict[str, float]:  # difference (n,)
+    """Mean difference and limits of agreement (-+ 1.96 standard deviations), each with its 95 % interval.
 
-    bias: float
-    bias_low: float
-    bias_high: float
-    low: float
-    low_from: float
-    low_to: float
-    high: float
-    high_from: float
-    high_to: float
-
-
-def limits_of_agreement(difference: FloatArray) -> AgreementLimits:  # difference (n,)
-    """Limits of agreement with exact intervals (Carkeet, Optometry and Vision Science 92:e71-e80, 2015)."""
+    Exact intervals: Carkeet, Optometry and Vision Science 92:e71-e80 (2015).
+    """
     from scipy.stats import nct
     from scipy.stats import t as student
 
@@ -166,51 +147,35 @@ def limits_of_agreement(difference: FloatArray) -> AgreementLimits:  # differenc
         float(nct.ppf(p, count - 1, LIMITS * np.sqrt(count)) * of_mean) if spread > 0 else 0.0
         for p in (1 - tail, tail)
     )
-    low, high = bias - LIMITS * spread, bias + LIMITS * spread
-    return AgreementLimits(
-        bias, bias - half, bias + half, low, bias - far, bias - near, high, bias + near, bias + far
-    )
+    found = {"bias": bias, "bias_low": bias - half, "bias_high": bias + half}
+    found |= {"limits_low": bias - LIMITS * spread, "limits_high": bias + LIMITS * spread}
+    found |= {"limits_low_from": bias - far, "limits_low_to": bias - near}
+    return found | {"limits_high_from": bias + near, "limits_high_to": bias + far}
 
 
-@dataclass(frozen=True)
-class PairAgreement:
-    """Agreement of pairs of values, in their unit; None where there are too few pairs."""
-
-    pairs: int  # How many were compared
-    bias: float | None = None  # Mean of answer minus reference
-    limits_low: float | None = None  # Limits of agreement, bias -+ 1.96 standard deviations
-    limits_high: float | None = None
-    icc: float | None = None  # ICC(2,1) with its 95 % interval
-    icc_low: float | None = None
-    icc_high: float | None = None
-    sem: float | None = None  # Standard error of measurement of the answer
-    mdc95: float | None = None  # Minimal detectable change, 1.96 sqrt(2) SEM
-    mdc95_low: float | None = None  # The 95 % interval of it: few pairs say little about a standard deviation
-    mdc95_high: float | None = None
-    limits_low_from: float | None = None  # The 95 % intervals of the limits
-    limits_low_to: float | None = None
-    limits_high_from: float | None = None
-    limits_high_to: float | None = None
+_OF_PAIRS = (
+    *("bias", "limits_low", "limits_high", "icc", "icc_low", "icc_high", "sem", "mdc95", "mdc95_low"),
+    *("mdc95_high", "limits_low_from", "limits_low_to", "limits_high_from", "limits_high_to"),
+)
 
 
-def pair_agreement(answer: FloatArray, reference: FloatArray) -> PairAgreement:  # answer (n,); reference (n,)
-    """Agreement of pairs; one with nan is left out."""
+def pair_agreement(answer: FloatArray, reference: FloatArray) -> Agreement:  # answer (n,); reference (n,)
+    """Agreement of pairs; one with nan is left out.
+
+    `sem`: standard error of measurement of the answer; `mdc95`: minimal detectable change, 1.96 sqrt(2) SEM,
+    with its interval, as few pairs say little about a standard deviation.
+    """
     good = np.isfinite(answer) & np.isfinite(reference)
     answer, reference = answer[good], reference[good]
     count, difference = len(answer), answer - reference
+    found: Agreement = {"pairs": count, **dict.fromkeys(_OF_PAIRS)}
     if count < FEWEST_PAIRS:
-        return PairAgreement(count, float(difference.mean()) if count else None)
+        return found | {"bias": float(difference.mean()) if count else None}
     limits, sem = limits_of_agreement(difference), float(difference.std(ddof=1))
-    icc = icc_a1(np.column_stack([answer, reference]))
+    found |= {name: limits[name] for name in _OF_PAIRS if name in limits}
+    found |= dict(zip(_OF_PAIRS[3:6], icc_a1(np.column_stack([answer, reference])), strict=True))
     low, high = (detectable_change(end) for end in sigma_interval(sem, count - 1))
-    changes = (sem, detectable_change(sem), low, high)
-    ends = (limits.low_from, limits.low_to, limits.high_from, limits.high_to)
-    return PairAgreement(count, limits.bias, limits.low, limits.high, *icc, *changes, *ends)
-
-
-def measurement_error(ratings: FloatArray) -> float:  # ratings (n, k)
-    """Standard error of measurement of alike trials: sqrt of the error's mean square (Weir 2005)."""
-    return float(np.sqrt(mean_squares(ratings)[2]))
+    return found | {"sem": sem, "mdc95": detectable_change(sem), "mdc95_low": low, "mdc95_high": high}
 
 
 def detectable_change(sem: float) -> float:

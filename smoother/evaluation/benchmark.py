@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -16,22 +16,21 @@ from ..config import Config
 from ..errors import RecordingError, UnoccludeError
 from ..recording import Recording
 from ..runtime.pool import Pool
-from ..table import Table, cell_text, centimetres, percent
+from ..table import Table, cell_text, centimetres, tabulated
 from .datasets import DATASETS, VERSION, BenchmarkTrial
-from .gap_table import GapRow, GapTable, pooled, spread_by_length
-from .gaps import GapCopy, hide, try_methods
-from .hidden_gaps import GapErrors, HiddenGap, place_gaps
+from .gaps import GapCopy, GapErrors, GapTable, HiddenGap, counted, hide, place_gaps, pooled, try_methods
 from .methods import GRAPH, make_methods
 
 #: The methods are as they come: their settings by default, on one process.
 _CONFIG = {"windows": {"processes": 1}}
 #: Frames that the pool counts: a trial is always worth a process.
 _MANY_FRAMES = 1_000_000
-Progress = Callable[[float, str], None]
 CSV_COLUMNS = (
     *("dataset", "split", "trial", "length_s", "method", "start_s", "end_s", "samples", "rms_m", "max_m"),
     *("sigma_max_m", "failure"),
 )
+#: The gaps by data set and split.
+Tables = Mapping[tuple[str, str], GapTable]
 
 
 class BenchmarkTask(NamedTuple):
@@ -39,14 +38,6 @@ class BenchmarkTask(NamedTuple):
 
     trial: BenchmarkTrial
     lengths_s: tuple[float, ...]
-
-
-@dataclass(frozen=True)
-class BenchmarkRun:
-    """What came out."""
-
-    tables: dict[tuple[str, str], GapTable]  # By data set and split
-    digest: str  # SHA-256 over the files that were read: two runs with the same one saw the same data
 
 
 def find_trials(
@@ -76,10 +67,10 @@ def run_benchmark(
     folder: Path,
     trials: Sequence[BenchmarkTrial],
     methods: Sequence[str],
-    progress: Progress,
+    progress: Callable[[float, str], None],
     seed: int = 0,
     processes: int = 0,
-) -> BenchmarkRun:
+) -> Tables:
     """Hide, recover and score; seed 0 is the published benchmark, 0 processes are one per core."""
     tasks = [
         BenchmarkTask(trial, lengths_s)
@@ -90,25 +81,19 @@ def run_benchmark(
     answers: dict[tuple[str, str], list[GapTable]] = {}
     with Pool(processes, _MANY_FRAMES) as pool:
         progress(0.0, "calibrating")
-        calibrations = _calibrations(folder, trials, pool)
-        job = partial(_tried, methods=tuple(methods), seed=seed, calibrations=calibrations)
+        # by data set and group, from the recordings that are not scored
+        groups = {
+            (trial.dataset, trial.calibrated_on): own
+            for trial in trials
+            if (own := DATASETS[trial.dataset].calibrations(folder / trial.dataset).get(trial.calibrated_on))
+        }
+        made = zip(groups, pool.map(_calibration, groups.values()), strict=True)
+        job = partial(_tried, methods=tuple(methods), seed=seed, calibrations=dict(made))
         for number, (task, answer) in enumerate(zip(tasks, pool.map(job, tasks), strict=True)):
             progress(number / len(tasks), task.trial.key)
             answers.setdefault((task.trial.dataset, task.trial.split), []).append(answer)
     progress(1.0, "done")
-    return BenchmarkRun({key: pooled(tables) for key, tables in answers.items()}, _digest(trials))
-
-
-def _calibrations(folder: Path, trials: Sequence[BenchmarkTrial], pool: Pool) -> dict[str, ArmCalibration]:
-    """By data set and group, from the recordings that are not scored."""
-    wanted = sorted({(trial.dataset, trial.calibrated_on) for trial in trials if trial.calibrated_on})
-    groups = {
-        f"{dataset}/{group}": own
-        for dataset, group in wanted
-        if (own := DATASETS[dataset].calibrations(folder / dataset).get(group))
-    }
-    made = zip(groups, pool.map(_calibration, groups.values()), strict=True)
-    return {name: calibration for name, calibration in made if calibration is not None}
+    return {key: pooled(tables) for key, tables in answers.items()}
 
 
 def _calibration(group: list[BenchmarkTrial]) -> ArmCalibration | None:
@@ -122,7 +107,10 @@ def _calibration(group: list[BenchmarkTrial]) -> ArmCalibration | None:
 
 
 def _tried(
-    task: BenchmarkTask, methods: tuple[str, ...], seed: int, calibrations: dict[str, ArmCalibration]
+    task: BenchmarkTask,
+    methods: tuple[str, ...],
+    seed: int,
+    calibrations: Mapping[tuple[str, str], ArmCalibration | None],
 ) -> GapTable:
     """One task by all methods."""
     trial = task.trial
@@ -132,19 +120,16 @@ def _tried(
     except UnoccludeError as error:
         return GapTable((), (f"{trial.key} could not be opened: {error}",))
     lengths = {gap: length_s for length_s, gap in gaps}
-    missing = [f"{length_s:g}" for length_s in task.lengths_s if length_s not in lengths.values()]
     notes = []
-    if missing:
-        words = " and ".join(missing)
-        notes.append(f"{trial.key} shows no arm for long enough to hide it for {words} s.")
+    if missing := [f"{length_s:g}" for length_s in task.lengths_s if length_s not in lengths.values()]:
+        notes = [f"{trial.key} shows no arm for long enough to hide it for {' and '.join(missing)} s."]
     if not gaps:
         return GapTable((), tuple(notes))
-    calibration = calibrations.get(f"{trial.dataset}/{trial.calibrated_on}")
+    calibration = calibrations.get((trial.dataset, trial.calibrated_on))
     made = make_methods([GRAPH, *methods], calibration, Config.model_validate(_CONFIG))
     found = try_methods(GapCopy(task.lengths_s[0], 0, list(lengths)), recording, made, one_noise=True)
-    notes += [f"{trial.key}: {note}" for note in found.notes]
     rows = [replace(row, length_s=lengths[row.gap]) for row in found.rows if row.method in methods]
-    return GapTable(tuple(rows), tuple(notes))
+    return GapTable(tuple(rows), (*notes, *(f"{trial.key}: {note}" for note in found.notes)))
 
 
 def placed_gaps(task: BenchmarkTask, recording: Recording, seed: int) -> list[tuple[float, HiddenGap]]:
@@ -158,8 +143,8 @@ def placed_gaps(task: BenchmarkTask, recording: Recording, seed: int) -> list[tu
     return sorted(placed, key=lambda each: each[1].start_s)
 
 
-def _digest(trials: Sequence[BenchmarkTrial]) -> str:
-    """SHA-256 over names and contents of the files of the trials."""
+def digest(trials: Sequence[BenchmarkTrial]) -> str:
+    """SHA-256 over names and contents of the files of the trials: two runs with the same one saw the same."""
     total = hashlib.sha256()
     for trial in trials:
         total.update(trial.key.encode())
@@ -171,41 +156,38 @@ def _digest(trials: Sequence[BenchmarkTrial]) -> str:
     return total.hexdigest()
 
 
-def _method(name: str, rows: Sequence[GapRow]) -> dict[str, Any]:
+def plain(tables: Tables, seed: int, version: str, data: str) -> dict[str, Any]:
+    """Plain values by name, as `benchmark.json` holds them; nothing in it changes from run to run."""
+    datasets = []
+    for (dataset, split), table in tables.items():
+        lengths = table.to_dict()["lengths"]
+        for methods in (at["methods"] for at in lengths):
+            methods |= {
+                name: {k: v for k, v in of.items() if k[-3:] != "_cm"} for name, of in methods.items()
+            }
+        about = {"dataset": dataset, "split": split, "trials": len({row.recording for row in table.rows})}
+        rows = sorted(
+            map(partial(_method, table), dict.fromkeys(row.method for row in table.rows)), key=_rank
+        )
+        lengths = sorted(lengths, key=lambda at: float(at["length_s"]))
+        datasets.append(about | {"lengths": lengths, "methods": rows})
+    notes = list(dict.fromkeys(note for table in tables.values() for note in table.notes))
+    head = {"benchmark": VERSION, "version": version, "seed": seed, "data_sha256": data}
+    return head | {"datasets": datasets, "notes": notes}
+
+
+def _method(table: GapTable, name: str) -> dict[str, Any]:
     """A method over one data set and split: by length median over the gaps, rms over the samples."""
-    lengths = GapTable(tuple(rows)).lengths
-    rms = {length: lengths[length][name].figures.position_rms_m for length in sorted(lengths)}
+    groups = {f"{length:g}": table.lengths[length][name] for length in sorted(table.lengths)}
+    rows = [row for group in groups.values() for row in group.rows]
     return {
         "method": name,
-        "median_m": {f"{length:g}": by[name].median_m for length, by in spread_by_length(rows).items()},
-        "rms_m": {f"{length:g}": value for length, value in rms.items()},
+        "median_m": {length: group.spread["median_m"] for length, group in groups.items()},
+        "rms_m": {length: group.figures.position_rms_m for length, group in groups.items()},
         "inside_95": GapErrors.pooled([row.errors for row in rows]).figures().coverage_95,
         "gaps": len(rows),
         "failed": sum(bool(row.failure) for row in rows),
     }
-
-
-def plain(run: BenchmarkRun, seed: int, version: str) -> dict[str, Any]:
-    """Plain values by name, as `benchmark.json` holds them; nothing in it changes from run to run."""
-    datasets = []
-    for (dataset, split), table in run.tables.items():
-        names = dict.fromkeys(row.method for row in table.rows)
-        methods = [_method(name, [row for row in table.rows if row.method == name]) for name in names]
-        lengths = [
-            {
-                "length_s": length,
-                "methods": {
-                    name: {key: value for key, value in each.to_dict().items() if not key.endswith("_cm")}
-                    for name, each in by.items()
-                },
-            }
-            for length, by in sorted(table.lengths.items())
-        ]
-        counted = len({row.recording for row in table.rows})
-        about = {"dataset": dataset, "split": split, "trials": counted, "lengths": lengths}
-        datasets.append(about | {"methods": sorted(methods, key=_rank)})
-    head = {"benchmark": VERSION, "version": version, "seed": seed, "data_sha256": run.digest}
-    return head | {"datasets": datasets, "notes": all_notes(run)}
 
 
 def _rank(row: dict[str, Any]) -> tuple[int, float]:
@@ -214,43 +196,30 @@ def _rank(row: dict[str, Any]) -> tuple[int, float]:
     return len(row["median_m"]) - len(known), sum(known)
 
 
-def all_notes(run: BenchmarkRun) -> list[str]:
-    """What a reader must know, one sentence each, none twice."""
-    return list(dict.fromkeys(note for table in run.tables.values() for note in table.notes))
+def summary(figures: Mapping[str, Any]) -> Table:
+    """The table of a data set of `plain`: by method median / rms in cm by length, share inside, gaps."""
 
+    def errors(length: str) -> Callable[[Mapping[str, Any]], object]:
+        return lambda row: " / ".join(cell_text(centimetres(row[of][length])) for of in ("median_m", "rms_m"))
 
-def summary(run: BenchmarkRun, dataset: str, split: str) -> Table:
-    """The table of a data set: by method median / rms in cm by length, the share inside, the gaps."""
-    only = BenchmarkRun({(dataset, split): run.tables[dataset, split]}, "")
-    (figures,) = plain(only, 0, "")["datasets"]
     lengths = [f"{each['length_s']:g}" for each in figures["lengths"]]
-    rows = [
-        (
-            row["method"],
-            *(
-                " / ".join(cell_text(centimetres(row[what].get(length))) for what in ("median_m", "rms_m"))
-                for length in lengths
-            ),
-            percent(row["inside_95"]),
-            f"{row['gaps']} ({row['failed']} failed)" if row["failed"] else f"{row['gaps']}",
-        )
-        for row in figures["methods"]
-    ]
-    trials = figures["trials"]
-    title = f"{DATASETS[dataset].title}, {split}: {trials} trial{'' if trials == 1 else 's'}"
-    return Table(title, ("method", *(f"{length} s" for length in lengths), "inside 95 %", "gaps"), rows)
+    trials, title = figures["trials"], DATASETS[figures["dataset"]].title
+    return tabulated(
+        f"{title}, {figures['split']}: {trials} trial{'' if trials == 1 else 's'}",
+        figures["methods"],
+        {
+            "method": "method",
+            **{f"{length} s": errors(length) for length in lengths},
+            "inside 95 %": "inside_95",
+            "gaps": counted,
+        },
+    )
 
 
-def markdown(run: BenchmarkRun) -> str:
-    """The tables in Markdown."""
-    tables = [summary(run, *key) for key in run.tables]
-    return "\n".join(f"### {each.title}\n\n{each.markdown()}" for each in tables)
-
-
-def gap_rows(run: BenchmarkRun) -> Iterable[Sequence[str]]:
+def gap_rows(tables: Tables) -> Iterator[Sequence[str]]:
     """One row per gap, as in `gaps.csv`; the header first."""
     yield CSV_COLUMNS
-    for (dataset, split), table in run.tables.items():
+    for (dataset, split), table in tables.items():
         for row in table.rows:
             numbers = (row.figures.position_rms_m, row.figures.position_max_m, row.errors.sigma_max_m)
             cells = [dataset, split, row.recording, f"{row.length_s:g}", row.method]

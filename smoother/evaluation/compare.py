@@ -1,32 +1,23 @@
-"""Every method on one recording, held against one truth: errors, consistency, and the lag that is left.
-
-The live smoother as methods: a recording played into it on a simulated clock, the answers a recovery.
-"""
+"""Every method on one recording, held against one truth: errors, consistency, and the lag that is left."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
 import numpy as np
 
 from ..array_types import FloatArray
-from ..calibration import ArmCalibration
-from ..config import Config
 from ..errors import RecordingError, UnoccludeError
-from ..linalg import interpolate
-from ..live.answers import LiveEstimate
-from ..live.buffers import ImuBatch, SkeletonFrame
 from ..measurements.visibility import Gap
-from ..measures.motion import one_sign
 from ..recording import Recording, Truth
 from ..result import Recovery
 from ..runtime.pool import Pool, Progress
-from ..table import Table, centimetres, percent
+from ..table import Table, tabulated
 from .gaps import Method
-from .metrics import Figures, lag_s, truth_at
+from .metrics import lag_s, truth_at
 from .reference import ReferenceAlignment
 from .truth import truth_notes
 from .validate import PARTS, Validation, validated
@@ -58,11 +49,18 @@ class MethodResult:
     """What one method made of the recording."""
 
     method: str
-    validation: Validation | None  # Its figures, or None where it failed
-    lag_s: float | None = None  # Lag of its answer behind the truth over all samples
-    lag_occluded_s: float | None = None  # The same over the samples in gaps
+    validation: Validation | None  # Its figures, with its lag over all samples; None where it failed
+    lag_occluded_s: float | None = None  # Lag of its answer behind the truth over the samples in gaps
     path: FloatArray | None = None  # (n, 3) m: the compared point at the IMU's times, in {K}
     failure: str = ""  # Why there is no answer, "" where there is one
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain values by name."""
+        if self.validation is None:
+            return {"failure": self.failure}
+        whole = self.validation.to_dict()
+        own = {"failure": "", "lag_s": whole["lag_s"], "lag_occluded_s": self.lag_occluded_s}
+        return own | {key: whole[key] for key in (*PARTS, "points", "gaps")}
 
 
 @dataclass(frozen=True)
@@ -99,41 +97,67 @@ class Comparison:
         """The same in words."""
         return "in gaps" if self.gaps else "over the whole recording, which has no gap"
 
-    def figures(self, row: MethodResult, part: str) -> Figures | None:
-        """Figures of the compared point over a part ("all", "occluded" or "visible")."""
-        return None if row.validation is None else row.validation.figures_of(self.point, part)
-
-    def title(self, text: str) -> str:
-        """The title of one of its results: states where the truth was aligned."""
-        return self.alignment.titled(text)
+    @property
+    def rms_m(self) -> dict[str, float]:
+        """By method the rms of the compared point there; of those that have one."""
+        found = {row.method: _rms_m(row, self.point, self.part) for row in self.rows}
+        return {name: value for name, value in found.items() if value is not None}
 
     @property
     def tables(self) -> tuple[Table, Table, Table]:
         """Errors, joints and lag by method."""
-        errors: list[tuple[object, ...]] = []
-        joints: list[tuple[object, ...]] = []
-        answered = [row.validation.points for row in self.rows if row.validation is not None]
-        names = list(dict.fromkeys(joint for points in answered for joint in points))
+        errors, joints, lags = list[dict[str, Any]](), list[dict[str, Any]](), list[dict[str, Any]]()
         for row in self.rows:
-            hidden, visible = self.figures(row, self.part), self.figures(row, "visible")
-            if row.validation is None or hidden is None or visible is None:
-                errors.append((row.method, *[None] * 8))
-                continue
-            lengths = (hidden.position_rms_m, hidden.position_p95_m, hidden.position_max_m)
-            consistency = (hidden.orientation_rms_deg, hidden.nees, percent(hidden.coverage_95))
-            seen = (centimetres(visible.position_rms_m), visible.orientation_rms_deg)
-            errors.append((row.method, *map(centimetres, lengths), *consistency, *seen))
-            found = [row.validation.points.get(joint, {}).get(self.part) for joint in names]
-            joints.append((row.method, *(each and centimetres(each.position_rms_m) for each in found)))
-        lags = [(row.method, _ms(row.lag_s), _ms(row.lag_occluded_s)) for row in self.rows]
-        columns = ("method", "rms, cm", "95 %", "max", "rms, deg", "NEES", "inside 95 %", "visible rms, cm")
-        what = "forearm IMU" if self.point == SENSOR else self.point
-        best = self.title(f"Error of the {what} {self.where}, the best method first")
-        rms, lag = f"Joints {self.where}, rms, cm", "Lag left behind the truth, ms"
+            found: dict[str, Any] = {"method": row.method}
+            own = row.validation
+            shown, seen = (
+                None if own is None else own.figures_of(self.point, part) for part in (self.part, "visible")
+            )
+            if own is not None and shown is not None and seen is not None:
+                found |= {"visible_m": seen.position_rms_m, "visible_deg": seen.orientation_rms_deg}
+                points = {
+                    f"{joint}_m": parts[self.part].position_rms_m for joint, parts in own.points.items()
+                }
+                joints.append({"method": row.method, **points})
+                errors.append(found | vars(shown))
+            else:
+                errors.append(found)
+            lags.append({"method": row.method, "all": own and own.lag_s, "gaps": row.lag_occluded_s})
+        names = dict.fromkeys(key for row in joints for key in row if key != "method")
+        titled, what = self.alignment.titled, "forearm IMU" if self.point == SENSOR else self.point
         return (
-            Table(best, (*columns, "deg"), errors, _ERRORS),
-            Table(self.title(rms), ("method", *names), joints if names else (), _JOINTS),
-            Table(self.title(lag), ("method", "all samples", "in gaps"), lags, _LAG),
+            tabulated(
+                titled(f"Error of the {what} {self.where}, the best method first"),
+                errors,
+                {
+                    "method": "method",
+                    "rms, cm": "position_rms_m",
+                    "95 %": "position_p95_m",
+                    "max": "position_max_m",
+                    "rms, deg": "orientation_rms_deg",
+                    "NEES": "nees",
+                    "inside 95 %": "coverage_95",
+                    "visible rms, cm": "visible_m",
+                    "deg": "visible_deg",
+                },
+                _ERRORS,
+            ),
+            tabulated(
+                titled(f"Joints {self.where}, rms, cm"),
+                joints if names else (),
+                {"method": "method", **{name.removesuffix("_m"): name for name in names}},
+                _JOINTS,
+            ),
+            tabulated(
+                titled("Lag left behind the truth, ms"),
+                lags,
+                {
+                    "method": "method",
+                    "all samples": lambda row: _ms(row["all"]),
+                    "in gaps": lambda row: _ms(row["gaps"]),
+                },
+                _LAG,
+            ),
         )
 
     @property
@@ -151,7 +175,7 @@ class Comparison:
         return {
             "point": self.point,
             "order": [row.method for row in self.rows],
-            "methods": {row.method: self._method(row) for row in self.rows},
+            "methods": {row.method: row.to_dict() for row in self.rows},
             "camera": {
                 "clock_offset_s": self.clock_offset_s,
                 "clock_offset_sigma_s": self.clock_offset_sigma_s,
@@ -161,13 +185,6 @@ class Comparison:
             **self.alignment.to_dict(),
             "notes": list(self.notes),
         }
-
-    def _method(self, row: MethodResult) -> dict[str, Any]:
-        if row.validation is None:
-            return {"failure": row.failure}
-        whole = row.validation.to_dict()
-        own = {"failure": row.failure, "lag_s": row.lag_s, "lag_occluded_s": row.lag_occluded_s}
-        return own | {key: whole[key] for key in (*PARTS, "points", "gaps")}
 
 
 def _ms(value_s: float | None) -> str | None:
@@ -238,21 +255,20 @@ def _result(
         return MethodResult(name, None, failure=str(error))
     path = recovery.position if point == SENSOR else recovery.joints[point]
     reference = truth.position if point == SENSOR else truth.joints[point]
-    reference = np.where(truth.score[:, None], reference, np.nan)
-    lag, lag_occluded = (
-        lag_s(recovery.t_s, samples, reference, truth.t_s)
-        for samples in (path, np.where(recovery.occluded[:, None], path, np.nan))
-    )
-    return MethodResult(name, validation, lag, lag_occluded, path)
+    hidden = np.where(recovery.occluded[:, None], path, np.nan)
+    known = np.where(truth.score[:, None], reference, np.nan)
+    return MethodResult(name, validation, lag_s(recovery.t_s, hidden, known, truth.t_s), path)
+
+
+def _rms_m(row: MethodResult, point: str, part: str) -> float | None:
+    figures = row.validation and row.validation.figures_of(point, part)
+    return figures.position_rms_m if figures else None
 
 
 def _rank(row: MethodResult, point: str) -> tuple[bool, float]:
     """The error in gaps, else over all samples; without an answer last."""
-    for part in ("occluded", "all"):
-        figures = row.validation and row.validation.figures_of(point, part)
-        if figures and figures.position_rms_m is not None:
-            return False, figures.position_rms_m
-    return True, 0.0
+    known = [rms for part in ("occluded", "all") if (rms := _rms_m(row, point, part)) is not None]
+    return not known, known[0] if known else 0.0
 
 
 def _camera_lag(recording: Recording, truth: Truth) -> dict[str, float]:
@@ -285,104 +301,3 @@ def _notes(
     if not graph.occluded.any():
         notes.append("The recording has no gap: methods are compared where the camera sees the arm.")
     return list(dict.fromkeys(notes))
-
-
-#: Answers are asked for at this rate, Hz, and interpolated to the IMU's times.
-RATE_HZ = 30.0
-#: A self-calibration in the background takes this many steps until its answer is there.
-STEPS_OF_CALIBRATION = 15
-#: Between answers farther apart than this there is none, s.
-APART_S = 0.2
-
-
-#: By kind ("now" or "settled"), every answer of the live smoother.
-LiveAnswers = dict[str, list[LiveEstimate]]
-
-
-def play(
-    recording: Recording,
-    graph: Method,
-    calibration: ArmCalibration | None,
-    config: Config,
-    latency_s: float = 0.1,
-    lag_s: float = 0.2,
-) -> LiveAnswers:
-    """What the live smoother answers to a recording that arrives step by step."""
-    from ..live.calibrations import InlineCalibrator
-    from ..live.smoother import LiveSmoother
-
-    answers: LiveAnswers = {"now": [], "settled": []}
-    calibrator = InlineCalibrator(STEPS_OF_CALIBRATION)
-    given = (recording.gravity_hint, recording.camera_frame, calibrator)
-    with LiveSmoother(recording.side, calibration, config, lag_s, *given) as live:
-        for now_s, imu, frames in arrivals(recording, graph(recording).clock_offset_s, latency_s):
-            for batch in imu:
-                live.add_imu(batch)
-            for frame in frames:
-                live.add_frame(frame)
-            output = live.step(now_s)
-            for kind, own in answers.items():
-                if (estimate := getattr(output, kind)) is not None:
-                    own.append(estimate)
-    return answers
-
-
-def arrivals(
-    recording: Recording, offset_s: float, latency_s: float
-) -> Iterator[tuple[float, list[ImuBatch], list[SkeletonFrame]]]:
-    """Step by step what has arrived since the last one: the time, IMU batches, frames."""
-    imu, arm = recording.imu, recording.arm
-    arrival_s = np.asarray(arm.t_s) + offset_s + latency_s
-    first = frame = 0
-    for now_s in np.arange(float(imu.t_s[0]), float(imu.t_s[-1]), 1.0 / RATE_HZ).tolist():
-        last = int(np.searchsorted(imu.t_s, now_s, side="right"))
-        rows = slice(first, last)
-        batch = ImuBatch(np.array(imu.t_s[rows]), np.array(imu.acc[rows]), np.array(imu.gyro[rows]))
-        until = int(np.searchsorted(arrival_s, now_s, side="right"))
-        frames = [
-            SkeletonFrame(float(arm.t_s[k]), float(arrival_s[k]), np.array(arm.position[k]), arm.state[k])
-            for k in range(frame, until)
-        ]
-        yield now_s, [batch] if last > first else [], frames
-        first, frame = last, until
-
-
-def by_live(
-    kind: str, played: Callable[[Recording], LiveAnswers], graph: Method, recording: Recording
-) -> Recovery:
-    """The live answers at the times of the graph's recovery; nan before the first."""
-    solved, answers = graph(recording), played(recording)[kind]
-    if len(answers) < 2:
-        raise UnoccludeError(
-            f"{solved.name}: too short for live-{kind}, which calibrates itself on the first seconds"
-        )
-    by_time = {answer.t_s: answer for answer in answers}
-    t = np.array(sorted(by_time))
-    answers = [by_time[t_s] for t_s in t.tolist()]
-    right = np.clip(np.searchsorted(t, solved.t_s), 1, len(t) - 1)
-    unknown = (solved.t_s < t[0]) | (solved.t_s > t[-1]) | (t[right] - t[right - 1] > APART_S)
-
-    def column(values: list[FloatArray]) -> FloatArray:
-        at = interpolate(t, np.array(values), solved.t_s)
-        at[unknown] = np.nan
-        return at
-
-    quaternion = column(list(one_sign(np.array([answer.quaternion for answer in answers]))))
-    no_place, no_spread = np.full(3, np.nan), np.full((3, 3), np.nan)
-    return replace(
-        solved,
-        method=f"live-{kind}",
-        position=column([answer.position for answer in answers]),
-        quaternion=quaternion / np.linalg.norm(quaternion, axis=1, keepdims=True),
-        velocity=column([answer.velocity for answer in answers]),
-        pose_covariance=column([answer.pose_covariance for answer in answers]),
-        velocity_covariance=np.full((len(solved), 3, 3), np.nan),
-        joints={
-            joint: column([answer.joints.get(joint, no_place) for answer in answers])
-            for joint in solved.joints
-        },
-        joint_covariance={
-            joint: column([answer.joint_covariance.get(joint, no_spread) for answer in answers])
-            for joint in solved.joints
-        },
-    )

@@ -1,21 +1,29 @@
-"""How well the measures of results agree with those of their references, pair by pair."""
+"""How well the measures of results agree with those of their references, pair by pair; files of pairs."""
 
 from __future__ import annotations
 
+import json
 import math
 from collections.abc import Collection, Iterable, Sequence
 from dataclasses import asdict, dataclass, replace
-from typing import Any
+from difflib import get_close_matches
+from functools import cached_property
+from pathlib import Path
+from typing import Any, TypeGuard
 
 import numpy as np
+from pydantic import TypeAdapter
 
+from ..errors import UnoccludeError
 from ..measures import Measures, Movement, Scope
+from ..measures.definitions import definitions, is_measure
 from ..recording import Truth
 from ..result import Recovery
+from ..runtime.inputs import read_toml
 from ..runtime.pool import Progress
-from ..table import Table
-from .agreement import PairAgreement, pair_agreement
-from .progress import interval, is_main, quantity
+from ..table import Table, tabulated
+from .agreement import pair_agreement, with_interval
+from .progress import interval, is_main, limits_words, quantity
 
 #: A movement of the answer and one of the reference are the same where they share more of their time.
 SAME_SHARE = 0.5
@@ -130,25 +138,6 @@ def same_movements(ours: Sequence[Movement], others: Sequence[Movement]) -> list
 
 
 @dataclass(frozen=True)
-class KeyAgreement:
-    """How well a measure agrees over many pairs."""
-
-    scope: str
-    key: str
-    name: str
-    unit: str
-    recordings: int  # Of how many recordings the pairs are
-    inside: int  # Intervals that contain the reference
-    intervals: int  # Pairs with an interval
-    agreement: PairAgreement  # The figures
-
-    def to_dict(self) -> dict[str, object]:
-        """Plain values by name, as `--json` writes them."""
-        about = {name: getattr(self, name) for name in ("name", "unit", "recordings", "inside", "intervals")}
-        return about | asdict(self.agreement)
-
-
-@dataclass(frozen=True)
 class MeasureComparison:
     """The measures of a recording beside those of its reference."""
 
@@ -161,33 +150,36 @@ class MeasureComparison:
         """All pairs, the pooled ones first."""
         return unique_pairs((*self.pooled, *self.pairs))
 
-    @property
-    def agreements(self) -> tuple[KeyAgreement, ...]:
+    @cached_property
+    def agreements(self) -> dict[str, dict[str, dict[str, Any]]]:
         """Figures by scope and measure, over these pairs and the pooled ones."""
-        groups: dict[tuple[str, str], list[MeasurePair]] = {}
+        groups: dict[str, dict[str, list[MeasurePair]]] = {"session": {}, "movement": {}, "repetition": {}}
         for pair in self.together:
-            groups.setdefault((pair.scope, pair.key), []).append(pair)
-        order = {"session": 0, "movement": 1, "repetition": 2}
-        found = []
-        for scope, key in sorted(groups, key=lambda each: order[each[0]]):
-            pairs = groups[scope, key]
-            inside = [pair.inside for pair in pairs if pair.inside is not None]
-            values = np.array([(pair.value, pair.reference) for pair in pairs])
-            recordings = len({(pair.recording, pair.side) for pair in pairs})
-            about = (scope, key, pairs[0].name, pairs[0].unit, recordings, sum(inside), len(inside))
-            found.append(KeyAgreement(*about, pair_agreement(*values.T)))
-        return tuple(found)
+            groups[pair.scope].setdefault(pair.key, []).append(pair)
+        return {
+            scope: {key: _agreement(pairs) for key, pairs in by_key.items()}
+            for scope, by_key in groups.items()
+            if by_key
+        }
 
     def to_dict(self) -> dict[str, Any]:
         """Plain values by name, as `--json` writes them; another `validate` may pool them."""
-        agreements: dict[str, dict[str, object]] = {}
-        for each in self.agreements:
-            agreements.setdefault(each.scope, {})[each.key] = each.to_dict()
-        return {
-            "agreement": agreements,
-            "pairs": [pair.to_dict() for pair in self.together],
-            "notes": list(self.notes),
-        }
+        pairs = [pair.to_dict() for pair in self.together]
+        return {"agreement": self.agreements, "pairs": pairs, "notes": list(self.notes)}
+
+
+def _agreement(pairs: Sequence[MeasurePair]) -> dict[str, Any]:
+    """How well a measure agrees over many pairs, and of how many recordings they are."""
+    inside = [pair.inside for pair in pairs if pair.inside is not None]
+    values = np.array([(pair.value, pair.reference) for pair in pairs])
+    return {
+        "name": pairs[0].name,
+        "unit": pairs[0].unit,
+        "recordings": len({(pair.recording, pair.side) for pair in pairs}),
+        "inside": sum(inside),  # intervals that contain the reference
+        "intervals": len(inside),
+        **pair_agreement(*values.T),
+    }
 
 
 def compare_measures(
@@ -231,44 +223,144 @@ def _notes(
     return notes
 
 
+def _is_shown(key: str, keys: Collection[str] | None) -> bool:
+    return is_main(key) if keys is None else key in keys
+
+
 def pair_table(title: str, comparison: MeasureComparison, keys: Collection[str] | None = None) -> Table:
     """The session's main measures, or those with these keys."""
-    rows = [
-        (
-            pair.name,
-            quantity(pair.value, pair.unit),
-            interval(pair.low, pair.high, pair.unit) or "-",
-            quantity(pair.reference, pair.unit),
-            quantity(pair.difference, pair.unit, signed=True),
-            {None: "-", True: "yes", False: "no"}[pair.inside],
-            f"{100 * pair.recovered_share:.0f} %" if np.isfinite(pair.recovered_share) else "-",
-        )
-        for pair in comparison.pairs
-        if pair.scope == "session" and (is_main(pair.key) if keys is None else pair.key in keys)
-    ]
-    columns = ("measure", "answer", "95 % interval", "truth", "difference", "inside", "recovered")
-    return Table(title, columns, rows)
+    return tabulated(
+        title,
+        [pair for pair in comparison.pairs if pair.scope == "session" and _is_shown(pair.key, keys)],
+        {
+            "measure": "name",
+            "answer": lambda pair: quantity(pair.value, pair.unit),
+            "95 % interval": lambda pair: interval(pair.low, pair.high, pair.unit) or "-",
+            "truth": lambda pair: quantity(pair.reference, pair.unit),
+            "difference": lambda pair: quantity(pair.difference, pair.unit, signed=True),
+            "inside": lambda pair: {None: "-", True: "yes", False: "no"}[pair.inside],
+            "recovered": "recovered_share",
+        },
+    )
 
 
 def agreement_table(title: str, comparison: MeasureComparison, keys: Collection[str] | None = None) -> Table:
     """The agreement of the main measures with three pairs or more."""
-    rows = [
-        (
-            one.name,
-            one.scope,
-            f"{found.pairs} of {one.recordings}",
-            quantity(found.bias or 0.0, one.unit, signed=True),
-            interval(found.limits_low, found.limits_high or 0.0, one.unit, signed=True),
-            "-" if found.icc is None else f"{found.icc:.3f} ({found.icc_low:.3f} to {found.icc_high:.3f})",
-            quantity(found.mdc95 or 0.0, one.unit),
-            f"{one.inside} of {one.intervals}" if one.intervals else "-",
-        )
-        for one in comparison.agreements
-        if (is_main(one.key) if keys is None else one.key in keys)
-        and (found := one.agreement).limits_low is not None
-    ]
-    columns = (
-        *("measure", "of", "pairs of arms", "bias", "limits of agreement"),
-        *("ICC(2,1), 95 % interval", "MDC95", "inside"),
+    return tabulated(
+        title,
+        [
+            {"scope": scope, **one}
+            for scope, by_key in comparison.agreements.items()
+            for key, one in by_key.items()
+            if _is_shown(key, keys) and one["limits_low"] is not None
+        ],
+        {
+            "measure": "name",
+            "of": "scope",
+            "pairs of arms": lambda one: f"{one['pairs']} of {one['recordings']}",
+            "bias": lambda one: quantity(one["bias"], one["unit"], signed=True),
+            "limits of agreement": limits_words,
+            "ICC(2,1), 95 % interval": with_interval,
+            "MDC95": lambda one: quantity(one["mdc95"], one["unit"]),
+            "inside": lambda one: f"{one['inside']} of {one['intervals']}" if one["intervals"] else "-",
+        },
     )
-    return Table(title, columns, rows)
+
+
+def read_pairs(path: Path) -> list[MeasurePair]:
+    """The pairs of an earlier validation's `--json`."""
+    pairs = [pair for arm in _arms(path, _json(path)) for pair in arm["measures"].get("pairs", [])]
+    try:
+        finite = [
+            {key: math.nan if value is None and key != "movement" else value for key, value in pair.items()}
+            for pair in pairs
+        ]
+        read = TypeAdapter(list[MeasurePair]).validate_python(finite)
+    except (AttributeError, ValueError) as error:
+        raise UnoccludeError(
+            f"{path}: its measures cannot be read; run `unocclude validate` again"
+        ) from error
+    if not read:
+        raise UnoccludeError(f"{path} has no measures; name what `unocclude validate --json` wrote")
+    return read
+
+
+def read_detectable(path: Path) -> dict[str, float]:
+    """Minimal detectable changes by the measures' keys: of a user, of repeated sessions or of pairs."""
+    if path.suffix.lower() == ".toml":
+        return _of_user(path)
+    figures = _json(path)
+    found: dict[str, float] = {}
+    if (repeated := figures.get("reliability")) is not None:
+        what = (
+            "smallest detectable change; `progress --reliability` needs three persons with two sessions each"
+        )
+        for each in repeated if isinstance(repeated, list) else []:
+            key, value = (each.get("key"), each.get("sdc")) if isinstance(each, dict) else (None, None)
+            if isinstance(key, str) and _is_change(value):
+                _check_keys([key], path)
+                found[key] = max(float(value), found.get(key, 0.0))  # the largest of several arms
+    else:
+        what = (
+            "minimal detectable change of a session; it takes three recordings with motion capture, each"
+            " validated with --pool and the JSON of those before"
+        )
+        pairs: dict[str, int] = {}
+        for arm in _arms(path, figures):
+            for key, own in arm["measures"].get("agreement", {}).get("session", {}).items():
+                value, count = own.get("mdc95"), own.get("pairs", 0)
+                if _is_change(value) and count > pairs.get(key, 0):
+                    found[key], pairs[key] = float(value), count
+    if not found:
+        raise UnoccludeError(f"{path} has no {what}")
+    return found
+
+
+def _is_change(value: Any) -> TypeGuard[float]:
+    return isinstance(value, int | float) and not isinstance(value, bool) and 0 < value < math.inf
+
+
+def _json(path: Path) -> dict[str, Any]:
+    try:
+        figures = json.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise UnoccludeError(f"{path}: {error.strerror or error}") from error
+    except (ValueError, RecursionError) as error:
+        raise UnoccludeError(f"{path} is not JSON; name what `unocclude validate --json` wrote") from error
+    return figures if isinstance(figures, dict) else {}
+
+
+def _arms(path: Path, figures: dict[str, Any]) -> list[dict[str, Any]]:
+    """What `validate --json` wrote, one entry per arm."""
+    arms = figures.get("arms", [figures]) if figures else []
+    if not arms or not all(isinstance(arm, dict) and isinstance(arm.get("measures"), dict) for arm in arms):
+        raise UnoccludeError(f"{path} has no measures; name what `unocclude validate --json` wrote")
+    return arms
+
+
+def _of_user(path: Path) -> dict[str, float]:
+    try:
+        table = read_toml(path).get("mdc95")
+    except OSError as error:
+        raise UnoccludeError(f"{path}: {error.strerror or error}") from error
+    except ValueError as error:
+        raise UnoccludeError(f"{path} is not TOML: {error}") from error
+    if not isinstance(table, dict) or not table:
+        raise UnoccludeError(
+            f"{path} has no table [mdc95]; write one with a line per measure: elbow_flexion_range_deg = 5.0"
+        )
+    _check_keys(table, path)
+    for key, value in table.items():
+        if not _is_change(value):
+            raise UnoccludeError(f"{path}: mdc95 of {key} is {value!r}; it must be a number above 0")
+    return {key: float(value) for key, value in table.items()}
+
+
+def _check_keys(keys: Iterable[str], path: Path) -> None:
+    """Refuse a key that no measure has, with the nearest that one has."""
+    for key in keys:
+        if not is_measure(key):
+            near = get_close_matches(key, definitions(), n=1, cutoff=0.0)
+            raise UnoccludeError(
+                f"{path}: there is no measure {key}, so its mdc95 has no effect; the nearest is {near[0]}"
+            )

@@ -1,22 +1,34 @@
-"""The methods by name: the graph, and the baselines that start from what it estimates."""
+"""The methods by name: the graph, the baselines that start from what it estimates, the live smoother.
+
+The live smoother is played a recording on a simulated clock; its answers are a recovery.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
+import numpy as np
+
 from ..baselines.registry import BASELINES, DEFAULT_ORIENTATION, LIVE_BASELINES, recover
 from ..errors import UnoccludeError
+from ..linalg import interpolate
 
 if TYPE_CHECKING:
+    from ..array_types import FloatArray
     from ..calibration import ArmCalibration
     from ..config import Config
+    from ..live.answers import LiveEstimate
+    from ..live.buffers import ImuBatch, SkeletonFrame
     from ..measurements.clock import Clock
     from ..recording import Recording
     from ..result import Recovery
     from ..runtime.pool import Progress
+
+    #: By kind ("now" or "settled"), every answer of the live smoother.
+    LiveAnswers = dict[str, list[LiveEstimate]]
 
     Method = Callable[[Recording], Recovery]
 
@@ -92,8 +104,6 @@ def make_methods(
     latency_s: float = 0.1,
 ) -> dict[str, Method]:
     """The chosen methods by name; the baselines start from what the graph estimates, which they share."""
-    from .compare import by_live, play
-
     graph, settings = (
         shared_graph(calibration, config, progress, clock),
         settings or BaselineSettings(),
@@ -117,3 +127,104 @@ def _by_baseline(
     name: str, graph: Method, orientation: str, options: Mapping[str, Any], recording: Recording
 ) -> Recovery:
     return recover(recording, graph(recording), name, orientation, options)
+
+
+#: Answers are asked for at this rate, Hz, and interpolated to the IMU's times.
+RATE_HZ = 30.0
+#: A self-calibration in the background takes this many steps until its answer is there.
+STEPS_OF_CALIBRATION = 15
+#: Between answers farther apart than this there is none, s.
+APART_S = 0.2
+
+
+def play(
+    recording: Recording,
+    graph: Method,
+    calibration: ArmCalibration | None,
+    config: Config,
+    latency_s: float = 0.1,
+    lag_s: float = 0.2,
+) -> LiveAnswers:
+    """What the live smoother answers to a recording that arrives step by step."""
+    from ..live.calibrations import InlineCalibrator
+    from ..live.smoother import LiveSmoother
+
+    answers: LiveAnswers = {"now": [], "settled": []}
+    calibrator = InlineCalibrator(STEPS_OF_CALIBRATION)
+    given = (recording.gravity_hint, recording.camera_frame, calibrator)
+    with LiveSmoother(recording.side, calibration, config, lag_s, *given) as live:
+        for now_s, imu, frames in arrivals(recording, graph(recording).clock_offset_s, latency_s):
+            for batch in imu:
+                live.add_imu(batch)
+            for frame in frames:
+                live.add_frame(frame)
+            output = live.step(now_s)
+            for kind, own in answers.items():
+                if (estimate := getattr(output, kind)) is not None:
+                    own.append(estimate)
+    return answers
+
+
+def arrivals(
+    recording: Recording, offset_s: float, latency_s: float
+) -> Iterator[tuple[float, list[ImuBatch], list[SkeletonFrame]]]:
+    """Step by step what has arrived since the last one: the time, IMU batches, frames."""
+    from ..live.buffers import ImuBatch, SkeletonFrame
+
+    imu, arm = recording.imu, recording.arm
+    arrival_s = np.asarray(arm.t_s) + offset_s + latency_s
+    first = frame = 0
+    for now_s in np.arange(float(imu.t_s[0]), float(imu.t_s[-1]), 1.0 / RATE_HZ).tolist():
+        last = int(np.searchsorted(imu.t_s, now_s, side="right"))
+        rows = slice(first, last)
+        batch = ImuBatch(np.array(imu.t_s[rows]), np.array(imu.acc[rows]), np.array(imu.gyro[rows]))
+        until = int(np.searchsorted(arrival_s, now_s, side="right"))
+        frames = [
+            SkeletonFrame(float(arm.t_s[k]), float(arrival_s[k]), np.array(arm.position[k]), arm.state[k])
+            for k in range(frame, until)
+        ]
+        yield now_s, [batch] if last > first else [], frames
+        first, frame = last, until
+
+
+def by_live(
+    kind: str, played: Callable[[Recording], LiveAnswers], graph: Method, recording: Recording
+) -> Recovery:
+    """The live answers at the times of the graph's recovery; nan before the first."""
+    from ..measures.motion import one_sign
+
+    solved, answers = graph(recording), played(recording)[kind]
+    if len(answers) < 2:
+        raise UnoccludeError(
+            f"{solved.name}: too short for live-{kind}, which calibrates itself on the first seconds"
+        )
+    by_time = {answer.t_s: answer for answer in answers}
+    t = np.array(sorted(by_time))
+    answers = [by_time[t_s] for t_s in t.tolist()]
+    right = np.clip(np.searchsorted(t, solved.t_s), 1, len(t) - 1)
+    unknown = (solved.t_s < t[0]) | (solved.t_s > t[-1]) | (t[right] - t[right - 1] > APART_S)
+
+    def column(values: list[FloatArray]) -> FloatArray:
+        at = interpolate(t, np.array(values), solved.t_s)
+        at[unknown] = np.nan
+        return at
+
+    quaternion = column(list(one_sign(np.array([answer.quaternion for answer in answers]))))
+    no_place, no_spread = np.full(3, np.nan), np.full((3, 3), np.nan)
+    return replace(
+        solved,
+        method=f"live-{kind}",
+        position=column([answer.position for answer in answers]),
+        quaternion=quaternion / np.linalg.norm(quaternion, axis=1, keepdims=True),
+        velocity=column([answer.velocity for answer in answers]),
+        pose_covariance=column([answer.pose_covariance for answer in answers]),
+        velocity_covariance=np.full((len(solved), 3, 3), np.nan),
+        joints={
+            joint: column([answer.joints.get(joint, no_place) for answer in answers])
+            for joint in solved.joints
+        },
+        joint_covariance={
+            joint: column([answer.joint_covariance.get(joint, no_spread) for answer in answers])
+            for joint in solved.joints
+        },
+    )

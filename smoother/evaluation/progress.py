@@ -1,15 +1,31 @@
-"""Measures as people read them, and a person's over the sessions: what changed, as the intervals support."""
+"""Measures as people read them, over a person's sessions and over persons.
+
+What changed as the intervals support; how reliable measures are without true change; a group's means.
+Sources of reliability: Mokkink et al., J Clin Epidemiol 63:737-745 (2010), the terms; Shrout and Fleiss,
+Psychological Bulletin 86:420-428 (1979), ICC(2,1); de Vet et al., J Clin Epidemiol 59:1033-1039 (2006),
+SEM_agreement and smallest detectable change; Satterthwaite, Biometrics Bulletin 2:110-114 (1946).
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any, Literal
 
 import numpy as np
 
+from ..array_types import FloatArray
 from ..measures.definitions import FEWEST_DRAWS
+from ..table import Table, tabulated
+from .agreement import (
+    detectable_change,
+    icc_a1,
+    limits_of_agreement,
+    mean_squares,
+    sigma_interval,
+    with_interval,
+)
 
 #: By the unit of a measure: factor, unit for people, decimals.
 _SHOWN: dict[str, tuple[float, str, int]] = {
@@ -66,6 +82,11 @@ def interval(low: float, high: float, unit: str, signed: bool = False) -> str:
     if not math.isfinite(low) or not math.isfinite(high):
         return ""
     return f"{number(low, unit, signed)} to {quantity(high, unit, signed)}"
+
+
+def limits_words(row: Mapping[str, Any]) -> str:
+    """Limits of agreement with their unit for people."""
+    return interval(row["limits_low"], row["limits_high"], row["unit"], signed=True)
 
 
 #: Those that a reader looks at first, in that order.
@@ -327,3 +348,116 @@ class PersonProgress:
         about = {name: getattr(self, name) for name in ("person", "sessions", "days", "left_out", "notes")}
         counts = {"compared": len(self.compared), "clear": len(self.clear)}
         return about | counts | {"measures": [each.to_dict() for each in self.series]}
+
+
+#: Fewer persons have no figures of reliability.
+FEWEST_PERSONS = 3
+
+
+def reliability_of(persons: Sequence[PersonProgress]) -> list[dict[str, Any]]:
+    """How reliable the main measures are over sessions without true change, as `--json` has it.
+
+    ICC(2,1) (two-way random effects, absolute agreement, single measurement); SEM_agreement, with systematic
+    differences between sessions; `sdc`, the smallest detectable change of one person, 1.96 sqrt(2) SEM; bias
+    and limits of agreement of the second session minus the first, whose `values` they are.
+    """
+    values: dict[tuple[str, str, str], list[list[float]]] = {}
+    about: dict[str, tuple[str, str]] = {}
+    for person in persons:
+        for series in person.main:
+            known = [each.value for each in series.values if np.isfinite(each.value)]
+            if len(known) > 1:
+                about[series.key] = series.name, series.unit
+                values.setdefault((series.side, series.task, series.key), []).append(known)
+    found = []
+    for (side, task, key), own in values.items():
+        if len(own) < FEWEST_PERSONS:
+            continue
+        ratings = np.array([each[: min(map(len, own))] for each in own])
+        row: dict[str, Any] = {
+            "side": side,
+            "task": task,
+            "key": key,
+            "name": about[key][0],
+            "unit": about[key][1],
+        }
+        row |= {"persons": len(ratings), "sessions": ratings.shape[1]}
+        row |= dict(zip(("icc_21", "icc_21_low", "icc_21_high"), icc_a1(ratings), strict=True))
+        sem = sem_agreement(ratings)
+        names = ("sem_agreement", "sem_agreement_low", "sem_agreement_high")
+        row |= dict(zip(names, sem, strict=True)) | {"sdc": detectable_change(sem[0])}
+        row |= limits_of_agreement(ratings[:, 1] - ratings[:, 0])
+        found.append(row | {"values": ratings[:, :2].tolist()})
+    return found
+
+
+def sem_agreement(ratings: FloatArray) -> tuple[float, float, float]:  # ratings (n, k)
+    """SEM_agreement, sqrt(variance between sessions + error), and its 95 % interval (Satterthwaite)."""
+    n, k = ratings.shape
+    _, sessions, error = mean_squares(ratings)
+    parts = [(sessions / n, k - 1), ((n - 1) / n * error, (n - 1) * (k - 1))]
+    if sessions <= error * (1 + 1e-12):  # the sessions do not differ: a variance is not negative
+        parts = [(error, (n - 1) * (k - 1))]
+    variance = sum(part for part, _ in parts)
+    if variance <= 0:
+        return 0.0, 0.0, 0.0
+    freedom = variance**2 / sum(part**2 / count for part, count in parts)
+    return float(np.sqrt(variance)), *sigma_interval(float(np.sqrt(variance)), freedom)
+
+
+def reliability_table(found: Sequence[Mapping[str, Any]]) -> Table:
+    """The same for people."""
+    return tabulated(
+        "Reliability, for sessions without true change",
+        found,
+        {
+            "measure": lambda one: ", ".join(filter(None, (one["name"], one["side"], one["task"]))),
+            "persons": lambda one: f"{one['persons']} x {one['sessions']}",
+            "ICC(2,1), 95 %": lambda one: with_interval(one, "icc_21", 2) or "-",
+            "SEM agreement": lambda one: quantity(one["sem_agreement"], one["unit"]),
+            "SDC": lambda one: quantity(one["sdc"], one["unit"]),
+            "limits": limits_words,
+        },
+    )
+
+
+#: Measures of a group's table.
+MOST_MEASURES = 12
+
+
+def group_measures(rows: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
+    """The main measures over the persons of a study's long rows, without what is not to be trusted.
+
+    Count, mean and standard deviation of the persons' `first` sessions and of the `last` of those who have
+    several; mean change between them with its interval by Student's t over the persons.
+    """
+    from scipy.stats import t
+
+    values: dict[tuple[str, str, str], dict[str, dict[int, float]]] = {}
+    about: dict[str, tuple[str, str]] = {}
+    for row in rows:
+        if not row["trusted"] or row["value"] is None:
+            continue
+        about[row["measure"]] = row["name"], row["unit"] or ""
+        persons = values.setdefault((row["side"], row["task"], row["measure"]), {})
+        persons.setdefault(row["person"], {})[row["session_number"]] = float(row["value"])
+    keys = first_of(list(about), MOST_MEASURES)
+    chosen = sorted((key for key in values if key[2] in keys), key=lambda key: (*key[:2], keys.index(key[2])))
+    found = []
+    for key in chosen:
+        sessions = [[each[number] for number in sorted(each)] for each in values[key].values()]
+        several = [each for each in sessions if len(each) > 1]
+        count, mean, sd = _spread([each[-1] - each[0] for each in several])
+        half = float(t.ppf(0.975, count - 1)) * sd / math.sqrt(count) if count > 1 else math.nan
+        row = dict(zip(("side", "task", "key", "name", "unit"), (*key, *about[key[2]]), strict=True))
+        row |= {"first": _spread([each[0] for each in sessions])}
+        row |= {"last": _spread([each[-1] for each in several])}
+        found.append(row | {"change": mean, "low": mean - half, "high": mean + half})
+    return found
+
+
+def _spread(values: Sequence[float]) -> tuple[int, float, float]:
+    """Count, mean (nan without any) and standard deviation (nan without two)."""
+    count = len(values)
+    mean = float(np.mean(values)) if count else math.nan
+    return count, mean, float(np.std(values, ddof=1)) if count > 1 else math.nan

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
@@ -15,7 +15,7 @@ from ..measurements.visibility import Gap
 from ..recording import Truth
 from ..result import Recovery
 from ..runtime.pool import Progress
-from ..table import Table, centimetres, fixed, percent
+from ..table import Table, fixed, tabulated
 from .agreement import WORDS, Agreement, AngleComparison, compare_angles, interval, with_interval
 from .measure_agreement import MeasureComparison, MeasurePair, compare_measures
 from .metrics import (
@@ -122,10 +122,7 @@ class Validation:
             "gaps": [
                 {"start_s": gap.start_s, "end_s": gap.end_s, **asdict(figures)} for gap, figures in self.gaps
             ],
-            "angles_deg": {
-                part: {name: asdict(found) for name, found in each.items()}
-                for part, each in self.angle_figures.items()
-            },
+            "angles_deg": self.angle_figures,
             "carrying_truth_deg": None if self.angles is None else self.angles.carrying_truth_deg,
             "lag_s": self.lag_s,
             "measures": None if self.measures is None else self.measures.to_dict(),
@@ -138,75 +135,64 @@ class Validation:
 
     def errors(self, recovery: Recovery) -> Table:
         """The errors of the sensor by part, with what was stated of them."""
-        rows: list[tuple[object, ...]] = []
+        rows: list[dict[str, Any]] = []
         for part, inside in _parts(recovery).items():
             figures: Figures = getattr(self, part)
             chosen = np.flatnonzero(inside)
             some = recovery.pose_covariance[chosen[:: max(1, len(chosen) // _MOST_POOLED)]]
             stated_m = pooled_radius(some[:, :3, :3]) if figures.position_p95_m is not None else None
-            lengths = (figures.position_p95_m, stated_m, figures.position_rms_m, figures.position_max_m)
-            turns = (figures.orientation_rms_deg, figures.orientation_p95_deg, figures.orientation_max_deg)
-            more = (figures.nees, percent(figures.coverage_95), figures.samples)
-            rows.append((part, *map(centimetres, lengths), *turns, *more))
-        columns = (
-            *("part", "95 % within, cm", "stated, cm", "rms, cm", "max, cm"),
-            *("rms, deg", "95 %, deg", "max, deg", "NEES", "inside 95 %", "samples"),
-        )
+            rows.append({"part": part, "stated_m": stated_m, **vars(figures)})
         title = self.title("Error against the truth, with the measured and the stated 95 % bound")
-        return Table(title, columns, rows)
+        columns = {"95 % within, cm": "position_p95_m", "stated, cm": "stated_m", "rms, cm": "position_rms_m"}
+        turns = {"rms, deg": "orientation_rms_deg", "95 %, deg": "orientation_p95_deg"}
+        more = {"max, deg": "orientation_max_deg", "NEES": "nees", "inside 95 %": "coverage_95"}
+        columns |= {"max, cm": "position_max_m"} | turns | more
+        return tabulated(title, rows, {"part": "part", **columns, "samples": "samples"})
 
     @property
     def joint_errors(self) -> Table:
         """The errors of the joints by part."""
         rows = [
-            (
-                name,
-                *(centimetres(parts[part].position_rms_m) for part in PARTS),
-                centimetres(parts["all"].position_p95_m),
-                centimetres(parts["all"].position_max_m),
-                parts["all"].nees,
-            )
+            {"joint": name, **vars(parts["all"])}
+            | {f"{part}_m": parts[part].position_rms_m for part in PARTS}
             for name, parts in self.points.items()
         ]
-        columns = ("joint", *PARTS, "95 %", "max", "NEES")
-        return Table(self.title("Joints, position rms, cm"), columns, rows)
+        columns = {"joint": "joint", **{part: f"{part}_m" for part in PARTS}}
+        columns |= {"95 %": "position_p95_m", "max": "position_max_m", "NEES": "nees"}
+        return tabulated(self.title("Joints, position rms, cm"), rows, columns)
 
     @property
     def gap_errors(self) -> Table:
         """The errors of the sensor gap by gap."""
         rows = [
-            (
-                f"{gap.start_s:.2f}",
-                f"{gap.length_s:.2f}",
-                *map(centimetres, (figures.position_rms_m, figures.position_p95_m, figures.position_max_m)),
-                *(figures.orientation_rms_deg, figures.orientation_max_deg, figures.nees),
-            )
+            {"start": f"{gap.start_s:.2f}", "length": f"{gap.length_s:.2f}", **vars(figures)}
             for gap, figures in self.gaps
             if figures.position_rms_m is not None or figures.orientation_rms_deg is not None
         ]
-        columns = ("gap at, s", "length, s", "rms, cm", "95 % within, cm", "max, cm", "rms, deg", "max, deg")
-        return Table(self.title("Error gap by gap"), (*columns, "NEES"), rows)
+        columns = {"gap at, s": "start", "length, s": "length", "rms, cm": "position_rms_m"}
+        columns |= {"95 % within, cm": "position_p95_m", "max, cm": "position_max_m"}
+        columns |= {"rms, deg": "orientation_rms_deg", "max, deg": "orientation_max_deg", "NEES": "nees"}
+        return tabulated(self.title("Error gap by gap"), rows, columns)
 
     @property
     def angle_errors(self) -> Table:
         """The agreement of the joint angles by part."""
         rows = [
-            (
-                WORDS[name],
-                part,
-                fixed(each.rmse),
-                fixed(each.bias),
-                interval(each.limits_low, each.limits_high, 1),
-                with_interval(each.icc, each.icc_low, each.icc_high),
-                each.samples,
-            )
+            {"angle": WORDS[name], "part": part, **found}
             for name in (self.angles.compared if self.angles else ())
             for part in PARTS
-            if (each := self.angle_figures[part][name]).samples
+            if (found := self.angle_figures[part][name])["samples"]
         ]
-        columns = ("angle", "part", "RMSE", "bias", "limits of agreement", "ICC(A,1), 95 % interval")
-        title = self.title("Joint angles, degrees (answer minus truth)")
-        return Table(title, (*columns, "samples"), rows)
+        columns: dict[str, str | Callable[[Any], object]] = {
+            "angle": "angle",
+            "part": "part",
+            "RMSE": lambda row: fixed(row["rmse"]),
+            "bias": lambda row: fixed(row["bias"]),
+            "limits of agreement": lambda row: interval(row["limits_low"], row["limits_high"], 1),
+            "ICC(A,1), 95 % interval": with_interval,
+            "samples": "samples",
+        }
+        return tabulated(self.title("Joint angles, degrees (answer minus truth)"), rows, columns)
 
 
 def _parts(recovery: Recovery) -> dict[str, BoolArray]:

@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
+from typing import Any
 
 import numpy as np
 import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
 from ..evaluation.compare import Comparison
-from ..evaluation.gap_table import GapSpread, GapTable, spread_by_length
+from ..evaluation.gaps import GapTable
 from ..measurements.visibility import Gap
 from ..recording import Recording
-from ..table import Table, centimetres
+from ..table import tabulated
 from .sheet import Page, Section, label, notes, rendered
 from .style import CAMERA, SHADE, TRUTH, axis_names, curve, dots, dress, interval_bars
 
@@ -48,7 +49,7 @@ AROUND_S = 0.6
 def comparison_page(comparison: Comparison, recording: Recording) -> Page:
     """A comparison on one page."""
     return Page(
-        comparison.title(f"Methods compared: {recording.name}"),
+        comparison.alignment.titled(f"Methods compared: {recording.name}"),
         f"{len(comparison.rows)} methods, {len(comparison.gaps)} gaps, the {_point(comparison)} compared"
         " with the truth.",
         verdict(comparison),
@@ -58,12 +59,7 @@ def comparison_page(comparison: Comparison, recording: Recording) -> Page:
 
 def verdict(comparison: Comparison) -> list[str]:
     """What the comparison says, in sentences."""
-    errors = {
-        row.method: figures.position_rms_m
-        for row in comparison.rows
-        if (figures := comparison.figures(row, comparison.part)) is not None
-        and figures.position_rms_m is not None
-    }
+    errors = comparison.rms_m
     if not errors:
         return ["No method has a result that can be compared with the truth."]
     ranked = ", ".join(f"{name} {100 * error:.1f}" for name, error in errors.items())
@@ -132,14 +128,18 @@ _CURVES = (
 )
 
 
-Spreads = dict[float, dict[str, GapSpread]]
+#: By length of gap (s), rising, and method: `GapGroup.spread`.
+Spreads = dict[float, dict[str, dict[str, Any]]]
 
 
 def gap_curves_page(table: GapTable, name: str, remarks: Sequence[str] = ()) -> Page:
     """The errors in hidden gaps on one page."""
-    spreads = spread_by_length(table.rows)
-    gaps = sum(next(iter(methods.values())).gaps for methods in spreads.values())
-    against = next((row.reference for row in table.rows if row.reference), "truth")
+    spreads = {
+        length: {method: group.spread for method, group in table.lengths[length].items()}
+        for length in sorted(table.lengths)
+    }
+    gaps = sum(len(next(iter(methods.values())).rows) for methods in table.lengths.values())
+    against = table.reference
     reference = (
         "the truth" if against == "truth" else f"what the camera saw of the {against}, its noise included"
     )
@@ -158,9 +158,9 @@ def gap_verdict(spreads: Spreads) -> list[str]:
         longest = 0.0  # up to which the upper quartile stays within the limit at every length, s
         for length, methods in spreads.items():
             graph = methods.get("graph")
-            if graph is None or graph.high_m is None or graph.high_m > limit_cm / 100:
+            if graph is None or graph["high_m"] is None or graph["high_m"] > limit_cm / 100:
                 break
-            if graph.failed > graph.gaps / 4:
+            if graph["failed"] > graph["gaps"] / 4:
                 break
             longest = length
         if longest > before:
@@ -181,12 +181,12 @@ def curves(spreads: Spreads) -> go.Figure:
         known = {
             length: spread
             for length, methods in spreads.items()
-            if (spread := methods.get(name)) is not None and spread.median_m is not None
+            if (spread := methods.get(name)) is not None and spread["median_m"] is not None
         }
         if not known:
             continue
         median, low, high = (
-            [100 * (getattr(spread, part) or np.nan) for spread in known.values()]
+            [100 * (spread[part] or np.nan) for spread in known.values()]
             for part in ("median_m", "low_m", "high_m")
         )
         shift = 1.0 if name == "graph" else 1.012 ** (place - len(names) / 2)  # bars beside each other
@@ -203,26 +203,20 @@ def curves(spreads: Spreads) -> go.Figure:
 
 def _sections(spreads: Spreads, remarks: Iterable[str]) -> Iterator[Section]:
     yield Section("Error against gap length", _GAP_CURVES, curves(spreads))
-    parts = ("median_m", "low_m", "high_m", "rms_m", "worst_m")
     rows = [
-        (
-            *(f"{length:g}", name, *(centimetres(getattr(spread, part)) for part in parts)),
-            *(spread.gaps, spread.failed or None),
-        )
+        {"length_s": length, "method": name, **spread, "failed": spread["failed"] or None}
         for length, methods in spreads.items()
         for name, spread in sorted(methods.items(), key=_by_median)
     ]
-    columns = (
-        *("gap, s", "method", "median of gaps, cm", "25 %", "75 %", "rms over gaps", "worst gap"),
-        *("gaps", "failed"),
-    )
-    yield rendered(Table("The figures", columns, rows, _TABLE))
+    columns = {"gap, s": "length_s", "method": "method", "median of gaps, cm": "median_m", "25 %": "low_m"}
+    columns |= {"75 %": "high_m", "rms over gaps": "rms_m", "worst gap": "worst_m", "gaps": "gaps"}
+    yield rendered(tabulated("The figures", rows, columns | {"failed": "failed"}, _TABLE))
     yield notes(dict.fromkeys(remarks))
 
 
-def _by_median(entry: tuple[str, GapSpread]) -> float:
-    median = entry[1].median_m
-    return float("inf") if median is None else median
+def _by_median(entry: tuple[str, dict[str, Any]]) -> float:
+    median = entry[1]["median_m"]
+    return float("inf") if median is None else float(median)
 
 
 _GAP_CURVES = (

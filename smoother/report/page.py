@@ -311,7 +311,7 @@ def arms_comparison_page(compared: Sequence[tuple[Recording, Comparison]]) -> Pa
     arms = [(capitalised(recording.arm_label), recording, comparison) for recording, comparison in compared]
     _, recording, comparison = arms[0]
     return Page(
-        comparison.title(f"Methods compared: {recording.name}"),
+        comparison.alignment.titled(f"Methods compared: {recording.name}"),
         f"{len(comparison.rows)} methods, {len(compared)} arms, each compared with its own truth.",
         [f"{name}: {text}" for name, _, one in arms for text in verdict(one)],
         [

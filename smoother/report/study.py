@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from urllib.parse import quote
@@ -12,10 +12,11 @@ from urllib.parse import quote
 import numpy as np
 
 from ..array_types import FloatArray
-from ..evaluation.group import GroupMeasure, Spread, group_measures, write_long
-from ..evaluation.progress import first_of
+from ..evaluation.progress import first_of, group_measures
 from ..evaluation.summary import trust_word
-from ..table import Table
+from ..runtime.csv_rows import write_rows
+from ..runtime.outputs import writing
+from ..table import Table, tabulated
 from .sheet import ALARM, NOT_TRUSTED, Html, Page, Section, badge, rendered
 
 if TYPE_CHECKING:
@@ -55,7 +56,11 @@ def write_study(
         sections.append(_worst(worst, len(recovered), persons or {}, Path(path), Path(folder)))
         if long:
             file = Path(path).with_name(f"{Path(path).stem}_measures.csv")
-            write_long(long, file)
+            with (
+                writing(file, force=True) as temporary,
+                open(temporary, "w", newline="", encoding="utf-8") as to,
+            ):
+                write_rows(to, [list(long[0]), *(row.values() for row in long)])
             sections.append(_group(group_measures(long), file.name))
         sections.append(_notes(recovered))
     Page(
@@ -220,41 +225,40 @@ def _notes(recovered: pa.Table) -> Section:
     return Section("Notes in the results", sentences=sentences)
 
 
-def _group(measures: list[GroupMeasure], file: str) -> Section:
+def _group(measures: list[dict[str, Any]], file: str) -> Section:
     """Mean, spread and change of each measure over the persons."""
-    several = any(each.last.count for each in measures)
-    tasks = any(each.task for each in measures)
-    heads = [
-        *("arm", *(["task"] if tasks else []), "measure", "persons", "mean (SD)"),
-        *(["last session, mean (SD)", "persons with both", "change (95 % interval)"] if several else []),
-    ]
-    cells = [
-        (
-            each.side or None,
-            *([each.task] if tasks else []),
-            f"{each.name}, {each.unit}".removesuffix(", "),
-            *(each.first.count, _spread(each.first)),
-            *([_spread(each.last), each.last.count, _change(each)] if several else []),
-        )
-        for each in measures
-    ]
+    several = any(each["last"][0] for each in measures)
+    columns: dict[str, Callable[[dict[str, Any]], object]] = {"arm": lambda each: each["side"] or None}
+    if any(each["task"] for each in measures):
+        columns["task"] = lambda each: each["task"] or None
+    columns |= {
+        "measure": lambda each: f"{each['name']}, {each['unit']}".removesuffix(", "),
+        "persons": lambda each: each["first"][0],
+        "mean (SD)": lambda each: _spread(*each["first"]),
+    }
+    if several:
+        columns |= {
+            "last session, mean (SD)": lambda each: _spread(*each["last"]),
+            "persons with both": lambda each: each["last"][0],
+            "change (95 % interval)": _change,
+        }
     caption = Html(
         "Over the persons, mean and standard deviation{}; the change is that from a person's first"
         " session to the last, its mean over the persons with its interval by Student's t. Recordings that"
         " are not to be trusted are left out. All measures of all sessions, for R or SPSS:"
         ' <a href="{}">{}</a>, one measure of one session per row, with a column <code>trusted</code>.'
     ).format(" of the first session" if several else "", quote(file), file)
-    return rendered(Table("The group", heads, cells, caption))
+    return rendered(tabulated("The group", measures, columns, caption))
 
 
-def _spread(each: Spread) -> str | None:
-    if not each.count:
+def _spread(count: int, mean: float, sd: float) -> str | None:
+    if not count:
         return None
-    return f"{each.mean:.3g}" + (f" ({each.sd:.2g})" if math.isfinite(each.sd) else "")
+    return f"{mean:.3g}" + (f" ({sd:.2g})" if math.isfinite(sd) else "")
 
 
-def _change(each: GroupMeasure) -> str | None:
-    if not math.isfinite(each.change):
+def _change(each: dict[str, Any]) -> str | None:
+    if not math.isfinite(each["change"]):
         return None
-    interval = f" ({each.low:+.3g} to {each.high:+.3g})" if math.isfinite(each.low) else ""
-    return f"{each.change:+.3g}{interval}"
+    interval = f" ({each['low']:+.3g} to {each['high']:+.3g})" if math.isfinite(each["low"]) else ""
+    return f"{each['change']:+.3g}{interval}"

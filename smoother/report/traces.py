@@ -276,8 +276,8 @@ def bland_altman(recovery: Recovery, angles: AngleComparison, figures: dict[str,
             samples = dots(mean, difference, which, colour, 4, legendgroup=which, showlegend=number == 0)
             figure.add_trace(samples.update(marker_opacity=0.5), **place)
         each = figures[name]
-        for value, dash in ((each.bias, "solid"), (each.limits_low, "dash"), (each.limits_high, "dash")):
-            if value is not None:
+        for line_of, dash in (("bias", "solid"), ("limits_low", "dash"), ("limits_high", "dash")):
+            if (value := each[line_of]) is not None:
                 line = {"color": TRUTH, "width": 1.2, "dash": dash}
                 figure.add_hline(value, line=line, annotation_text=f"{value:+.1f}", **place)
     figure.update_xaxes(title_text="mean of both, degrees")

@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any
 
 from ..errors import UnoccludeError
-from ..evaluation.group import LONG
 from ..evaluation.progress import (
     PersonProgress,
     Series,
@@ -209,6 +208,9 @@ def persons_of(rows: Sequence[Row]) -> dict[str, str]:
     return {name: entry.person for name, entry in entries_of(rows).items() if "/" in name}
 
 
+_OF_MEASURE = ("name", "unit", "value", "low", "high", "sigma", "recovered_share")
+
+
 def long_rows(rows: Sequence[Row]) -> list[dict[str, Any]]:
     """One row per measure of a session, as R, SPSS and others take them."""
     entries = entries_of(rows)
@@ -228,7 +230,7 @@ def long_rows(rows: Sequence[Row]) -> list[dict[str, Any]]:
             "recording": row["recording"],
         }
         for each in row["measures"]:
-            taken = {name: each[name] for name in LONG[9:]}
+            taken = {name: each[name] for name in _OF_MEASURE}
             found.append(
                 about
                 | {"side": each["side"] or "", "trusted": int(each["trusted"] is not False)}

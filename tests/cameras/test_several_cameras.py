@@ -13,8 +13,7 @@ from calib.file import CalibrationFile
 from smoother.baselines.scene import of_best_camera
 from smoother.cameras import join_cameras
 from smoother.errors import CalibrationError
-from smoother.evaluation.gaps import hide
-from smoother.evaluation.hidden_gaps import HiddenGap, visible_runs
+from smoother.evaluation.gaps import HiddenGap, hide, visible_runs
 from smoother.evaluation.summary import camera_sentences
 from smoother.recording import JointState, Recording
 from smoother.recovery.cameras import spans

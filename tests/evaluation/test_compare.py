@@ -12,8 +12,7 @@ from hypothesis import strategies as st
 
 from smoother.errors import RecordingError, SolveError
 from smoother.evaluation.compare import compare
-from smoother.evaluation.gap_table import GapRow, spread_by_length, spread_of
-from smoother.evaluation.hidden_gaps import GapErrors, HiddenGap
+from smoother.evaluation.gaps import GapErrors, GapRow, GapTable, HiddenGap
 from smoother.evaluation.metrics import lag_s
 from smoother.recording import Recording, Truth
 from smoother.result import Recovery
@@ -66,7 +65,7 @@ class TestCompare:
 
     def test_the_best_stands_first_and_a_failure_last(self, found):
         order = [row.method for row in found.rows]
-        errors = [found.figures(row, "occluded").position_rms_m for row in found.rows[:-1]]
+        errors = list(found.rms_m.values())
         assert order[0] == "graph" and order[-1] == "broken"
         assert errors == sorted(errors)
         assert found.rows[-1].failure == "it had no wish to"
@@ -75,7 +74,7 @@ class TestCompare:
         assert errors[0] == pytest.approx(0.005 * np.sqrt(3), rel=0.1)
 
     def test_a_delay_is_found_to_a_few_milliseconds(self, found):
-        lag = {row.method: (row.lag_s, row.lag_occluded_s) for row in found.rows}
+        lag = {row.method: (row.validation.lag_s, row.lag_occluded_s) for row in found.rows[:-1]}
         assert lag["graph"] == pytest.approx((0.0, 0.0), abs=0.002)
         assert lag["late"] == pytest.approx((0.040, 0.040), abs=0.002)
         assert lag["late in gaps"][1] == pytest.approx(0.025, abs=0.002)
@@ -105,8 +104,10 @@ class TestCompare:
         graph = make_recovery(recording, error_m=0.005, offset_s=-LATE_S)
         found = compare(recording, graph, of_joints, {"graph": lambda r: graph})
         assert found.point == "wrist"
-        assert found.figures(found.rows[0], "all").position_rms_m == pytest.approx(0.0087, rel=0.1)
-        assert found.rows[0].lag_s == pytest.approx(0.0, abs=0.002)
+        assert found.rows[0].validation.figures_of("wrist", "all").position_rms_m == pytest.approx(
+            0.0087, rel=0.1
+        )
+        assert found.rows[0].validation.lag_s == pytest.approx(0.0, abs=0.002)
 
     def test_a_truth_that_shares_nothing_is_refused(self, recording, truth):
         graph = make_recovery(recording, offset_s=-LATE_S)
@@ -139,26 +140,19 @@ class TestLagLeft:
         assert lag_s(self.t, path(self.t - 1.2), known, self.t) is None  # beyond half a second
 
 
-class TestSpread:
-    def test_quartiles_over_gaps(self):
-        errors = [0.01, 0.05, None, 0.02, 0.04, float("nan"), 0.03]
-        spread = spread_of(errors)
-        assert (spread.gaps, spread.failed) == (7, 2)
-        assert [spread.low_m, spread.median_m, spread.high_m] == pytest.approx([0.02, 0.03, 0.04])
-        assert spread.rms_m == pytest.approx(np.sqrt(np.mean(np.square([0.01, 0.05, 0.02, 0.04, 0.03]))))
-        assert spread.worst_m == 0.05
+def test_quartiles_over_gaps_by_length_and_method():
+    def row(length: float, method: str, error: float, failure: str = "") -> GapRow:
+        errors = GapErrors("truth", np.array([error]), np.zeros(1), np.zeros(1))
+        return GapRow(length, method, 0, HiddenGap(1.0, 1.0 + length), errors, failure)
 
-    def test_nothing_answered(self):
-        spread = spread_of([None, None])
-        assert (spread.median_m, spread.rms_m, spread.gaps, spread.failed) == (None, None, 2, 2)
-
-    def test_by_length_and_method(self):
-        def row(length: float, method: str, error: float, failure: str = "") -> GapRow:
-            errors = GapErrors("truth", np.array([error]), np.zeros(1), np.zeros(1))
-            return GapRow(length, method, 0, HiddenGap(1.0, 1.0 + length), errors, failure)
-
-        rows = [row(2.0, "b", 0.2), row(0.5, "b", 0.1), row(0.5, "a", 0.3), row(0.5, "b", 0.9, "no answer")]
-        found = spread_by_length(rows)
-        assert list(found) == [0.5, 2.0] and list(found[0.5]) == ["b", "a"]
-        assert found[0.5]["b"].median_m == pytest.approx(0.1) and found[0.5]["b"].failed == 1
-        assert found[2.0]["b"].worst_m == pytest.approx(0.2)
+    metres = (0.01, 0.05, np.nan, 0.02, 0.04, 0.03)
+    rows = [row(2.0, "b", 0.2), *(row(0.5, "a", each) for each in metres), row(0.5, "a", 0.9, "no answer")]
+    table = GapTable((*rows, row(1.0, "c", np.nan)))
+    spread = table.lengths[0.5]["a"].spread
+    assert (spread["gaps"], spread["failed"], spread["worst_m"]) == (7, 2, 0.05)
+    quartiles = [spread[name] for name in ("low_m", "median_m", "high_m")]
+    assert quartiles == pytest.approx([0.02, 0.03, 0.04])
+    assert spread["rms_m"] == pytest.approx(np.sqrt(np.mean(np.square([0.01, 0.05, 0.02, 0.04, 0.03]))))
+    nothing = table.lengths[1.0]["c"].spread
+    assert (nothing["median_m"], nothing["rms_m"], nothing["failed"]) == (None, None, 1)
+    assert [each["length_s"] for each in table.to_dict()["spread"]] == [0.5, 1.0, 2.0]

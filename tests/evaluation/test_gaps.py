@@ -12,12 +12,14 @@ from arms import make_recording, make_recovery, make_truth, turn
 from calib.sigma_factor import LEVELS
 from smoother.calibration import LeverArm
 from smoother.errors import RecordingError, SolveError
-from smoother.evaluation.gap_table import GapRow, GapTable, pooled
-from smoother.evaluation.gaps import evaluate_gaps
-from smoother.evaluation.hidden_gaps import (
+from smoother.evaluation.gaps import (
     GapErrors,
+    GapRow,
+    GapTable,
     HiddenGap,
+    evaluate_gaps,
     place_gaps,
+    pooled,
     score_gap,
     strap_position,
     visible_runs,
@@ -154,7 +156,7 @@ def test_against_the_camera_with_its_clock_offset(offset_s):
 
     table = evaluate_gaps(recording, [1.0], {"graph": method})
     figures = table.lengths[1.0]["graph"].figures
-    assert table.rows[0].reference == "wrist"
+    assert table.reference == "wrist"
     assert figures.position_rms_m == pytest.approx(0.005 * np.sqrt(3), rel=0.15)
     assert figures.samples == pytest.approx(29 * len(table.rows), abs=8)
     assert 0.2 < figures.nees < 1.0  # the residuals say 8 mm, so the camera's noise is in the covariance
@@ -214,9 +216,9 @@ def test_a_method_that_fails_is_a_row():
 
     methods = {"broken": broken, "silent": silent, "good": make_recovery}
     table = evaluate_gaps(recording, [1.0], methods)
-    assert table.lengths[1.0]["broken"].failed == table.lengths[1.0]["broken"].gaps
+    assert table.lengths[1.0]["broken"].failed == len(table.lengths[1.0]["broken"].rows)
     assert table.lengths[1.0]["broken"].figures.position_rms_m is None
-    assert table.lengths[1.0]["silent"].failed == table.lengths[1.0]["silent"].gaps
+    assert table.lengths[1.0]["silent"].failed == len(table.lengths[1.0]["silent"].rows)
     assert table.lengths[1.0]["silent"].figures.unanswered > 0
     assert table.lengths[1.0]["good"].failed == 0
     assert any("not determined" in note for note in table.notes)
@@ -261,10 +263,10 @@ SECOND = table("b", (1.0, "graph", errors(0.05)), (2.0, "graph", errors(np.nan))
 def test_samples_count_not_gaps() -> None:
     both = pooled([FIRST, SECOND])
     figures = both.lengths[1.0]["graph"]
-    assert (figures.gaps, figures.failed, figures.figures.samples) == (2, 0, 3)
+    assert (len(figures.rows), figures.failed, figures.figures.samples) == (2, 0, 3)
     assert figures.figures.position_rms_m == pytest.approx(np.sqrt((0.01**2 + 0.03**2 + 0.05**2) / 3))
     assert figures.figures.position_max_m == pytest.approx(0.05)
-    assert both.lengths[1.0]["hold"].gaps == 1
+    assert len(both.lengths[1.0]["hold"].rows) == 1
     # what is not answered is counted, and spoils no figure
     assert both.lengths[2.0]["graph"].figures.unanswered == 1
     assert both.lengths[2.0]["graph"].figures.position_rms_m == pytest.approx(0.04)

@@ -18,10 +18,11 @@ from smoother.evaluation.agreement import detectable_change
 from smoother.evaluation.measure_agreement import (
     MeasureComparison,
     MeasurePair,
+    read_detectable,
+    read_pairs,
     same_movements,
     unique_pairs,
 )
-from smoother.evaluation.measure_files import read_detectable, read_pairs
 from smoother.evaluation.validate import validate
 from smoother.measures import Movement
 from smoother.measures.definitions import zone_key
@@ -110,20 +111,20 @@ class TestManyRecordings:
         return MeasureComparison(tuple(pairs[8:]), tuple(pairs[:8]))
 
     def test_agreement_over_all_of_them(self, comparison: MeasureComparison):
-        (found,) = comparison.agreements
+        found = comparison.agreements["session"][FLEXION]
         differences = np.array([one.difference for one in comparison.together])
-        assert (found.agreement.pairs, found.recordings, found.intervals) == (12, 12, 12)
-        assert found.agreement.bias == pytest.approx(differences.mean())
-        assert found.agreement.mdc95 == pytest.approx(detectable_change(differences.std(ddof=1)))
-        assert 0.9 < found.agreement.icc < 1
-        assert found.inside == sum(abs(differences) <= 4)
+        assert (found["pairs"], found["recordings"], found["intervals"]) == (12, 12, 12)
+        assert found["bias"] == pytest.approx(differences.mean())
+        assert found["mdc95"] == pytest.approx(detectable_change(differences.std(ddof=1)))
+        assert 0.9 < found["icc"] < 1
+        assert found["inside"] == sum(abs(differences) <= 4)
 
     def test_what_is_written_is_read_again(self, comparison: MeasureComparison, tmp_path: Path):
         file = tmp_path / "v.json"
         file.write_text(json.dumps(plain({"measures": comparison.to_dict()})))
         assert unique_pairs([*read_pairs(file), *comparison.together]) == comparison.together
-        (found,) = comparison.agreements
-        assert read_detectable(file) == {FLEXION: pytest.approx(found.agreement.mdc95)}
+        found = comparison.agreements["session"][FLEXION]
+        assert read_detectable(file) == {FLEXION: pytest.approx(found["mdc95"])}
 
     def test_the_arm_with_the_most_pairs_states_the_detectable_change(self, tmp_path: Path):
         def arm(mdc95: float | None, pairs: int) -> dict:

@@ -273,7 +273,7 @@ def test_angles_and_their_limits_are_drawn(pair):
     dots = bland_altman(recovery, found.angles, found.angle_figures["all"])
     lines = sorted(shape.y0 for shape in dots.layout.shapes if shape.yref == "y")
     each = found.angle_figures["all"][found.angles.compared[0]]
-    np.testing.assert_allclose(lines, [each.limits_low, each.bias, each.limits_high])
+    np.testing.assert_allclose(lines, [each["limits_low"], each["bias"], each["limits_high"]])
 
 
 @pytest.mark.slow

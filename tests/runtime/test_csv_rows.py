@@ -7,8 +7,8 @@ import io
 from pathlib import Path
 
 import pytest
-
 from smoother.evaluation.group import LONG, write_long
+
 from smoother.runtime.csv_rows import read_cell, write_rows
 from smoother.study.inputs import _rows
 

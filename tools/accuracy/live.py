@@ -16,7 +16,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from smoother.evaluation.compare import arrivals
+from smoother.evaluation.methods import arrivals
 from smoother.evaluation.metrics import lag_s, squared_sigmas
 from smoother.live.answers import LiveOutput, LiveState
 from smoother.live.buffers import ImuBatch

@@ -30,7 +30,7 @@ from smoother.array_types import FloatArray
 from smoother.calibration import ArmCalibration
 from smoother.errors import UnoccludeError
 from smoother.evaluation.datasets import open_utd, utd_files
-from smoother.evaluation.hidden_gaps import place_gaps
+from smoother.evaluation.gaps import place_gaps
 from smoother.evaluation.metrics import CHI2_95_3, orientation_error_deg, rotation_error, squared_sigmas
 from smoother.evaluation.validate import sample_errors
 from smoother.io import import_broad
