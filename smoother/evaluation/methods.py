@@ -10,11 +10,8 @@ from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
-import numpy as np
-
 from ..baselines.registry import BASELINES, DEFAULT_ORIENTATION, LIVE_BASELINES, recover
 from ..errors import UnoccludeError
-from ..linalg import interpolate
 
 if TYPE_CHECKING:
     from ..array_types import FloatArray
@@ -169,6 +166,8 @@ def arrivals(
     recording: Recording, offset_s: float, latency_s: float
 ) -> Iterator[tuple[float, list[ImuBatch], list[SkeletonFrame]]]:
     """Step by step what has arrived since the last one: the time, IMU batches, frames."""
+    import numpy as np
+
     from ..live.buffers import ImuBatch, SkeletonFrame
 
     imu, arm = recording.imu, recording.arm
@@ -191,6 +190,9 @@ def by_live(
     kind: str, played: Callable[[Recording], LiveAnswers], graph: Method, recording: Recording
 ) -> Recovery:
     """The live answers at the times of the graph's recovery; nan before the first."""
+    import numpy as np
+
+    from ..linalg import interpolate
     from ..measures.motion import one_sign
 
     solved, answers = graph(recording), played(recording)[kind]
