@@ -190,7 +190,7 @@ def repair(
 ) -> None:
     """Salvage a damaged MCAP file and list what was lost.
 
-    Messages are written in the order of their log times, with a new index. Messages of chunks that fail their
+    Messages are written with a new index. Messages of chunks that fail their
     checksum are kept; the new file states it, and every command that reads it repeats the note.
 
     Example: unocclude repair broken.mcap -o whole.mcap --json lost.json

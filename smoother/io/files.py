@@ -277,7 +277,7 @@ def add_skeleton(
                 number, side, joint = (np.full(len(stamp), value, np.int64) for value in (table.body, *code))
                 lost = ~np.isfinite(values).all(axis=1)
                 state = np.where(lost, JointState.NOT_TRACKED, table.state[name]).astype(np.int64)
-                rows.add_joints(frame, number, side, joint, state, np.array(values, dtype=float))
+                rows.add(frame, number, side, joint, state, np.array(values, dtype=float))
     first = tables[0]
     arms = rows.arms(frames, topic, camera, first.frame)
     if first.units == PIXELS and known is None:

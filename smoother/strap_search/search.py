@@ -82,7 +82,10 @@ def import_strap(
             else arm_messages(output, each)
             for each in arms
         ]
-        output.copy(Container(source).chunks(wanted))
+        container = Container(source)
+        for chunk in container.chunks():
+            mine = [number for number, topic in enumerate(container.topics) if wanted(topic)]
+            output.copy(container.topics, chunk.select(np.flatnonzero(np.isin(chunk.topic, mine))))
         output.write(outgoing)
     cameras.found.notes.append("Images and other topics without motion were left out.")
     return cameras.found

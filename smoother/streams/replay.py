@@ -14,7 +14,7 @@ from ..errors import RecordingError
 from ..io.mcap.container import Container
 from ..io.mcap.messages import SECOND_NS, Topic, seconds
 from ..io.recording.choose import choose_arms
-from ..io.recording.decode import PlainDecoder, SkeletonDecoder, decoder_of
+from ..io.recording.decode import Decoder, decoder_of
 from ..io.recording.read import open_recording
 from ..io.recording.write import joints_there
 from ..recording import JOINTS
@@ -34,7 +34,7 @@ class LogTimes:
         self._stamp: dict[str, IntArray] = {}
         self._log: dict[str, IntArray] = {}
         container = Container(path)
-        decoders: dict[str, PlainDecoder | SkeletonDecoder] = {}
+        decoders: dict[str, Decoder] = {}
         logs: dict[str, list[IntArray]] = {}
 
         def wanted(topic: Topic) -> bool:
@@ -45,14 +45,13 @@ class LogTimes:
                 topic = container.topics[position]
                 if topic.label not in decoders:
                     decoder = decoder_of(topic)
-                    if not isinstance(decoder, PlainDecoder | SkeletonDecoder):
+                    if decoder is None:
                         continue
                     decoders[topic.label] = decoder
                 decoders[topic.label].feed(messages)
                 logs.setdefault(topic.label, []).append(messages.log_ns)
         for label, decoder in decoders.items():
-            stamp = decoder.found()[0] if isinstance(decoder, SkeletonDecoder) else decoder.joined()[0]
-            log = np.concatenate(logs[label])
+            stamp, log = decoder.stamps(), np.concatenate(logs[label])
             if len(stamp) == len(log):  # else messages are damaged
                 self._stamp[label], self._log[label] = stamp, log
 

@@ -3,22 +3,29 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from mcap.reader import make_reader
 
+from smoother.array_types import IntArray
 from smoother.io.mcap.container import Container
 from smoother.io.mcap.messages import McapMessage
+from smoother.io.wire.layout import Block, Grouper, MessageLayout
 from smoother.io.wire.schemas import message_class
 
 
+def groups(grouper: Grouper, payloads: Sequence[bytes]) -> Iterator[tuple[IntArray, Block, MessageLayout]]:
+    """Payloads by layout, one behind the other in a buffer."""
+    ends = np.cumsum([len(each) for each in payloads], dtype=np.int64)
+    yield from grouper.groups_in(b"".join(payloads), ends - [len(each) for each in payloads], ends)
+
+
 def every(container: Container) -> Iterator[McapMessage]:
-    """All messages, chunk by chunk."""
-    for batch in container.batches(lambda topic: True):
-        for messages in batch.values():
-            yield from messages
+    """All messages."""
+    return container.messages(lambda topic: True)
 
 
 def decoded(path: Path) -> dict[str, list[Any]]:

@@ -56,7 +56,7 @@ def read(path: Path, data: bytes) -> tuple[list[Row], Container]:
     container = Container(path)
     rows: list[Row] = []
     for chunk in container.chunks():
-        names = [chunk.topics[number].name for number in chunk.topic.tolist()]
+        names = [container.topics[number].name for number in chunk.topic.tolist()]
         places = zip(chunk.start.tolist(), chunk.stop.tolist(), strict=True)
         payloads = [bytes(memoryview(chunk.chunk)[a:b]) for a, b in places]
         columns = (chunk.log_ns.tolist(), chunk.publish_ns.tolist(), chunk.sequence.tolist(), payloads)
@@ -308,12 +308,9 @@ def test_what_is_not_wanted_is_counted_and_passed_over(path: Path):
         return topic.name == "/b"
 
     container = Container(path)
-    batches = list(container.batches(wanted))
-    assert [message.log_ns for batch in batches for message in batch[1]] == [10 * i for i in range(1, 300, 3)]
-    assert all(list(batch) == [1] for batch in batches)
+    assert [each.log_ns for each in container.messages(wanted)] == [10 * i for i in range(1, 300, 3)]
     assert [(topic.name, topic.count) for topic in container.topics] == [(name, 100) for name in TOPICS]
-    (chunk,) = Container(path).chunks(wanted)
-    assert set(chunk.topic.tolist()) == {1} and len(chunk.chunk) == 0
+    assert all(list(batch) == [1] for batch in Container(path).by_topic(wanted))
 
 
 def test_repair(path: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]):

@@ -256,7 +256,7 @@ def test_arms_are_what_a_loop_over_joints_makes(
     for part in (slice(0, half), slice(half, None)):
         columns = [np.array(column, np.int64) for column in zip(*events[part], strict=True)]
         if columns:
-            rows.add_joints(*columns, position[part])  # type: ignore[call-arg]
+            rows.add(*columns, position[part])  # type: ignore[call-arg]
     found = rows.arms(stamps, "/s", "k", None)
     frames = list(dict.fromkeys(stamps.tolist()))
     expected = dict(slow_arms(events, position, stamps.tolist(), frames))

@@ -37,18 +37,8 @@ from mcap.stream_reader import StreamReader
 from ...array_types import IntArray
 from ...errors import RecordingError
 from ...runtime.inputs import check_input
-from ..wire.layout import cut_out, joined
-from .messages import (
-    ChunkMessages,
-    Damage,
-    McapMessage,
-    Topic,
-    TopicMessages,
-    damage_note,
-    listed,
-    plain_name,
-    sentences,
-)
+from ..wire.layout import cut_out
+from .messages import Damage, McapMessage, Messages, Topic, damage_note, listed, plain_name, sentences
 
 #: An MCAP file begins and ends with these bytes.
 MAGIC = b"\x89MCAP0\r\n"
@@ -117,40 +107,22 @@ class Container:
 
     # -- messages -------------------------------------------------------------------------------------------
 
-    def by_topic(self, wanted: Callable[[Topic], bool]) -> Iterator[dict[int, TopicMessages]]:
+    def by_topic(self, wanted: Callable[[Topic], bool]) -> Iterator[dict[int, Messages]]:
         """Yield the messages of wanted topics a chunk at a time, by position of the topic in `topics`."""
-        for chunk in self._messages():
-            by_topic: dict[int, TopicMessages] = {}
-            for position in dict.fromkeys(chunk.topic.tolist()):
-                if wanted(self.topics[position]):
-                    mine = chunk.select(np.flatnonzero(chunk.topic == position))
-                    by_topic[position] = TopicMessages(mine.log_ns, mine.chunk, mine.start, mine.stop)
-            if by_topic:
-                yield by_topic
+        for chunk in self.chunks():
+            positions = [each for each in dict.fromkeys(chunk.topic.tolist()) if wanted(self.topics[each])]
+            if positions:
+                yield {each: chunk.select(np.flatnonzero(chunk.topic == each)) for each in positions}
 
-    def batches(self, wanted: Callable[[Topic], bool]) -> Iterator[dict[int, list[McapMessage]]]:
-        """The same with an object for each message: for topics whose messages are few, or large."""
-        for chunk in self.by_topic(wanted):
-            yield {
-                position: [
-                    McapMessage(self.topics[position], log_ns, memoryview(rows.chunk)[start:stop])
-                    for log_ns, start, stop in zip(
-                        rows.log_ns.tolist(), rows.start.tolist(), rows.stop.tolist(), strict=True
-                    )
-                ]
-                for position, rows in chunk.items()
-            }
-
-    def chunks(self, wanted: Callable[[Topic], bool] = lambda topic: True) -> Iterator[ChunkMessages]:
-        """Yield the messages of wanted topics a chunk at a time, in the file's order."""
-        for chunk in self._messages():
-            positions = [position for position in set(chunk.topic.tolist()) if wanted(self.topics[position])]
-            mine = chunk.select(np.flatnonzero(np.isin(chunk.topic, positions)))
-            if len(mine.topic) < len(chunk.topic):  # the others need not be kept
-                data, start, stop = joined(mine.chunk, mine.start, mine.stop)
-                mine = mine._replace(chunk=data, start=start, stop=stop)
-            if len(mine.topic):
-                yield mine
+    def messages(self, wanted: Callable[[Topic], bool]) -> Iterator[McapMessage]:
+        """The same one by one, in the file's order: for topics whose messages are few, or large."""
+        for chunk in self.chunks():
+            numbers = np.unique(chunk.topic).tolist()
+            mine = np.isin(chunk.topic, [each for each in numbers if wanted(self.topics[each])])
+            rows, data = chunk.select(np.flatnonzero(mine)), memoryview(chunk.chunk)
+            columns = (rows.topic.tolist(), rows.log_ns.tolist(), rows.start.tolist(), rows.stop.tolist())
+            for position, log_ns, start, stop in zip(*columns, strict=True):
+                yield McapMessage(self.topics[position], log_ns, bytes(data[start:stop]))
 
     def skimmed(self) -> Container:
         """With its metadata and attachments; chunks are not unpacked."""
@@ -166,7 +138,8 @@ class Container:
             raise ValueError(f"the attachment {name} fails its checksum")
         return content[data:-4]
 
-    def _messages(self) -> Iterator[ChunkMessages]:
+    def chunks(self) -> Iterator[Messages]:
+        """Yield all messages a chunk at a time, in the file's order."""
         for data, place, times in self._blocks():
             at, definitions, end = _walked(data)
             for opcode, content in definitions:
@@ -186,10 +159,9 @@ class Container:
                         f"the record of channel {plain_name(stated.topic)} is missing before its messages"
                     )
             number, log_ns = self._number[heads["channel"]], heads["log"].astype(np.int64)
-            chunk = ChunkMessages(
-                *(self.topics, number, heads["sequence"].astype(np.int64), log_ns),
-                *(heads["publish"].astype(np.int64), data, at + MESSAGE.itemsize),
-                at + HEAD.size + heads["length"].astype(np.int64),
+            chunk = Messages(
+                *(number, heads["sequence"].astype(np.int64), log_ns, heads["publish"].astype(np.int64)),
+                *(data, at + MESSAGE.itemsize, at + HEAD.size + heads["length"].astype(np.int64)),
             )
             if not (known := number >= 0).all():
                 what = f"{int((~known).sum())} messages of channels that no record describes were dropped"

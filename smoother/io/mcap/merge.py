@@ -11,7 +11,7 @@ import os
 import struct
 import zlib
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
@@ -40,7 +40,7 @@ from ...array_types import IntArray
 from ..wire.layout import Buffer, copy_runs, runs
 from ..wire.schemas import schema_data
 from .container import CHUNK, HEAD, MAGIC, MESSAGE
-from .messages import ChunkMessages, Topic
+from .messages import Messages, Topic
 
 #: Messages that are encoded together; keeps memory flat however long the recording is.
 SLICE = 2048
@@ -167,14 +167,14 @@ class Output:
         self._put(_packed(self._channels[key]))
         return int(self._channels[key].id)
 
-    def copy(self, chunks: Iterable[ChunkMessages]) -> None:
-        """Write messages of another file, chunk by chunk."""
-        for chunk in chunks:
-            channels = np.zeros(len(chunk.topics), np.int64)
-            for position in np.unique(chunk.topic).tolist():
-                channels[position] = self._channel(chunk.topics[position])
-            columns = (channels[chunk.topic], chunk.sequence, chunk.log_ns, chunk.publish_ns)
-            self._write([_Part(np.stack(columns), chunk.chunk, chunk.start, chunk.stop - chunk.start)])
+    def copy(self, topics: Sequence[Topic], messages: Messages) -> None:
+        """Write messages of another file by log time."""
+        channels = np.zeros(len(topics), np.int64)
+        for position in np.unique(messages.topic).tolist():
+            channels[position] = self._channel(topics[position])
+        columns = (channels[messages.topic], messages.sequence, messages.log_ns, messages.publish_ns)
+        size = messages.stop - messages.start
+        self._write([_Part(np.stack(columns), messages.chunk, messages.start, size)])
 
     def write(self, outgoing: Sequence[OutputStream]) -> None:
         """Write streams by log time."""

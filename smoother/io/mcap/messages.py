@@ -144,35 +144,22 @@ class Topic:
 class McapMessage(NamedTuple):
     """A message as it is in the file."""
 
-    topic: Topic  # Its topic
-    log_ns: int  # Its log time
-    data: memoryview  # Its payload
+    topic: Topic
+    log_ns: int
+    data: bytes  # Its payload
 
 
-class TopicMessages(NamedTuple):
-    """Messages of one topic in a chunk, as columns (n,) in the file's order."""
+class Messages(NamedTuple):
+    """Messages of a chunk as columns (n,), in the file's order; payloads stay where they are in it."""
 
-    log_ns: IntArray  # int (n,) ns: log times
-    chunk: Buffer  # Its bytes; payloads stay where they are in them
-    start: IntArray  # int (n,): Where each payload begins and ends
-    stop: IntArray  # int (n,): Where each payload begins and ends
+    topic: IntArray  # Positions in the file's topics
+    sequence: IntArray  # Numbers within the channel
+    log_ns: IntArray
+    publish_ns: IntArray
+    chunk: Buffer
+    start: IntArray  # Where in the chunk each payload begins
+    stop: IntArray  # and ends
 
-
-class ChunkMessages(NamedTuple):
-    """Messages of one chunk, of all topics, in the file's order."""
-
-    topics: list[Topic]  # All of them so far
-    topic: IntArray  # int (n,): of each message, as a position in `topics`
-    sequence: IntArray  # int (n,): their numbers within the channel
-    log_ns: IntArray  # int (n,) ns: their times
-    publish_ns: IntArray  # int (n,) ns: their times
-    chunk: Buffer  # What contains the payloads
-    start: IntArray  # int (n,): Where each payload begins and ends
-    stop: IntArray  # int (n,): Where each payload begins and ends
-
-    def select(self, rows: slice | IntArray) -> ChunkMessages:
+    def select(self, rows: slice | IntArray) -> Messages:
         """Some of the messages."""
-        columns = (each[rows] for each in (self.topic, self.sequence, self.log_ns, self.publish_ns))
-        topic, sequence, log_ns, publish_ns = columns
-        place = (self.chunk, self.start[rows], self.stop[rows])
-        return ChunkMessages(self.topics, topic, sequence, log_ns, publish_ns, *place)
+        return Messages(*(each if each is self.chunk else each[rows] for each in self))  # type: ignore[arg-type]

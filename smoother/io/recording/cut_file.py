@@ -6,9 +6,9 @@ import csv
 import json
 import math
 import os
-import tempfile
-from collections.abc import Iterator, Sequence
-from contextlib import suppress
+from collections import Counter
+from collections.abc import Sequence
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass, replace
 from itertools import count
 from pathlib import Path
@@ -16,14 +16,13 @@ from typing import Unpack
 
 import numpy as np
 
-from ...array_types import IntArray
+from ...array_types import BoolArray
 from ...errors import RecordingError
 from ...runtime.inputs import check_input
 from ...runtime.outputs import writing
 from ..mcap.container import Container
 from ..mcap.merge import Output
-from ..mcap.messages import Topic
-from ..mcap.repair import by_time, spooled
+from ..mcap.messages import Messages
 from .choose import Selection
 from .read import METADATA, RESULT_PREFIX, open_recording
 from .select import select_recordings
@@ -80,75 +79,79 @@ def cut_file(
         if beyond or part.from_s < min(first_s - _SPARE_S, 0.0):
             lasts = f"the recording, which lasts from {first_s:.2f} to {last_s:.2f} s"
             notes.append(f"{part.name} reaches beyond {lasts}.")
-    return _cut(source, parts, recording.origin_ns + shift_ns, force), notes
+    once = {topic.name for topic in file.topics if topic.count <= _SAID_ONCE and _is_static(topic.schema)}
+    container, zero_ns = Container(source), recording.origin_ns + shift_ns
+    with ExitStack() as stack:
+        outputs = [
+            _PartOutput(
+                part, zero_ns, stack.enter_context(Output(stack.enter_context(writing(part.path, force))))
+            )
+            for part in parts
+        ]
+        for chunk in container.chunks():
+            is_once = np.array([topic.label in once for topic in container.topics])[chunk.topic]
+            for output in outputs:
+                output.take(container, chunk, is_once)
+        return [output.finished(container, name) for output in outputs], notes
 
 
-def _cut(
-    source: str | os.PathLike[str], parts: Sequence[Part], zero_ns: int, force: bool
-) -> list[dict[str, object]]:
-    """Write parts of an MCAP file with all topics as they are; the file is read once."""
-    container = Container(source)
-    written: list[dict[str, object]] = []
-    with tempfile.TemporaryFile() as payloads:
-        rows, topics = spooled(container, payloads)
-        rows = rows[np.argsort(rows[:, 2], kind="stable")]
-        for part in parts:
-            start_ns = max(zero_ns + round(1e9 * part.from_s), 0)
-            end_ns = zero_ns + round(1e9 * part.to_s) if math.isfinite(part.to_s) else _END
-            first, last = np.searchsorted(rows[:, 2], [start_ns, end_ns]).tolist()
-            if first == last:
-                raise RecordingError(
-                    f"{Path(source).name}: there is no message between {part.from_s:g} and {part.to_s:g} s"
-                    f" ({part.name})"
-                )
-            before = rows[:first][np.isin(rows[:first, 0], _said_once(topics))].copy()
-            before[:, 2] = start_ns  # their own stamps stay
-            mine = np.concatenate([before, rows[first:last]])
-            record = {"source": Path(source).name, "name": part.name}
-            record |= {"from_s": repr(part.from_s), "to_s": repr(part.to_s)}
-            with writing(part.path, force) as temporary, Output(temporary) as output:
-                for name, values in _metadata(container, topics, rows, first, last):
-                    output.metadata(name, values)
-                output.metadata(CUT, record)
-                output.copy(by_time(mine, topics, payloads))
-            counts = np.bincount(mine[:, 0], minlength=len(topics)).tolist()
-            messages = {topic.name: count for topic, count in zip(topics, counts, strict=True) if count}
-            about = {"name": part.name, "file": str(part.path), "from_s": part.from_s, "to_s": part.to_s}
-            written.append({**about, "messages": messages})
-    return written
+def _is_static(schema: str) -> bool:
+    """Whether few messages of a schema apply to the whole recording."""
+    return schema.replace(".", "/").rpartition("/")[2] in _STATIC
 
 
-def _said_once(topics: Sequence[Topic]) -> list[int]:
-    """Positions of the topics whose few messages apply to the whole recording."""
-    return [
-        number
-        for number, topic in enumerate(topics)
-        if topic.count <= _SAID_ONCE and topic.schema.replace(".", "/").rpartition("/")[2] in _STATIC
-    ]
+class _PartOutput:
+    """A part of an MCAP file with all topics as they are, while the file is read."""
 
+    def __init__(self, part: Part, zero_ns: int, output: Output) -> None:
+        self._part, self._output = part, output
+        self._start_ns = max(zero_ns + round(1e9 * part.from_s), 0)
+        self._end_ns = zero_ns + round(1e9 * part.to_s) if math.isfinite(part.to_s) else _END
+        self._before, self._inside, self._written = Counter[str](), Counter[str](), Counter[str]()
 
-def _metadata(
-    container: Container,
-    topics: Sequence[Topic],
-    rows: IntArray,
-    first: int,
-    last: int,
-) -> Iterator[tuple[str, dict[str, str]]]:
-    """The file's metadata records; rows of a truth that are scored are counted from the part's start."""
-    for name, values in container.metadata.items():
-        if name == CUT:
-            continue
-        if name == METADATA and "truth_score" in values:
-            with suppress(ValueError, TypeError, AttributeError):  # its content is checked where it is read
-                scored = {}
-                for topic, runs in json.loads(values["truth_score"]).items():
-                    numbers = [k for k, each in enumerate(topics) if each.name == topic]
-                    of_topic = np.isin(rows[:, 0], numbers)
-                    before, inside = int(of_topic[:first].sum()), int(of_topic[first:last].sum())
-                    moved = [[min(max(edge - before, 0), inside) for edge in run] for run in runs]
-                    scored[topic] = [run for run in moved if run[1] > run[0]]
-                values = {**values, "truth_score": json.dumps(scored)}
-        yield name, values
+    def take(self, container: Container, chunk: Messages, is_once: BoolArray) -> None:
+        """Write what is in the part, and earlier messages that apply to the whole recording."""
+        is_before = chunk.log_ns < self._start_ns
+        is_inside = ~is_before & (chunk.log_ns < self._end_ns)
+        is_mine = is_inside | (is_before & is_once)
+        for counts, rows in (
+            (self._before, is_before),
+            (self._inside, is_inside),
+            (self._written, is_mine),
+        ):
+            for position, of_topic in enumerate(np.bincount(chunk.topic[rows]).tolist()):
+                counts[container.topics[position].name] += of_topic
+        mine = chunk.select(np.flatnonzero(is_mine))
+        mine = mine._replace(log_ns=np.maximum(mine.log_ns, self._start_ns))  # their own stamps stay
+        if len(mine.topic):
+            self._output.copy(container.topics, mine)
+
+    def finished(self, container: Container, source: str) -> dict[str, object]:
+        """Write the metadata; what is stated of the part."""
+        part = self._part
+        if not +self._inside:
+            raise RecordingError(
+                f"{source}: there is no message between {part.from_s:g} and {part.to_s:g} s ({part.name})"
+            )
+        for name, values in container.metadata.items():
+            if name == METADATA and "truth_score" in values:
+                with suppress(ValueError, TypeError, AttributeError):  # it is checked where it is read
+                    values = {**values, "truth_score": self._scored(json.loads(values["truth_score"]))}
+            if name != CUT:
+                self._output.metadata(name, values)
+        record = {"source": source, "name": part.name}
+        self._output.metadata(CUT, record | {"from_s": repr(part.from_s), "to_s": repr(part.to_s)})
+        about = {"name": part.name, "file": str(part.path), "from_s": part.from_s, "to_s": part.to_s}
+        return {**about, "messages": dict(+self._written)}
+
+    def _scored(self, runs_by_topic: dict[str, list[list[int]]]) -> str:
+        """Rows of a truth that are scored, counted from the part's start."""
+        scored = {}
+        for topic, runs in runs_by_topic.items():
+            before, inside = self._before[topic], self._inside[topic]
+            moved = [[min(max(edge - before, 0), inside) for edge in run] for run in runs]
+            scored[topic] = [run for run in moved if run[1] > run[0]]
+        return json.dumps(scored)
 
 
 #: Columns of the table; `label` may be missing.

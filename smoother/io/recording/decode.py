@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import partial
 
@@ -12,20 +12,20 @@ from numpy.typing import NDArray
 from ...array_types import FloatArray, IntArray
 from ...recording import JOINTS, CameraFrame, JointState
 from ...runtime.store import Column, batches, large_array, sampled
-from ..mcap.messages import Topic, TopicMessages, ros_stamps
+from ..mcap.messages import Messages, Topic, ros_stamps
 from ..wire import cdr
 from ..wire import protobuf_decode as proto
 from ..wire.layout import Block, Grouper, MessageLayout, axes
 from ..wire.schemas import message_class
 from .streams import ArmFrames, FieldSamples, ImuSamples, PoseSamples
 
-#: Streams of plain columns by encoding and schema: what they are, and the walk over a ROS message.
-_PLAIN: dict[tuple[str, str], tuple[str, Callable[[bytes], MessageLayout] | None]] = {
-    ("cdr", "sensor_msgs/Imu"): ("imu", cdr.imu),
-    ("cdr", "sensor_msgs/MagneticField"): ("field", cdr.magnetic_field),
-    ("cdr", "geometry_msgs/PoseStamped"): ("pose", cdr.pose_stamped),
-    ("protobuf", "unocclude.Imu"): ("imu", None),
-    ("protobuf", "foxglove.PoseInFrame"): ("pose", None),
+#: Streams of plain columns by encoding and schema.
+_PLAIN = {
+    ("cdr", "sensor_msgs/Imu"): "imu",
+    ("cdr", "sensor_msgs/MagneticField"): "field",
+    ("cdr", "geometry_msgs/PoseStamped"): "pose",
+    ("protobuf", "unocclude.Imu"): "imu",
+    ("protobuf", "foxglove.PoseInFrame"): "pose",
 }
 #: Their columns: the field of a ROS message, that of protobuf, its components.
 _COLUMNS = {
@@ -55,9 +55,9 @@ class PlainDecoder:
     kind: str  # Of `_COLUMNS`
     grouper: Grouper  # Sorts its messages by layout
     frame_id: str = ""
-    gathered: list[Column] = field(default_factory=list)
+    _gathered: list[Column] = field(default_factory=list)
 
-    def feed(self, messages: TopicMessages) -> None:
+    def feed(self, messages: Messages) -> None:
         """Take a batch of messages."""
         parts = []
         for index, block, layout in self.grouper.groups_in(messages.chunk, messages.start, messages.stop):
@@ -67,9 +67,9 @@ class PlainDecoder:
             columns = (self._column(block, layout, *names) for names in _COLUMNS[self.kind])
             parts.append((index, stamp, log_ns - stamp, *columns))
         for column, values in enumerate(in_order(parts)):
-            if column == len(self.gathered):
-                self.gathered.append(Column(values.shape[1:], values.dtype))
-            self.gathered[column].append(values)
+            if column == len(self._gathered):
+                self._gathered.append(Column(values.shape[1:], values.dtype))
+            self._gathered[column].append(values)
 
     def _column(self, block: Block, layout: MessageLayout, ros: str, name: str, letters: str) -> FloatArray:
         """Values (rows, k); a magnetometer that is not there, and an orientation of zeros, is nan."""
@@ -85,15 +85,15 @@ class PlainDecoder:
             values[~(np.linalg.norm(values, axis=1) > 0.5)] = np.nan
         return values
 
-    def joined(self) -> list[NDArray]:
-        """Stamps, log times less stamps, and columns of all messages, in the file's order."""
-        return [column.done() for column in self.gathered]
+    def stamps(self) -> IntArray:
+        """Of all messages, ns; asked for once, as `stream` is."""
+        return self._gathered[0].done() if self._gathered else np.empty(0, np.int64)
 
     def stream(self) -> ImuSamples | FieldSamples | PoseSamples | None:
-        """All samples, or None where there are none."""
-        if not self.gathered:
+        """All samples in the file's order, or None where there are none."""
+        if not self._gathered:
             return None
-        stamp, delay, *columns = self.joined()
+        stamp, delay, *columns = (column.done() for column in self._gathered)
         named = (self.topic.label, self.frame_id, stamp)
         if self.kind == "field":
             return FieldSamples(*named, *columns)
@@ -112,7 +112,12 @@ def in_order(parts: Sequence[tuple[NDArray, ...]]) -> list[NDArray]:
     if not parts:
         return []
     order = np.argsort(np.concatenate([part[0] for part in parts]), kind="stable")
-    return [np.concatenate(column)[order] for column in zip(*(part[1:] for part in parts), strict=True)]
+    return [column[order] for column in _behind_each_other(parts)]
+
+
+def _behind_each_other(parts: Sequence[tuple[NDArray, ...]]) -> list[NDArray]:
+    """Columns of parts, without the first."""
+    return [np.concatenate(column) for column in zip(*(part[1:] for part in parts), strict=True)]
 
 
 def proto_grouper(schema: str) -> Grouper:
@@ -133,33 +138,16 @@ def states_of_scores(score: FloatArray) -> NDArray[np.int8]:
     return np.where(tracked, JointState.TRACKED, np.where(inferred, JointState.INFERRED, 0)).astype(np.int8)
 
 
-#: State of a joint that a row does not contain.
-UNREPORTED = -128
-
-
 class JointRows:
-    """Arms in messages, gathered over a recording: a row is one arm in one message."""
+    """Joints in messages, gathered over a recording: a row is one joint of an arm in one message."""
 
     def __init__(self) -> None:
-        self._message = Column((), np.int64)
-        self._arm = Column((), np.int64)
-        self._arms: set[int] = set()
-        self._position = Column((len(JOINTS), 3))
-        self._state = Column((len(JOINTS),), np.int8)
+        self._message, self._body = Column((), np.int64), Column((), np.int64)
+        self._codes = Column((3,), np.int8)  # side, joint, state
+        self._position = Column((3,))
+        self._arms: set[tuple[int, int]] = set()
 
     def add(
-        self, message: IntArray, body: IntArray, side: IntArray, state: NDArray[np.int8], position: FloatArray
-    ) -> None:
-        """Take rows."""
-        position[(state == JointState.NOT_TRACKED) | (state == UNREPORTED)] = np.nan
-        arm = body * len(SIDES) + side
-        self._arms.update(np.unique(arm).tolist())
-        self._arm.append(arm)
-        self._message.append(message)
-        self._state.append(state)
-        self._position.append(position)
-
-    def add_joints(
         self,
         message: IntArray,
         body: IntArray,
@@ -168,16 +156,14 @@ class JointRows:
         state: IntArray,
         position: FloatArray,
     ) -> None:
-        """Take joints (n,) one by one, with positions (n, 3); of a joint said twice the last counts."""
-        if not len(message):
-            return
-        arms, arm = np.unique(body * len(SIDES) + side, return_inverse=True)
-        code, row = np.unique(message * len(arms) + arm, return_inverse=True)
-        states = np.full((len(code), len(JOINTS)), UNREPORTED, np.int8)
-        positions = np.full((len(code), len(JOINTS), 3), np.nan)
-        states[row, joint], positions[row, joint] = state, position
-        which, side_of = np.divmod(arms[code % len(arms)], len(SIDES))
-        self.add(code // len(arms), which, side_of, states, positions)
+        """Take joints (n,) with positions (n, 3); of a joint said twice in a message the last counts."""
+        position[state == JointState.NOT_TRACKED] = np.nan
+        arms = np.unique(body * len(SIDES) + side).tolist()
+        self._arms |= {divmod(arm, len(SIDES)) for arm in arms}
+        self._message.append(message)
+        self._body.append(body)
+        self._codes.append(np.stack([side, joint, state], axis=1).astype(np.int8))
+        self._position.append(position)
 
     def arms(
         self, stamp_ns: IntArray, topic: str, frame_id: str, camera_frame: CameraFrame | None
@@ -186,23 +172,19 @@ class JointRows:
         if not len(self._message):
             return []
         frames, number = frames_of(stamp_ns)
-        message, arm = self._message.done(), self._arm.done()
-        position, state = self._position.done(), self._state.done()
-        frame = message if number is None else number[message]
+        message, body, codes = self._message.done(), self._body.done(), self._codes.done()
+        position = self._position.done()
         arms = []
-        for which in sorted(self._arms):
-            body, side = divmod(which, len(SIDES))
+        for of_body, of_side in sorted(self._arms):
             positions = large_array((len(frames), len(JOINTS), 3))
             states = np.zeros((len(frames), len(JOINTS)), np.int8)
-            for part in batches(len(frame)):
-                mine = arm[part] == which
-                at, said, there = frame[part][mine], state[part][mine], position[part][mine]
-                row, joint = np.nonzero(said != UNREPORTED)
-                states[at[row], joint] = said[row, joint]
-                positions[at[row], joint] = there[row, joint]
-            arms.append(
-                ArmFrames(topic, frame_id, body, SIDES[side], frames, positions, states, camera_frame)
-            )
+            for part in batches(len(message)):
+                mine = (body[part] == of_body) & (codes[part, 0] == of_side)
+                at, (_, joint, state) = message[part][mine], codes[part][mine].T
+                row = at if number is None else number[at]
+                states[row, joint], positions[row, joint] = state, position[part][mine]
+            named = (topic, frame_id, of_body, SIDES[of_side])
+            arms.append(ArmFrames(*named, frames, positions, states, camera_frame))
         return arms
 
 
@@ -229,153 +211,122 @@ def joint_code(name: str) -> tuple[int, int] | None:
     return (SIDES.index(side), JOINTS.index(joint)) if joint in JOINTS and side in SIDES else None
 
 
+#: Rows of a batch with a joint, and its body, side, joint, state and position.
+_Said = tuple[IntArray, IntArray, int, int, IntArray, FloatArray]
+
+
 @dataclass
-class SkeletonDecoder:
+class JointDecoder:
     """unocclude.Skeleton or Keypoints2D: one body, or an arm of it, a message, or an image."""
 
     topic: Topic
     grouper: Grouper
     frame_id: str = ""
+    camera_frame: CameraFrame | None = None
 
     def __post_init__(self) -> None:
-        self._rows = JointRows()
-        self._stamps = Column((), np.int64)
+        self._rows, self._stamps, self._logs = JointRows(), Column((), np.int64), Column((), np.int64)
 
-    def feed(self, messages: TopicMessages) -> None:
+    def feed(self, messages: Messages) -> None:
         """Take a batch of messages."""
-        stamps, arms = [], []
+        stamps: list[tuple[NDArray, ...]] = []
+        joints: list[tuple[NDArray, ...]] = []
         for index, block, layout in self.grouper.groups_in(messages.chunk, messages.start, messages.stop):
             self.frame_id = layout.texts.get("frame_id", self.frame_id)
-            stamps.append((index, index, proto.stamps(block, layout, messages.log_ns[index])))
-            arms += self._arms(index, block, layout)
+            log_ns = messages.log_ns[index]
+            stamp, said = self._decoded(block, layout, log_ns)
+            stamps.append((index, index, stamp, log_ns))
+            for row, body, side, joint, state, position in said:
+                codes = (np.full(len(row), code, np.int64) for code in (side, joint))
+                joints.append((index[row], index[row], body, *codes, state, position))
         if not stamps:
             return
-        read, stamp = in_order(stamps)
-        if arms:
-            message, *columns = in_order(arms)
+        read, stamp, log_ns = in_order(stamps)
+        if joints:
+            message, *columns = in_order(joints) if len(stamps) > 1 else _behind_each_other(joints)
             self._rows.add(np.searchsorted(read, message) + len(self._stamps), *columns)
         self._stamps.append(stamp)
+        self._logs.append(log_ns)
 
-    def _arms(self, index: IntArray, block: Block, layout: MessageLayout) -> list[tuple[NDArray, ...]]:
-        """Each side in messages of one layout."""
-        body, count = layout.integer(block, "body") & 0xFFFFFFFF, len(block)
-        sides: dict[int, tuple[NDArray, NDArray]] = {}
+    def _decoded(self, block: Block, layout: MessageLayout, log_ns: IntArray) -> tuple[IntArray, list[_Said]]:
+        """Stamps (rows,), zero where there is none, and the joints in messages of one layout."""
+        said: list[_Said] = []
+        body, row = layout.integer(block, "body") & 0xFFFFFFFF, np.arange(len(block))
         elements = "keypoints" if self.is_flat else "joints"
         for i in range(layout.counts.get(elements, 0)):
             path = f"{elements}.{i}"
-            code = joint_code(layout.texts.get(f"{path}.name", ""))
-            if code is None:
-                continue
-            side, joint = code
-            if side not in sides:
-                shape = (count, len(JOINTS))
-                sides[side] = np.full(shape, UNREPORTED, np.int8), np.full((*shape, 3), np.nan)
-            state, position = sides[side]
-            state[:, joint], position[:, joint] = self._joint(block, layout, path)
-        return [(index, index, body, np.full(count, side), *said) for side, said in sorted(sides.items())]
+            if (code := joint_code(layout.texts.get(f"{path}.name", ""))) is not None:
+                said.append((row, body, *code, *self._joint(block, layout, path)))
+        return proto.stamps(block, layout, log_ns), said
 
     @property
     def is_flat(self) -> bool:
         """Whether it has keypoints in images."""
         return self.topic.schema == KEYPOINTS
 
-    def _joint(self, block: Block, layout: MessageLayout, path: str) -> tuple[NDArray, FloatArray]:
+    def _joint(self, block: Block, layout: MessageLayout, path: str) -> tuple[IntArray, FloatArray]:
         """States (rows,) and positions (rows, 3) of a joint; of a keypoint u, v and the score."""
         if self.is_flat:
             values = layout.vector(block, [f"{path}.{name}" for name in ("u", "v", "score")])
-            return states_of_scores(values[:, 2]), values
-        said = layout.integer(block, f"{path}.state")
-        if (said.view(np.uint64) > JointState.TRACKED).any():  # damaged
-            said = np.where(said.view(np.uint64) > JointState.TRACKED, JointState.NOT_TRACKED, said)
-        return said, layout.vector(block, axes(f"{path}.position"))
+            return states_of_scores(values[:, 2]).astype(np.int64), values
+        said = layout.integer(block, f"{path}.state").view(np.uint64)
+        state = np.where(said > JointState.TRACKED, JointState.NOT_TRACKED, said)  # damaged
+        return state.astype(np.int64), layout.vector(block, axes(f"{path}.position"))
 
-    def found(self) -> tuple[IntArray, list[ArmFrames]]:
-        """Stamps of all messages, ns, and all arms; asked for once."""
-        stamp_ns = self._stamps.done()
-        return stamp_ns, self._rows.arms(stamp_ns, self.topic.label, self.frame_id, None)
-
-    def arms(self) -> list[ArmFrames]:
-        """All arms found; asked for once."""
-        return self.found()[1]
-
-
-@dataclass
-class MarkerDecoder:
-    """visualization_msgs/msg/MarkerArray as the Azure Kinect ROS driver publishes body tracking."""
-
-    topic: Topic
-    grouper: Grouper
-    frame_id: str = ""
-    foreign: int = 0
-    seen: int = 0
-
-    def __post_init__(self) -> None:
-        self._rows = JointRows()
-        self._log: list[IntArray] = []
-        self._stamp: list[IntArray] = []
-        self._fed = 0
-
-    def feed(self, messages: TopicMessages) -> None:
-        """Take a batch of messages."""
-        stamps = np.zeros(len(messages.start), np.int64)
-        joints: list[tuple[NDArray, ...]] = []
-        for index, block, layout in self.grouper.groups_in(messages.chunk, messages.start, messages.stop):
-            if not layout.counts["markers"]:
-                continue
-            self.frame_id = layout.texts.get("frame_id", self.frame_id)
-            stamp = stamps_of(block, layout, messages.log_ns[index])
-            added = layout.many(block, "action")[:, :, 0] == _ADD
-            stamps[index] = np.where(added.any(axis=1), stamp, 0)
-            joints += self._joints(index, added, block, layout)
-        if joints:
-            message, *columns = in_order(joints)
-            self._rows.add_joints(message + self._fed, *columns)
-        self._log.append(messages.log_ns)
-        self._stamp.append(stamps)
-        self._fed += len(stamps)
-
-    def _joints(
-        self, index: IntArray, added: NDArray[np.bool_], block: Block, layout: MessageLayout
-    ) -> list[tuple[NDArray, ...]]:
-        ids = layout.many(block, "id")[:, :, 0].astype(np.int64)
-        azure = ids % 100
-        self.seen += int(added.sum())
-        self.foreign += int((added & (azure >= _AZURE_JOINTS)).sum())
-        position = layout.many(block, "position").astype(float)
-        joints: list[tuple[NDArray, ...]] = []
-        for number, (side, joint) in _AZURE.items():
-            row, column = np.nonzero(added & (azure == number) & (ids >= 0))
-            if len(row):
-                values = (np.full(len(row), value) for value in (side, joint, int(JointState.TRACKED)))
-                message, body = index[row], ids[row, column] // 100
-                joints.append((message, message, body, *values, position[row, column]))
-        return joints
-
-    def arms(self) -> list[ArmFrames]:
-        """All arms found, asked for once; none where the markers are of another kind."""
-        if not self._log or self.foreign > 0.05 * self.seen:
-            return []
-        log, stamp = np.concatenate(self._log), np.concatenate(self._stamp)
+    def stamps(self) -> IntArray:
+        """Of all messages, ns; where there is none, as far before the log time as those around it."""
+        stamp, log = self._stamps.done(), self._logs.done()
         has = stamp != 0
         if has.any() and not has.all():
             delay = np.interp(np.arange(len(log)), np.flatnonzero(has), (log - stamp)[has].astype(float))
             stamp = np.where(has, stamp, log - delay.astype(np.int64))
-        return self._rows.arms(stamp, self.topic.label, self.frame_id, CameraFrame.OPTICAL)
+        return stamp
+
+    def arms(self) -> list[ArmFrames]:
+        """All arms found; asked for once."""
+        return self._rows.arms(self.stamps(), self.topic.label, self.frame_id, self.camera_frame)
 
 
-Decoder = PlainDecoder | SkeletonDecoder | MarkerDecoder
+@dataclass
+class MarkerDecoder(JointDecoder):
+    """visualization_msgs/msg/MarkerArray as the Azure Kinect ROS driver publishes body tracking."""
+
+    camera_frame: CameraFrame | None = CameraFrame.OPTICAL
+    foreign: int = 0
+    seen: int = 0
+
+    def _decoded(self, block: Block, layout: MessageLayout, log_ns: IntArray) -> tuple[IntArray, list[_Said]]:
+        if not layout.counts["markers"]:
+            return np.zeros(len(block), np.int64), []
+        ids = layout.many(block, "id")[:, :, 0].astype(np.int64)
+        added = layout.many(block, "action")[:, :, 0] == _ADD
+        position, azure = layout.many(block, "position").astype(float), ids % 100
+        self.seen += int(added.sum())
+        self.foreign += int((added & (azure >= _AZURE_JOINTS)).sum())
+        said: list[_Said] = []
+        for number, code in _AZURE.items():
+            row, column = np.nonzero(added & (azure == number) & (ids >= 0))
+            state = np.full(len(row), int(JointState.TRACKED))
+            said.append((row, ids[row, column] // 100, *code, state, position[row, column]))
+        return np.where(added.any(axis=1), stamps_of(block, layout, log_ns), 0), said
+
+    def arms(self) -> list[ArmFrames]:
+        """All arms found, asked for once; none where the markers are of another kind."""
+        return [] if self.foreign > 0.05 * self.seen else super().arms()
+
+
+Decoder = PlainDecoder | JointDecoder
 
 
 def decoder_of(topic: Topic) -> Decoder | None:
     """The decoder of a topic of IMU samples, magnetic fields, poses or skeletons; None for other topics."""
     key = topic.encoding, topic.schema.replace("/msg/", "/")
     if key in _PLAIN:
-        kind, walk = _PLAIN[key]
-        grouper = proto_grouper(topic.schema) if walk is None else Grouper(walk)
-        return PlainDecoder(topic, kind, grouper)
+        is_ros = topic.encoding == "cdr"
+        grouper = Grouper(partial(cdr.walk, kind=key[1])) if is_ros else proto_grouper(topic.schema)
+        return PlainDecoder(topic, _PLAIN[key], grouper)
     if key in (("protobuf", "unocclude.Skeleton"), ("protobuf", KEYPOINTS)):
-        return SkeletonDecoder(topic, proto_grouper(topic.schema))
+        return JointDecoder(topic, proto_grouper(topic.schema))
     if key == ("cdr", "visualization_msgs/MarkerArray"):
-        textured = b"texture_resource" in topic.schema_data or not topic.schema_data
-        return MarkerDecoder(topic, Grouper(partial(cdr.marker_array, textured=textured)))
+        return MarkerDecoder(topic, Grouper(cdr.markers_of(topic.schema_data)))
     return None

@@ -27,7 +27,7 @@ from ..mcap.repair import repair_notes
 from .camera_streams import cameras_from_plain, direction_of
 from .choose import FileReading, Selection, choose_imu
 from .clean import clean_imu
-from .decode import Decoder, MarkerDecoder, PlainDecoder, SkeletonDecoder, decoder_of
+from .decode import Decoder, JointDecoder, PlainDecoder, decoder_of
 from .inertial import settle_imus
 from .keypoints import lenses_from_plain, with_lenses
 from .names import OTHER_SIDE
@@ -141,9 +141,7 @@ def open_recording(
             f"{', '.join(angles)}: sensor_msgs/JointState contains angles, not joint positions; ignored."
         )
     _take_metadata(file)
-    with_lenses(
-        file, {each.topic.label for each in found if isinstance(each, SkeletonDecoder) and each.is_flat}
-    )
+    with_lenses(file, {each.topic.label for each in found if isinstance(each, JointDecoder) and each.is_flat})
     return file
 
 
@@ -158,7 +156,7 @@ def _decoder(topic: Topic, truth: bool) -> Decoder | None:
         return None
     decoder = decoder_of(topic)
     is_pose = isinstance(decoder, PlainDecoder) and decoder.kind == "pose"
-    is_skeleton = isinstance(decoder, SkeletonDecoder | MarkerDecoder)
+    is_skeleton = isinstance(decoder, JointDecoder)
     is_reference = is_pose or (is_skeleton and topic.name.startswith(TRUTH_PREFIX))
     return None if is_reference and not truth else decoder
 

@@ -23,7 +23,7 @@ from ..mcap.container import Container
 from ..mcap.messages import McapMessage, Topic
 from ..recording.write import write_recording
 from ..tables.columns import read_exact
-from ..wire.cdr import CdrReader
+from ..wire.cdr import byte_order, values_of
 from ..wire.schemas import parsed
 from .panel import writing_folder
 
@@ -87,29 +87,26 @@ def _loudest(values: FloatArray) -> FloatArray:
 
 def _from_mcap(path: Path, wanted: str | None, ros_rate_hz: int, notes: list[str]) -> list[Track]:
     container = Container(path)
-    blocks: dict[int, list[tuple[float, FloatArray, float]]] = {}
+    blocks: dict[str, list[tuple[float, FloatArray, float]]] = {}
     damaged = 0
-    for batch in container.batches(_is_audio):
-        for position, messages in batch.items():
-            for message in messages:
-                try:
-                    blocks.setdefault(position, []).append(_block(message, ros_rate_hz))
-                except (ValueError, IndexError, struct.error):
-                    damaged += 1
+    for message in container.messages(_is_audio):
+        try:
+            blocks.setdefault(message.topic.name, []).append(_block(message, ros_rate_hz))
+        except (ValueError, IndexError, struct.error):
+            damaged += 1
     notes += container.notes
     if damaged:
         notes.append(f"{path.name}: damaged messages of sound, left out: {damaged}.")
-    names = {position: container.topics[position].name for position in blocks}
-    chosen = [k for k, name in names.items() if wanted is None or wanted in name]
+    chosen = [name for name in blocks if wanted is None or wanted in name]
     if len(chosen) != 1:
-        has = ", ".join(sorted(names.values())) or "none"
+        has = ", ".join(sorted(blocks)) or "none"
         what = "has no audio topic that can be read" if not chosen else "has several audio topics"
         raise RecordingError(
             f"{path} {what} (foxglove.RawAudio, audio_common_msgs); found: {has}; name one with"
             " --audio-topic, or give a WAV file."
         )
-    (position,) = chosen
-    return _tracks([block for block in blocks[position] if len(block[1])], f"{path}, {names[position]}")
+    (name,) = chosen
+    return _tracks([block for block in blocks[name] if len(block[1])], f"{path}, {name}")
 
 
 def _is_audio(topic: Topic) -> bool:
@@ -121,7 +118,7 @@ def _is_audio(topic: Topic) -> bool:
 def _block(message: McapMessage, ros_rate_hz: int) -> tuple[float, FloatArray, float]:
     """Stamp (s), samples (n, channels) and rate (Hz) of one message."""
     if message.topic.encoding == "protobuf":
-        audio = parsed("foxglove.RawAudio", bytes(message.data))
+        audio = parsed("foxglove.RawAudio", message.data)
         if audio.format != "pcm-s16" or not audio.sample_rate or not audio.number_of_channels:
             raise RecordingError(f"{message.topic.name} is of format {audio.format!r}; record pcm-s16.")
         stamp = audio.timestamp.seconds + 1e-9 * audio.timestamp.nanos
@@ -129,13 +126,11 @@ def _block(message: McapMessage, ros_rate_hz: int) -> tuple[float, FloatArray, f
         data = np.frombuffer(audio.data, "<i2", count * audio.number_of_channels)
         values = data.reshape(count, audio.number_of_channels) / 32767.0
         return stamp or 1e-9 * message.log_ns, values, float(audio.sample_rate)
-    cdr, stamp = CdrReader(bytes(message.data)), 1e-9 * message.log_ns
-    if not message.topic.schema.endswith("AudioData"):  # std_msgs/Header in front
-        stamp = cdr.number("I") + 1e-9 * cdr.number("I") or stamp
-        cdr.text()
-    raw = cdr.octets()
-    samples = np.frombuffer(raw, f"{cdr.order}i2", len(raw) // 2) / 32767.0
-    return stamp, samples[:, None], float(ros_rate_hz)
+    raw = message.data
+    sound = values_of(raw, message.topic.schema.replace("/msg/", "/"))
+    stamp = float(sound["sec"][0] + 1e-9 * sound["nsec"][0]) if "sec" in sound else 0.0
+    samples = np.frombuffer(sound["data"], byte_order(raw) + "i2", len(sound["data"]) // 2) / 32767.0
+    return stamp or 1e-9 * message.log_ns, samples[:, None], float(ros_rate_hz)
 
 
 def _tracks(blocks: list[tuple[float, FloatArray, float]], source: str) -> list[Track]:

@@ -18,7 +18,7 @@ from calib.intrinsics import Intrinsics
 from ...errors import RecordingError
 from ..mcap.container import Container
 from ..mcap.messages import SECOND_NS, Topic
-from ..wire.cdr import CdrReader
+from ..wire.cdr import values_of
 from ..wire.schemas import message_class, parsed
 
 IMAGES = {
@@ -83,14 +83,11 @@ def read_images(
     def taken(topic: Topic) -> bool:
         return topic.schema in IMAGES | LENSES and wanted(topic)
 
-    for batch in container.batches(taken):
-        for position, messages in batch.items():
-            topic = container.topics[position]
-            for message in messages:
-                try:
-                    yield _decode(topic, bytes(message.data), message.log_ns)
-                except (ValueError, struct.error, IndexError):
-                    damaged += 1  # the others may be intact
+    for message in container.messages(taken):
+        try:
+            yield _decode(message.topic, message.data, message.log_ns)
+        except (ValueError, struct.error, IndexError):
+            damaged += 1  # the others may be intact
     if notes is not None:
         notes += container.notes
         if damaged:
@@ -110,20 +107,15 @@ def _decode(topic: Topic, data: bytes, log_ns: int) -> ImageMessage | LensMessag
         if kind == "RawImage":
             encoding, shape = message.encoding, (message.height, message.width, message.step)
     else:
-        cdr = CdrReader(data)
-        stamp = cdr.number("i") * SECOND_NS + cdr.number("I") or log_ns
-        frame_id = cdr.text()
-        if kind == "CompressedImage":
-            cdr.text()
-        else:
-            height, width = cdr.number("I"), cdr.number("I")
-            if kind == "CameraInfo":
-                model = cdr.text()
-                distortion = cdr.values("d", cdr.number("I"))
-                return _lens(topic, frame_id, width, height, model, distortion, cdr.values("d", 9))
-            encoding, big = cdr.text(), bool(cdr.number("B"))
-            shape = (height, width, cdr.number("I"))
-        payload = cdr.octets()
+        its = values_of(data, topic.schema.replace("/msg/", "/"))
+        frame_id, stamp = its["frame_id"], int(its["sec"][0]) * SECOND_NS + int(its["nsec"][0]) or log_ns
+        if kind == "CameraInfo":
+            size = (int(its["width"][0]), int(its["height"][0]))
+            return _lens(topic, frame_id, *size, its["model"], its["D"], its["K"].tolist())
+        payload = its["data"].tobytes()
+        if kind == "Image":
+            encoding, big = its["encoding"], bool(its["big"][0])
+            shape = (int(its["height"][0]), int(its["width"][0]), int(its["step"][0]))
     if kind == "CompressedImage":
         return ImageMessage(topic.name, frame_id, stamp, "", partial(_uncompressed, payload))
     unpack = partial(_raw, payload, encoding, *shape, big)

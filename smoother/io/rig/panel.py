@@ -11,7 +11,6 @@ import stat
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -42,8 +41,8 @@ from ..recording.clean import clean_imu
 from ..recording.read import open_recording
 from ..recording.streams import ImuSamples
 from ..recording.write import imu_messages
-from ..wire.cdr import marker_array
-from ..wire.layout import Grouper
+from ..wire.cdr import markers_of
+from ..wire.layout import BROKEN
 from ..wire.schemas import message_class, parsed
 from .images import (
     CAMERA_CALIBRATION,
@@ -199,27 +198,18 @@ def _markers_at(path: Path, stamps: list[int]) -> list[dict[str, FloatArray]]:
 
 def _markers(path: Path) -> Iterator[tuple[int, str, FloatArray]]:
     """Stamp (ns), name and position (3,) m of every marker in the file."""
-    container = Container(path)
-    for batch in container.batches(_wanted):
-        for position, messages in batch.items():
-            topic = container.topics[position]
-            logs = [int(message.log_ns) for message in messages]
-            payloads = [bytes(message.data) for message in messages]
-            if topic.schema == _SCENE:
-                for payload, log in zip(payloads, logs, strict=True):
-                    with suppress(ValueError):  # the other messages may be intact
-                        yield from _scene_markers(payload, log)
+    for message in Container(path).messages(_wanted):
+        with suppress(*BROKEN):  # the other messages may be intact
+            if message.topic.schema == _SCENE:
+                yield from _scene_markers(message.data, message.log_ns)
                 continue
-            textured = b"texture_resource" in topic.schema_data or not topic.schema_data
-            for index, block, layout in Grouper(partial(marker_array, textured=textured)).groups(payloads):
-                if not layout.counts["markers"]:
-                    continue
-                stamps, names = ros_stamps(block, layout), layout.many(block, "id")[:, :, 0]
-                places = layout.many(block, "position").astype(float)
-                for row, message in enumerate(index.tolist()):
-                    stamp = int(stamps[row]) or logs[message]
-                    for name, place in zip(names[row].tolist(), places[row], strict=True):
-                        yield stamp, str(name), place
+            layout = markers_of(message.topic.schema_data)(message.data)
+            if layout.counts["markers"]:
+                block = np.frombuffer(message.data, np.uint8)[None]
+                stamp = int(ros_stamps(block, layout)[0]) or message.log_ns
+                names, places = layout.many(block, "id")[0, :, 0], layout.many(block, "position")[0]
+                for name, place in zip(names.tolist(), places.astype(float), strict=True):
+                    yield stamp, str(name), place
 
 
 def _wanted(topic: Topic) -> bool:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections import Counter
 from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import Protocol
 
@@ -150,16 +151,13 @@ def _transforms(path: str | os.PathLike[str]) -> Transforms:
         return topic.schema in ("foxglove.FrameTransforms", "foxglove.FrameTransform")
 
     found: Transforms = {}
-    for batch in Container(path).batches(wanted):
-        for message in (m for messages in batch.values() for m in messages):
-            try:
-                own = parsed(message.topic.schema, bytes(message.data))
-                for each in own.transforms if hasattr(own, "transforms") else [own]:
-                    q, t = each.rotation, each.translation
-                    R = Rotation.from_quat([q.x, q.y, q.z, q.w]).as_matrix()
-                    found[each.child_frame_id] = each.parent_frame_id, R, np.array([t.x, t.y, t.z])
-            except ValueError:  # damaged, or no rotation
-                continue
+    for message in Container(path).messages(wanted):
+        with suppress(ValueError):  # damaged, or no rotation
+            own = parsed(message.topic.schema, message.data)
+            for each in own.transforms if hasattr(own, "transforms") else [own]:
+                q, t = each.rotation, each.translation
+                R = Rotation.from_quat([q.x, q.y, q.z, q.w]).as_matrix()
+                found[each.child_frame_id] = each.parent_frame_id, R, np.array([t.x, t.y, t.z])
     return found
 
 

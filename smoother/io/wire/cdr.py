@@ -1,4 +1,4 @@
-"""Layouts of the ROS 2 messages that are read (CDR, either byte order).
+"""ROS 2 messages (CDR, either byte order): a row a type, and one walk over all of them.
 
 Why not a library: a MarkerArray takes 38 us here and 1,600 us by the libraries, which is 173 s for an hour of
 an Azure Kinect.
@@ -6,7 +6,12 @@ an Azure Kinect.
 
 from __future__ import annotations
 
+import re
 import struct
+from functools import cache, partial
+from typing import Any
+
+import numpy as np
 
 from .layout import MessageLayout
 
@@ -14,171 +19,119 @@ from .layout import MessageLayout
 #: alignment and byte order.
 _PLAIN = {b"\0\0": (8, ">"), b"\0\1": (8, "<"), b"\0\6": (4, ">"), b"\0\7": (4, "<")}
 
+#: Fields in their order, up to the last that is read: NAME:KIND*COUNT, or KIND*COUNT of what is passed over.
+#: Kinds are those of `struct`, `s` a string, `o` octets; `3d[]` is a sequence of structures of three doubles.
+_HEADER = "sec:i nsec:I frame_id:s "
+_SAMPLES = {
+    "sensor_msgs/Imu": _HEADER + "d*13 gyro:d*3 d*9 acc:d*3",
+    "sensor_msgs/MagneticField": _HEADER + "mag:d*3",
+    "geometry_msgs/PoseStamped": _HEADER + "position:d*3 quaternion:d*4",
+    "sensor_msgs/Image": _HEADER + "height:I width:I encoding:s big:B step:I data:o",
+    "sensor_msgs/CompressedImage": _HEADER + "s data:o",
+    "sensor_msgs/CameraInfo": _HEADER + "height:I width:I model:s D:d[] K:d*9",
+    "audio_common_msgs/AudioData": "data:o",
+    "audio_common_msgs/AudioDataStamped": _HEADER + "data:o",
+    "audio_common_msgs/AudioStamped": _HEADER + "data:o",
+}
+_MARKER = _HEADER + "s id:i i action:i position:d*3 d*7 f*6 B 3d[] 4f[] "
+_PLAIN_MARKER, _TEXTURED_MARKER = _MARKER + "s s B", _MARKER + "s i*2 s s B[] 2f[] s s s B[] B"
+#: No marker is shorter, bytes.
+_LEAST_MARKER = 100
+_FIELD = re.compile(r"(?:(\w+):)?(\d*)(\w)(\[\])?(?:\*(\d+))?")
 
-class CdrReader:
-    """Reads a CDR or XCDR2 message value by value."""
+
+@cache
+def _fields(row: str) -> list[tuple[str, int, str, bool, int]]:
+    """Name, values in a structure, kind, whether it is a sequence, and count."""
+    found = (_FIELD.fullmatch(field) for field in row.split())
+    return [(m[1] or "", int(m[2] or 1), m[3], bool(m[4]), int(m[5] or 1)) for m in found if m is not None]
+
+
+class _Walk:
+    """Passes over one message and notes where its fields lie."""
 
     def __init__(self, data: bytes):
         if len(data) < 4 or bytes(data[:2]) not in _PLAIN:
             raise ValueError("not plain CDR")
-        self.data = data
-        self.position = 4
+        self.data, self.position = data, 4
         self.widest, self.order = _PLAIN[bytes(data[:2])]
-
-    def align(self, size: int) -> None:
-        """Move to the next multiple of `size`, or of the widest alignment."""
-        self.position += -(self.position - 4) % min(size, self.widest)
-
-    def values(self, kind: str, count: int) -> tuple[float, ...]:
-        """A count of numbers of a `struct` kind; nothing is aligned where there are none."""
-        if not count:
-            return ()
-        size = struct.calcsize(kind)
-        self.align(size)
-        numbers = struct.unpack_from(f"{self.order}{count}{kind}", self.data, self.position)
-        self.position += size * count
-        return numbers
-
-    def number(self, kind: str) -> int:
-        """One integer of a `struct` kind."""
-        return int(self.values(kind, 1)[0])
-
-    def octets(self) -> bytes:
-        """A sequence of bytes."""
-        size = self.number("I")
-        if self.position + size > len(self.data):
-            raise IndexError("message is cut off")
-        self.position += size
-        return self.data[self.position - size : self.position]
-
-    def text(self) -> str:
-        """A string."""
-        return self.octets().rstrip(b"\0").decode("utf-8", "replace")
-
-
-class Cursor(CdrReader):
-    """Walks over one CDR message and notes where its fields lie."""
-
-    def __init__(self, data: bytes):
-        super().__init__(data)
         self.layout = MessageLayout.of(data)
         self.layout.fix(0, 2)
 
-    def skip(self, size: int, count: int = 1) -> None:
-        """Pass over values; nothing is aligned where there are none."""
-        if count:
-            self.align(size)
-            self.position += size * count
-            self._check()
+    def fields(self, row: str) -> None:
+        """The fields of a row."""
+        for name, width, kind, is_sequence, count in _fields(row):
+            if kind in "so":
+                self._text(name, kind)
+                continue
+            if is_sequence:
+                count = width * self.length(structures=width > 1)
+            size = struct.calcsize(kind)
+            start = self._step(size, count) if count else self.position  # nothing is aligned for nothing
+            if name:
+                self.layout.add(name, start, f"{self.order}{kind}", count)
 
-    def field(self, name: str, kind: str, count: int = 1) -> None:
-        """Note `count` values of a numpy type (`i4`, `u4`, `f8`)."""
-        size = int(kind[1:])
-        self.align(size)
-        self.layout.add(name, self.position, self.order + kind, count)
-        self.position += size * count
-        self._check()
+    def length(self, structures: bool) -> int:
+        """Of a sequence or string, which decides the layout; in XCDR2 structures' size is before it."""
+        if structures and self.widest == 4:
+            self._step(4, 1)
+        start = self._step(4, 1)
+        self.layout.fix(start, start + 4)
+        return int(struct.unpack_from(f"{self.order}I", self.data, start)[0])
 
-    def length(self) -> int:
-        """A sequence's or string's length, which decides the layout."""
-        self.align(4)
-        (value,) = struct.unpack_from(f"{self.order}I", self.data, self.position)
-        self.layout.fix(self.position, self.position + 4)
-        self.position += 4
-        return int(value)
+    def _text(self, name: str, kind: str) -> None:
+        """A string that is named decides the layout, so that it is the same for all rows; octets do not."""
+        length = self.length(structures=False)
+        start = self._step(1, length)
+        if name and kind == "s":
+            self.layout.fix(start, start + length)
+            text = self.data[start : start + length].rstrip(b"\0")
+            self.layout.texts[name] = text.decode("utf-8", "replace")
+        elif name:
+            self.layout.add(name, start, "u1", length)
 
-    def text(self, name: str = "") -> str:
-        """A string; one that is named decides the layout, so that it is the same for all rows."""
-        length = self.length()
-        start, self.position = self.position, self.position + length
-        self._check()
-        if not name:
-            return ""
-        self.layout.fix(start, self.position)
-        self.layout.texts[name] = self.data[start : self.position].rstrip(b"\0").decode("utf-8", "replace")
-        return self.layout.texts[name]
-
-    def header(self, frame: str = "frame_id") -> None:
-        """A std_msgs/Header."""
-        self.field("sec", "i4")
-        self.field("nsec", "u4")
-        self.text(frame)
-
-    def structures(self) -> int:
-        """Length of a sequence of structures."""
-        if self.widest == 4:
-            self.skip(4)  # its size in bytes
-        return self.length()
-
-    def sequence(self, size: int, values: int) -> None:
-        """A sequence of elements of `values` numbers of `size` bytes (more than one: structures)."""
-        self.skip(size, (self.structures() if values > 1 else self.length()) * values)
-
-    def _check(self) -> None:
+    def _step(self, size: int, count: int) -> int:
+        """Where aligned values begin, which are passed over."""
+        start = self.position + -(self.position - 4) % min(size, self.widest)
+        self.position = start + size * count
         if self.position > len(self.data):
             raise IndexError("message is cut off")
+        return start
 
 
-def imu(data: bytes) -> MessageLayout:
-    """Layout of sensor_msgs/msg/Imu: `sec`, `nsec`, `gyro`, `acc`."""
-    cursor = Cursor(data)
-    cursor.header()
-    cursor.skip(8, 4 + 9)
-    cursor.field("gyro", "f8", 3)
-    cursor.skip(8, 9)
-    cursor.field("acc", "f8", 3)
-    return cursor.layout
-
-
-def magnetic_field(data: bytes) -> MessageLayout:
-    """Layout of sensor_msgs/msg/MagneticField: `sec`, `nsec`, `mag`."""
-    cursor = Cursor(data)
-    cursor.header()
-    cursor.field("mag", "f8", 3)
-    return cursor.layout
-
-
-def pose_stamped(data: bytes) -> MessageLayout:
-    """Layout of geometry_msgs/msg/PoseStamped: `sec`, `nsec`, `position`, `quaternion` (x, y, z, w)."""
-    cursor = Cursor(data)
-    cursor.header()
-    cursor.field("position", "f8", 3)
-    cursor.field("quaternion", "f8", 4)
-    return cursor.layout
+def walk(data: bytes, kind: str) -> MessageLayout:
+    """Layout of a message of a type, such as `sensor_msgs/Imu`."""
+    found = _Walk(data)
+    found.fields(_SAMPLES[kind])
+    return found.layout
 
 
 def marker_array(data: bytes, textured: bool = True) -> MessageLayout:
-    """Layout of visualization_msgs/msg/MarkerArray: `sec`, `nsec`, `id`, `action`, `position` by marker."""
-    cursor = Cursor(data)
-    count = cursor.structures()
-    if count * 100 > len(data):
+    """Layout of visualization_msgs/MarkerArray: `sec`, `nsec`, `id`, `action`, `position` by marker."""
+    found = _Walk(data)
+    count = found.length(structures=True)
+    if count * _LEAST_MARKER > len(data):
         raise ValueError("more markers than bytes for them")
-    cursor.layout.counts["markers"] = count
+    found.layout.counts["markers"] = count
     for _ in range(count):
-        cursor.header()
-        cursor.text()
-        cursor.field("id", "i4")
-        cursor.skip(4)
-        cursor.field("action", "i4")
-        cursor.field("position", "f8", 3)
-        cursor.skip(8, 4 + 3)
-        cursor.skip(4, 4 + 2)
-        cursor.skip(1)
-        cursor.sequence(8, 3)
-        cursor.sequence(4, 4)
-        if textured:
-            cursor.text()
-            cursor.skip(4, 2)
-            cursor.text()
-            cursor.text()
-            cursor.sequence(1, 1)
-            cursor.sequence(4, 2)
-        cursor.text()
-        cursor.text()
-        if textured:
-            cursor.text()
-            cursor.sequence(1, 1)
-        cursor.skip(1)
-    if len(data) - cursor.position > 7:  # some writers pad the end
+        found.fields(_TEXTURED_MARKER if textured else _PLAIN_MARKER)
+    if len(data) - found.position > 7:  # some writers pad the end
         raise ValueError("bytes left over")
-    return cursor.layout
+    return found.layout
+
+
+def markers_of(schema_data: bytes) -> partial[MessageLayout]:
+    """The walk over markers as a file's schema has them: those of newer ROS have textures."""
+    return partial(marker_array, textured=b"texture_resource" in schema_data or not schema_data)
+
+
+def byte_order(data: bytes) -> str:
+    """Of a message's numbers, as `struct` has it."""
+    return _PLAIN[bytes(data[:2])][1]
+
+
+def values_of(data: bytes, kind: str) -> dict[str, Any]:
+    """Fields of one message by name: numbers (count,), octets and texts."""
+    layout, block = walk(data, kind), np.frombuffer(data, np.uint8)[None]
+    values = {name: layout.get(block, name)[0] for name in layout.fields}
+    return values | layout.texts

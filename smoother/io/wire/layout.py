@@ -94,16 +94,13 @@ class Grouper:
     broken: int = 0  # Messages that could not be walked
     _known: dict[int, list[MessageLayout]] = field(default_factory=dict)
 
-    def groups(self, payloads: Sequence[bytes]) -> Iterator[tuple[IntArray, Block, MessageLayout]]:
-        """Yield the indices of payloads of one layout, their bytes (rows, size), the layout."""
-        stop = np.cumsum(np.fromiter(map(len, payloads), np.int64, len(payloads)))
-        start = np.concatenate([np.zeros(1, np.int64), stop])[: len(payloads)]
-        yield from self.groups_in(b"".join(payloads), start, stop)
-
     def groups_in(
         self, data: Buffer, start: IntArray, stop: IntArray
     ) -> Iterator[tuple[IntArray, Block, MessageLayout]]:
-        """The same for payloads that are in `data` from `start` to `stop`, (n,) each."""
+        """Yield the indices of payloads of one layout, their bytes (rows, size), the layout.
+
+        The payloads are in `data` from `start` to `stop`, (n,) each.
+        """
         sizes = stop - start
         for size in np.unique(sizes).tolist():
             index = np.flatnonzero(sizes == size)
@@ -154,15 +151,6 @@ def copy_runs(source: Buffer, start: IntArray, size: IntArray, target: memoryvie
     for rows in np.split(order, np.flatnonzero(np.diff(size[order])) + 1):
         if len(rows) and (length := int(size[rows[0]])):
             runs(target, length)[place[rows]] = runs(source, length)[start[rows]]
-
-
-def joined(source: Buffer, start: IntArray, stop: IntArray) -> tuple[memoryview, IntArray, IntArray]:
-    """Parts of a buffer one behind the other, and where each then starts and stops."""
-    size = stop - start
-    ends = np.cumsum(size)
-    target = np.empty(size.sum(), np.uint8).data
-    copy_runs(source, start, size, target, ends - size)
-    return target, ends - size, ends
 
 
 def runs(data: Buffer, size: int) -> NDArray[np.void]:

@@ -4,15 +4,16 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import numpy as np
 import pytest
 import ros_bags as ros
+from mcap_messages import groups
 from mcap_ros2._dynamic import serialize_dynamic
 
 from smoother.io.wire import cdr
-from smoother.io.wire.cdr import CdrReader, Cursor
 from smoother.io.wire.layout import BROKEN, Grouper, MessageLayout
 
 SEC, NANOSEC = 1_700_000_123, 456_789_012
@@ -55,15 +56,19 @@ def pose(frame: str) -> bytes:
 
 
 Walk = Callable[[bytes], MessageLayout]
+IMU, FIELD, POSE = (
+    partial(cdr.walk, kind=kind)
+    for kind in ("sensor_msgs/Imu", "sensor_msgs/MagneticField", "geometry_msgs/PoseStamped")
+)
 
 
 @pytest.mark.parametrize("frame", ["", "x", "ab", "wrist_link", "K\u00e4mera", "12345678"])
 @pytest.mark.parametrize(
     ("walk", "data", "expected"),
     [
-        (cdr.imu, imu, {"gyro": [0.1, 0.2, -0.3], "acc": [1.0, -2.0, 3.0]}),
-        (cdr.magnetic_field, field, {"mag": [4.0, 5.0, 6.0]}),
-        (cdr.pose_stamped, pose, {"position": [7.0, 8.0, -9.0], "quaternion": [0.1, -0.2, 0.3, 0.9]}),
+        (IMU, imu, {"gyro": [0.1, 0.2, -0.3], "acc": [1.0, -2.0, 3.0]}),
+        (FIELD, field, {"mag": [4.0, 5.0, 6.0]}),
+        (POSE, pose, {"position": [7.0, 8.0, -9.0], "quaternion": [0.1, -0.2, 0.3, 0.9]}),
     ],
 )
 def test_a_message_of_another_library(
@@ -77,9 +82,7 @@ def test_a_message_of_another_library(
     assert layout.texts == {"frame_id": frame}
 
 
-@pytest.mark.parametrize(
-    ("walk", "data"), [(cdr.imu, imu), (cdr.magnetic_field, field), (cdr.pose_stamped, pose)]
-)
+@pytest.mark.parametrize(("walk", "data"), [(IMU, imu), (FIELD, field), (POSE, pose)])
 def test_a_message_that_was_cut(walk: Walk, data: Callable[[str], bytes]) -> None:
     """Up to the last field that is read it is broken; what lies behind is not looked at."""
     raw = data("wrist")
@@ -94,15 +97,15 @@ def test_a_message_that_was_cut(walk: Walk, data: Callable[[str], bytes]) -> Non
 def test_what_decides_the_layout() -> None:
     """The encapsulation, and a name's length and letters: nothing else."""
     raw = imu("wrist")
-    layout = cdr.imu(raw)
+    layout = IMU(raw)
     decisive = {0, 1, *range(12, 16), *range(16, 22)}  # behind a head of 4 bytes and two of 4
     assert set(np.flatnonzero(layout.mask).tolist()) == decisive
     assert (layout.mask[list(decisive)] == 0xFF).all()
-    grouper = Grouper(cdr.imu)
+    grouper = Grouper(IMU)
     found = {
         layout.texts["frame_id"]: index.tolist()
-        for index, _, layout in grouper.groups(
-            [imu("left"), imu("rght"), imu("left"), b"\0\1\0\0short", imu("elbow")]
+        for index, _, layout in groups(
+            grouper, [imu("left"), imu("rght"), imu("left"), b"\0\1\0\0short", imu("elbow")]
         )
     }
     assert found == {"left": [0, 2], "rght": [1], "elbow": [4]} and grouper.broken == 1
@@ -157,45 +160,31 @@ def test_markers_with_everything(textured: bool, count: int) -> None:
 )
 def test_encapsulations(head: bytes, widest: int, order: str) -> None:
     """Alignment counts from behind the head; XCDR2 aligns doubles to four bytes."""
-    reader = CdrReader(head + b"\0\0" + struct.pack(order + "b3xi", 5, -7) + b"x" * 4 + b"y" * 8)
-    assert reader.number("b") == 5 and reader.position == 5
-    assert reader.number("i") == -7 and reader.position == 12
-    assert reader.values("d", 0) == () and reader.position == 12
-    reader.number("b")
-    reader.align(8)
-    assert reader.position == (20 if widest == 8 else 16)
-    reader.align(2)
-    assert reader.position == (20 if widest == 8 else 16)
-    numbers = CdrReader(head + b"\0\0" + struct.pack(order + "3d", 1.5, -2.0, 4e9))
-    assert numbers.values("d", 3) == (1.5, -2.0, 4e9) and numbers.position == 28
-    texts = CdrReader(
-        head + b"\0\0" + struct.pack(order + "I", 4) + b"abc\0" + struct.pack(order + "I", 2) + b"z\xff"
-    )
-    assert texts.text() == "abc" and texts.position == 12
-    assert texts.octets() == b"z\xff" and texts.position == 18
+    body = struct.pack(order + "iII", -7, 5, 2) + b"f\0\0\0"
+    body += bytes(-len(body) % widest) + struct.pack(order + "3d", 1.5, -2.0, 4e9)
+    found = cdr.values_of(head + b"\0\0" + body, "sensor_msgs/MagneticField")
+    assert (found["sec"], found["nsec"], found["frame_id"]) == (-7, 5, "f")
+    assert found["mag"].tolist() == [1.5, -2.0, 4e9]
+    odd = struct.pack(order + "iII", 1, 2, 3) + b"fr\0" + bytes(1) + struct.pack(order + "I", 2) + b"z\xff"
+    sound = cdr.values_of(head + b"\0\0" + odd, "audio_common_msgs/AudioDataStamped")
+    assert sound["frame_id"] == "fr" and sound["data"].tobytes() == b"z\xff"
     with pytest.raises(IndexError):
-        CdrReader(head + b"\0\0" + struct.pack(order + "I", 3) + b"ab").octets()
+        cdr.values_of(head + b"\0\0" + odd[:-1], "audio_common_msgs/AudioDataStamped")
 
 
 @pytest.mark.parametrize("data", [b"", b"\0\1\0", b"\0\2\0\0rest", b"\1\1\0\0rest", b"\0\x0b\0\0rest"])
 def test_other_encapsulations_are_refused(data: bytes) -> None:
     with pytest.raises(ValueError):
-        CdrReader(data)
-    assert CdrReader(b"\0\1\0\0").position == 4
+        cdr.walk(data, "sensor_msgs/Imu")
 
 
 def test_a_sequence_of_structures_in_xcdr2() -> None:
     """Its size in bytes stands before it; one of numbers has none; doubles begin at any fourth byte."""
-    body = struct.pack("<i", 1)  # sec
-    body += struct.pack("<I", 2) + struct.pack("<I", 2) + b"f\0" + b"\0\0"
-    body += struct.pack("<I", 52) + struct.pack("<I", 2) + struct.pack("<6d", *range(6))
-    body += struct.pack("<I", 3) + b"abc\0" + struct.pack("<d", 2.5)
-    cursor = Cursor(b"\0\7\0\0" + body)
-    cursor.header()
-    cursor.align(4)
-    cursor.sequence(8, 3)
-    cursor.sequence(1, 1)
-    cursor.field("end", "f8")
-    assert values(cursor.layout, b"\0\7\0\0" + body, "end") == [[2.5]]
-    assert cursor.position == len(body) + 4
-    assert cursor.layout.fields["sec"][0] == [4] and cursor.layout.texts == {"frame_id": "f"}
+    body = struct.pack("<i", 3) + struct.pack("<I", 1)  # sizes, then the count of the markers
+    body += struct.pack("<iI", 1, 2) + struct.pack("<I", 2) + b"f\0" + bytes(2) + struct.pack("<I", 0)
+    body += struct.pack("<3i", 41, 2, 0) + struct.pack("<10d", *range(10)) + struct.pack("<6f", *range(6))
+    body += b"\1" + bytes(3) + struct.pack("<2I", 52, 2) + struct.pack("<6d", *range(6))
+    body += struct.pack("<2I", 4, 0) + struct.pack("<2I", 0, 0) + b"\1"
+    data = b"\0\7\0\0" + body
+    layout = cdr.marker_array(data, textured=False)
+    assert values(layout, data, "id") == [[41]] and values(layout, data, "position") == [[0.0, 1.0, 2.0]]

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from mcap_messages import groups
 
 from smoother.io.wire import layout as module
-from smoother.io.wire.layout import Grouper, MessageLayout, copy_runs, joined
+from smoother.io.wire.layout import Grouper, MessageLayout
 
 
 def walk(data: bytes) -> MessageLayout:
@@ -29,14 +30,14 @@ def test_groups_hold_every_message_once() -> None:
     assert grouper.broken == 0
     for _ in range(2):  # the second time all layouts are known
         grouper.broken = 0
-        groups = list(grouper.groups(payloads))
-        keys = [(block.shape[1], layout.counts["kind"]) for _, block, layout in groups]
+        found = list(groups(grouper, payloads))
+        keys = [(block.shape[1], layout.counts["kind"]) for _, block, layout in found]
         assert len(keys) == len(set(keys)) == 9
-        indices = [i for index, _, _ in groups for i in index.tolist()]
+        indices = [i for index, _, _ in found for i in index.tolist()]
         broken = [i for i, each in enumerate(payloads) if each[0] == 0]
         assert sorted(indices + broken) == list(range(300)) and len(set(indices)) == len(indices)
         assert grouper.broken == len(broken)
-        for index, block, layout in groups:
+        for index, block, layout in found:
             for i, row in zip(index.tolist(), block, strict=True):
                 assert row.tobytes() == payloads[i] and payloads[i][0] == layout.counts["kind"]
 
@@ -51,8 +52,8 @@ def test_a_stream_without_regularity_is_not_remembered() -> None:
 
     payloads = [bytes([kind]) for kind in range(1, 71)]
     grouper = Grouper(counting)
-    assert sum(len(index) for index, _, _ in grouper.groups(payloads)) == 70 and len(walked) == 70
-    assert sum(len(index) for index, _, _ in grouper.groups(payloads)) == 70
+    assert sum(len(index) for index, _, _ in groups(grouper, payloads)) == 70 and len(walked) == 70
+    assert sum(len(index) for index, _, _ in groups(grouper, payloads)) == 70
     assert walked[70:] == list(range(65, 71))
 
 
@@ -62,26 +63,6 @@ def test_what_a_walk_may_raise_is_counted(error: type[Exception]) -> None:
         raise error("broken")
 
     grouper = Grouper(failing, 5)
-    assert list(grouper.groups([b"a", b"bb"])) == [] and grouper.broken == 7
+    assert list(groups(grouper, [b"a", b"bb"])) == [] and grouper.broken == 7
     with pytest.raises(KeyError):
-        list(Grouper(lambda _: {}["no walk"]).groups([b"a"]))
-
-
-@pytest.mark.parametrize("seed", range(3))
-def test_bytes_put_together_in_another_order(seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    source = rng.bytes(500)
-    size = rng.choice([0, 1, 7, 40], 60)
-    start = rng.integers(0, 501 - size)
-    parts = [source[a : a + n] for a, n in zip(start.tolist(), size.tolist(), strict=True)]
-    target, begin, end = joined(source, start, start + size)
-    assert bytes(target) == b"".join(parts)
-    assert [bytes(target[a:b]) for a, b in zip(begin, end, strict=True)] == parts
-    order = rng.permutation(60)
-    ends = np.cumsum(size[order])
-    place = np.empty_like(ends)
-    place[order] = ends - size[order]
-    out = memoryview(bytearray(int(size.sum())))
-    copy_runs(source, start, size, out, place)
-    assert bytes(out) == b"".join(parts[k] for k in order.tolist())
-    assert bytes(joined(b"", np.zeros(0, int), np.zeros(0, int))[0]) == b""
+        list(groups(Grouper(lambda _: {}["no walk"]), [b"a"]))
