@@ -98,8 +98,6 @@ def write(app: Any, docname: str, source: list[str]) -> None:
     for mark, text in texts.items():
         if f"\n{mark}\n" in source[0]:
             source[0] = source[0].replace(f"\n{mark}\n", f"\n{text()}\n")
-    if (Path(app.srcdir) / docname).is_dir():  # devices.md heads the pages of devices/
-        source[0] += f"\n\n```{{toctree}}\n:hidden:\n:glob:\n\n{docname}/*\n```\n"
 
 
 def setup(app: Any) -> dict[str, Any]:
