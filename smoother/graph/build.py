@@ -25,10 +25,11 @@ from ..array_types import FloatArray, IntArray
 from ..body import FOREARM, SEGMENTS
 from ..linalg import runs, unit
 from ..measurements.rays import squashed
-from ..window.problem import JointMeasurements, NoiseModel, SegmentRun, Window
+from ..window.problem import JointMeasurements, SegmentRun, Window
 from .factors import (
     IMU_ROWS,
     POINT_ROWS,
+    TISSUE_S,
     constant_velocity,
     imu_factors,
     isotropic,
@@ -37,16 +38,15 @@ from .factors import (
     length_factor,
     robust,
     robust_across,
+    shared_joint,
+    shoulder_end,
+    tissue_sigma,
 )
 from .shared_prior import shared_factors
-from .variables import keys_of
+from .variables import keys_of, node_keys
 
-#: A shared joint on the parent's side, m: the strap sits firmer at the wrist, its lever arm is a variable.
-PARENT_TIE_M = 0.005
 #: How fast an arm moves whose sensor lies still, m/s per axis.
 REST_SPEED = 0.01
-#: How long a movement of the tissue lasts, s.
-TISSUE_S = 1.0
 #: A bias variable for about this long, s: one for a recording is too stiff to follow scale errors.
 BIAS_LENGTH_S = 4.0
 #: A window has no more of them: they are used in every step of the solution. In gaps of minutes, where alone
@@ -68,9 +68,7 @@ def node_of_variables(window: Window) -> dict[int, int]:
     if window.shoulder is not None:
         nodes |= {S(k): int(node) for k, node in enumerate(window.shoulder.node)}
     for run in window.bodies:
-        keys = keys_of(run.segment)
-        kinds = (keys.pose, keys.velocity, *([keys.point] if SEGMENTS[run.segment].shared_joint else []))
-        nodes |= {first + i: i for i in range(run.first, run.nodes.stop) for first in kinds}
+        nodes |= {key: i for i in range(run.first, run.nodes.stop) for key in node_keys(run.segment, i)}
     return nodes
 
 
@@ -140,8 +138,10 @@ def _add_imu(built: WindowGraph, window: Window, run: SegmentRun, biases: IntArr
     for i, (R, p, v) in enumerate(zip(start.R, start.p, start.v, strict=True), run.first):
         built.values.insert(keys.pose + i, Pose3(Rot3(R), p))
         built.values.insert(keys.velocity + i, v)
-    between = range(run.first, run.nodes.stop - 1)
-    built.add("imu", run.segment, imu_factors(window, run, biases), IMU_ROWS, between)
+    nodes = range(run.first, run.nodes.stop - 1)
+    between = ((i, i + 1, bias) for i, bias in zip(nodes, biases[nodes].tolist(), strict=True))
+    factors = imu_factors(run.segment, between, run.increments, np.diff(window.t[run.nodes]), window.noise)
+    built.add("imu", run.segment, factors, IMU_ROWS, nodes)
 
 
 def _add_joints(built: WindowGraph, window: Window) -> None:
@@ -299,16 +299,12 @@ def _add_field(built: WindowGraph, window: Window) -> None:
 
 def _add_shared_joint(built: WindowGraph, window: Window, run: SegmentRun) -> None:
     """`ReferenceFrameFactorPoint3Pose3` (lever, pose, point): one point on the segment and its parent."""
-    segment = SEGMENTS[run.segment]
-    own, parent, joint = keys_of(segment.name), keys_of(segment.parent), segment.shared_joint
-    lever = window.priors.shared.mean[window.priors.layout.lever(joint, segment.name)]
-    nodes, factors = np.arange(run.first, run.nodes.stop), []
-    for k, (node, sigma) in enumerate(zip(nodes.tolist(), _tissue(window, run, nodes), strict=True)):
-        point = own.point + node
-        built.values.insert(point, run.start.p[k] + run.start.R[k] @ lever)
-        for keys, model in ((parent, isotropic(3, PARENT_TIE_M)), (own, isotropic(3, sigma))):
-            ends = keys.lever_of(joint), keys.pose + node, point
-            factors.append(gtsam.ReferenceFrameFactorPoint3Pose3(*ends, model))
+    lever = window.priors.layout.lever(SEGMENTS[run.segment].shared_joint, run.segment)
+    nodes, point = np.arange(run.first, run.nodes.stop), keys_of(run.segment).point
+    for node, place in zip(nodes.tolist(), run.start.p + run.start.R @ window.priors.shared.mean[lever]):
+        built.values.insert(point + node, place)
+    ties = zip(nodes.tolist(), _tissue(window, run, nodes), strict=True)
+    factors = (factor for node, sigma_m in ties for factor in shared_joint(run.segment, node, sigma_m))
     built.add("shared joint", run.segment, factors, POINT_ROWS, np.repeat(nodes, 2))
 
 
@@ -316,25 +312,14 @@ def _add_shoulder_end(built: WindowGraph, window: Window, run: SegmentRun) -> No
     """`ReferenceFrameFactorPoint3Pose3`: a segment that reaches the shoulder ends in its knots."""
     if window.shoulder is None or "shoulder" not in SEGMENTS[run.segment].joints:
         return
-    keys, knots = keys_of(run.segment), np.asarray(window.shoulder.node)
+    knots = np.asarray(window.shoulder.node)
     tissue = _tissue(window, run, knots)
     inside = np.flatnonzero((knots >= run.first) & (knots < run.nodes.stop))
-    factors = (
-        gtsam.ReferenceFrameFactorPoint3Pose3(
-            keys.lever_of("shoulder"), keys.pose + int(knots[k]), S(k), isotropic(3, tissue[k])
-        )
-        for k in inside.tolist()
-    )
-    built.add("shoulder end", run.segment, factors, POINT_ROWS, knots[inside])
+    ends = (shoulder_end(run.segment, int(knots[k]), k, tissue[k]) for k in inside.tolist())
+    built.add("shoulder end", run.segment, ends, POINT_ROWS, knots[inside])
 
 
 def _tissue(window: Window, run: SegmentRun, nodes: IntArray) -> list[float]:
     """Sigma of a joint in the IMU's axes at nodes (k,)."""
     step_s = np.gradient(window.t[nodes]) if len(nodes) > 1 else np.full(len(nodes), TISSUE_S)
-    return [float(each) for each in tissue_sigma(window.noise, run.segment, step_s)]
-
-
-def tissue_sigma(noise: NoiseModel, segment: str, step_s: FloatArray) -> FloatArray:  # step_s (k,) s
-    """Sigma of a joint in an IMU's axes (k,), m: tissue moves slowly, denser samples add nothing."""
-    sigma = dict(noise.tissue_m)[segment] * np.sqrt(np.maximum(TISSUE_S / step_s, 1.0))
-    return np.asarray(np.round(sigma, 3))
+    return np.asarray(tissue_sigma(window.noise, run.segment, step_s)).tolist()

@@ -14,10 +14,11 @@ import numpy as np
 from gtsam import Pose3, Rot3, noiseModel
 from gtsam.symbol_shorthand import G, S, U, V, X
 
-from ..array_types import FloatArray, IntArray
+from ..array_types import FloatArray
+from ..body import SEGMENTS
 from ..units import GRAVITY
-from ..window.problem import ImuIncrements, NoiseModel, SegmentRun, Window
-from .variables import SegmentKeys, keys_of
+from ..window.problem import ImuIncrements, NoiseModel
+from .variables import keys_of
 
 #: Rows of an `ImuFactorWithGravityDirection`, and of a factor on a point.
 IMU_ROWS, POINT_ROWS = 9, 3
@@ -26,73 +27,42 @@ IMU_ROWS, POINT_ROWS = 9, 3
 INTEGRATION_VARIANCE = 1e-6
 #: IMU noise goes up in steps of this factor, so that intervals share their parameters.
 DENSITY_STEP = 1.25
+#: A shared joint on the parent's side, m: the strap sits firmer at the wrist, its lever arm is a variable.
+PARENT_TIE_M = 0.005
+#: How long a movement of the tissue lasts, s.
+TISSUE_S = 1.0
 
 
 def imu_factors(
-    window: Window,
-    run: SegmentRun,
-    biases: IntArray,  # int (n - 1,)
+    segment: str,
+    between: Iterable[tuple[int, int, int]],  # Numbers of each interval's nodes and of its bias
+    increments: ImuIncrements,
+    dt: FloatArray,  # (n - 1,) s
+    noise: NoiseModel,
 ) -> Iterator[gtsam.ImuFactorWithGravityDirection]:
-    """An IMU between neighbouring nodes of a window."""
-    keys, increments, gravity = keys_of(run.segment), run.increments, GRAVITY
-    levels = noise_levels(increments, np.diff(window.t[run.nodes]), window.noise, gravity)
-    params = {level: preintegration_parameters(window.noise, gravity, *level) for level in set(levels)}
-    own_biases = biases[run.first : run.nodes.stop - 1].tolist()
-    preintegrated = preintegrate(increments, (params[level] for level in levels))
-    for node, (pim, number) in enumerate(zip(preintegrated, own_biases, strict=True), run.first):
-        yield imu_factor(keys, node, node + 1, number, pim, gravity)
-
-
-def preintegrate(
-    increments: ImuIncrements, params: Iterable[gtsam.PreintegrationParams]
-) -> Iterator[gtsam.PreintegratedImuMeasurements]:
-    """The increments of each interval, with the parameters of each."""
-    bias = gtsam.imuBias.ConstantBias(increments.bias[:3], increments.bias[3:])
+    """An IMU between nodes."""
+    keys, bias = keys_of(segment), gtsam.imuBias.ConstantBias(*np.split(increments.bias, 2))
     samples = zip(
         *np.moveaxis(increments.acc + increments.bias[:3], 1, 0),
         increments.gyro + increments.bias[3:],
         increments.h.tolist(),
         strict=True,
     )
-    for count, own in zip(np.diff(increments.first).tolist(), params, strict=True):
-        pim = gtsam.PreintegratedImuMeasurements(own, bias)
+    counts, levels = np.diff(increments.first).tolist(), noise_levels(increments, dt, noise)
+    for (before, node, number), count, level in zip(between, counts, levels, strict=True):
+        pim = gtsam.PreintegratedImuMeasurements(preintegration_parameters(noise, *level), bias)
         integrate = pim.integrateMeasurement
         for first_half, second_half, rate, h in islice(samples, count):
             integrate(first_half, rate, h)
             integrate(second_half, rate, h)
-        yield pim
+        states = keys.pose + before, keys.velocity + before, keys.pose + node, keys.velocity + node
+        yield gtsam.ImuFactorWithGravityDirection(*states, keys.bias + number, G(0), pim, GRAVITY)
 
 
-def imu_factor(
-    keys: SegmentKeys,
-    before: int,
-    node: int,
-    bias: int,
-    pim: gtsam.PreintegratedImuMeasurements,
-    gravity_magnitude: float,
-) -> gtsam.ImuFactorWithGravityDirection:
-    """One interval of an IMU between two nodes."""
-    return gtsam.ImuFactorWithGravityDirection(
-        keys.pose + before,
-        keys.velocity + before,
-        keys.pose + node,
-        keys.velocity + node,
-        keys.bias + bias,
-        G(0),
-        pim,
-        gravity_magnitude,
-    )
-
-
-def noise_levels(
-    increments: ImuIncrements,
-    dt: FloatArray,
-    noise: NoiseModel,
-    gravity_magnitude: float,  # dt (n - 1,) s
-) -> list[tuple[int, int]]:
+def noise_levels(increments: ImuIncrements, dt: FloatArray, noise: NoiseModel) -> list[tuple[int, int]]:
     """Noise of each interval above the still sensor's, (accelerometer, gyroscope) in `DENSITY_STEP`s."""
     count = np.diff(increments.first)
-    force = np.linalg.norm(increments.acc.mean(axis=1), axis=1) - gravity_magnitude
+    force = np.linalg.norm(increments.acc.mean(axis=1), axis=1) - GRAVITY
     rate = np.linalg.norm(increments.gyro, axis=1)
     moving = np.add.reduceat(np.abs(force), increments.first[:-1]) / count
     turning = np.add.reduceat(rate, increments.first[:-1]) / count
@@ -109,15 +79,18 @@ def noise_levels(
 
 
 @lru_cache(maxsize=1024)
-def preintegration_parameters(
-    noise: NoiseModel, gravity_magnitude: float, acc: int, gyro: int
-) -> gtsam.PreintegrationParams:
+def preintegration_parameters(noise: NoiseModel, acc: int, gyro: int) -> gtsam.PreintegrationParams:
     """Noise of the preintegration at a level of `noise_levels`."""
-    params = gtsam.PreintegrationParams(np.array([0.0, 0.0, -gravity_magnitude]))
+    params = gtsam.PreintegrationParams(np.array([0.0, 0.0, -GRAVITY]))
     params.setAccelerometerCovariance(np.eye(3) * (DENSITY_STEP**acc * noise.accelerometer_density) ** 2)
     params.setGyroscopeCovariance(np.eye(3) * (DENSITY_STEP**gyro * noise.gyroscope_density) ** 2)
     params.setIntegrationCovariance(np.eye(3) * INTEGRATION_VARIANCE)
     return params
+
+
+def bias_walk(before: int, bias: int, model: noiseModel.Base) -> gtsam.BetweenFactorConstantBias:
+    """A bias variable near the one before it."""
+    return gtsam.BetweenFactorConstantBias(before, bias, gtsam.imuBias.ConstantBias(), model)
 
 
 def joint_factor(
@@ -146,6 +119,30 @@ def length_factor(
 def constant_velocity(node: int, change: float) -> gtsam.BetweenFactorVector:
     """The forearm's velocity changes by no more than about `change`, m/s, to the next node."""
     return gtsam.BetweenFactorVector(V(node), V(node + 1), np.zeros(3), isotropic(3, change))
+
+
+def tissue_sigma(noise: NoiseModel, segment: str, step_s: FloatArray | float) -> FloatArray:
+    """Sigma of a joint in an IMU's axes, m, at nodes this far apart: tissue moves slowly, and denser samples
+    add nothing.
+    """
+    return np.round(dict(noise.tissue_m)[segment] * np.sqrt(np.maximum(TISSUE_S / step_s, 1.0)), 3)
+
+
+def shared_joint(segment: str, node: int, sigma_m: float) -> list[gtsam.ReferenceFrameFactorPoint3Pose3]:
+    """One point on a segment and on its parent, at their lever arms."""
+    own, parent, joint = keys_of(segment), keys_of(SEGMENTS[segment].parent), SEGMENTS[segment].shared_joint
+    return [
+        gtsam.ReferenceFrameFactorPoint3Pose3(
+            keys.lever_of(joint), keys.pose + node, own.point + node, isotropic(3, float(sigma))
+        )
+        for keys, sigma in ((parent, PARENT_TIE_M), (own, sigma_m))
+    ]
+
+
+def shoulder_end(segment: str, node: int, knot: int, sigma_m: float) -> gtsam.ReferenceFrameFactorPoint3Pose3:
+    """A segment that reaches the shoulder ends in a knot."""
+    ends = keys_of(segment).lever_of("shoulder"), keys_of(segment).pose + node, S(knot)
+    return gtsam.ReferenceFrameFactorPoint3Pose3(*ends, isotropic(3, float(sigma_m)))
 
 
 @lru_cache(maxsize=4096)

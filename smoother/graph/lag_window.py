@@ -5,6 +5,9 @@ Nodes inside may still be changed: a late frame or IMU sample costs no more than
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field
+
 import gtsam
 import numpy as np
 from gtsam import Pose3, Rot3
@@ -12,21 +15,27 @@ from gtsam.symbol_shorthand import B, G, L, S, U, V, X
 
 from ..array_types import FloatArray
 from ..body import FOREARM, SEGMENTS
+from ..linalg import scaled_inverse
 from ..recording import JOINTS
+from ..units import GRAVITY
 from ..window.problem import ImuIncrements, NoiseModel, Priors
 from ..window.solution import LagSolution, NodeState
-from .build import TISSUE_S
-from .lag_elimination import LagIteration, in_order, iterate, marginalise, split
-from .lag_factors import LagBody, LagFactors, LagNode, state_keys_of
-from .shared_prior import (
-    gravity_axes,
-    have_turned,
-    insert_constants,
-    lever_keys,
-    prior_factor,
-    turned_with_axes,
+from .factors import (
+    TISSUE_S,
+    bias_walk,
+    constant_velocity,
+    imu_factors,
+    isotropic,
+    joint_factor,
+    knot_walk,
+    length_factor,
+    robust,
+    shared_joint,
+    shoulder_end,
+    tissue_sigma,
 )
-from .variables import keys_of
+from .shared_prior import gravity_axes, have_turned, insert_shared, prior_factor, turned_with_axes
+from .variables import DIMENSION, LETTER_BITS, keys_of, letter_of, node_keys, values_of
 
 #: Shoulder knots keep this far apart, s.
 KNOT_S = 0.09
@@ -36,38 +45,58 @@ BIAS_EPOCH_S = 1.0
 #: 0.5 mm at most (measured), and spares half of the iterations.
 SETTLED_M = 0.003
 ITERATIONS = 4
+#: Before any frame a first node is known so well: rad, m, m/s.
+FIRST_TURN_RAD, FIRST_POSITION_M, FIRST_VELOCITY = 0.5, 0.5, 1.5
+
+Factors = list[gtsam.NonlinearFactor]
+
+
+@dataclass
+class LagBody:
+    """A segment with an IMU at a node."""
+
+    before: int = -1  # Number of the node that the IMU's factor begins at; -1 where there is no such factor
+    imu: gtsam.NonlinearFactor | None = None  # The IMU's from that node
+    others: Factors = field(default_factory=list)  # All others of the segment
+
+
+@dataclass
+class LagNode:
+    """A node with its factors."""
+
+    number: int  # Of its variables
+    t: float  # s
+    epoch: int  # Number of its bias variables
+    # The segments that have variables at it, the forearm first
+    bodies: dict[str, LagBody] = field(default_factory=lambda: {FOREARM.name: LagBody()})
+    camera: Factors = field(default_factory=list)  # What the camera saw at it
+    others: Factors = field(default_factory=list)  # All others at it
+    # Joints that the camera saw, of segments that have no variables at it yet
+    waiting: list[tuple[str, FloatArray]] = field(default_factory=list)
+
+    @property
+    def factors(self) -> Factors:
+        """The IMUs' first."""
+        imus = [body.imu for body in self.bodies.values() if body.imu is not None]
+        return imus + self.camera + self.others + [each for b in self.bodies.values() for each in b.others]
 
 
 class LagWindow:
     """Nodes of the last moments with their factors."""
 
-    def __init__(
-        self,
-        priors: Priors,
-        noise: NoiseModel,
-        sigma_m: FloatArray,
-        gravity_magnitude: float,
-        length_s: float,
-    ) -> None:
-        self._layout, self._g, self._length_s = priors.layout, gravity_magnitude, length_s
-        self._factors = LagFactors(priors, noise, sigma_m, gravity_magnitude)
+    def __init__(self, priors: Priors, noise: NoiseModel, sigma_m: FloatArray, length_s: float) -> None:
+        self._layout, self._mean, self._length_s = priors.layout, priors.shared.mean, length_s
+        self._noise, self._sigma_m, self._walk = noise, sigma_m, priors.bias_walk
         self._nodes: list[LagNode] = []
         self._count = 0
         self._first_epoch = self._epoch = 0
         self._epoch_s = -np.inf
         self._knot: int | None = None
         self._knot_s = -np.inf
-        mean = priors.shared.mean
         self._values = gtsam.Values()
-        insert_constants(self._values, priors.layout, mean)
-        first, *further = (keys_of(segment).bias for segment in priors.layout.segments)
-        for segment, key in zip(priors.layout.segments, (first, *further), strict=True):
-            bias = mean[priors.layout.bias_of(segment)]
-            self._values.insert(key, gtsam.imuBias.ConstantBias(bias[:3], bias[3:]))
-        upper_arm = [U(0)] if priors.layout.has_upper_arm else []
-        prior_keys = [first, G(0), *upper_arm, *lever_keys(priors.layout), *further]
+        insert_shared(self._values, priors.layout, self._mean, range(1))
         #: Of no node: the prior, the walk of the biases, and what is left of those that left.
-        self._lasting: list[gtsam.NonlinearFactor] = [prior_factor(priors, prior_keys)]
+        self._lasting: Factors = [prior_factor(priors, 0)]
         self._axes = gravity_axes(self._values)
 
     @property
@@ -87,7 +116,7 @@ class LagWindow:
     @property
     def gravity(self) -> FloatArray:
         """Gravity (3,) in {K}, m/s^2."""
-        return np.asarray(self._g * self._values.atUnit3(G(0)).point3())
+        return np.asarray(GRAVITY * self._values.atUnit3(G(0)).point3())
 
     def lever(self, joint: str) -> FloatArray:
         """A joint's lever arm (3,) in {A}, m; zero for the IMU itself."""
@@ -119,40 +148,58 @@ class LagWindow:
         self, state: NodeState, increments: ImuIncrements | None, velocity_change: float = np.inf
     ) -> None:
         """Add a node after the newest."""
-        self._next_epoch(state.t)
+        if np.isfinite(self._epoch_s) and state.t - self._epoch_s >= BIAS_EPOCH_S:
+            self._epoch += 1
+            model = gtsam.noiseModel.Diagonal.Sigmas(self._walk * np.sqrt(state.t - self._epoch_s))
+            for segment in self._layout.segments:
+                bias = keys_of(segment).bias + self._epoch
+                self._values.insert(bias, self._values.atConstantBias(bias - 1))
+                self._lasting.append(bias_walk(bias - 1, bias, model))
+        if state.t - self._epoch_s >= BIAS_EPOCH_S:
+            self._epoch_s = state.t
         node = LagNode(self._count, state.t, self._epoch)
-        self._values.insert(X(node.number), Pose3(Rot3(state.R), state.p))
-        self._values.insert(V(node.number), state.v)
         self._nodes.append(node)
         self._count += 1
-        if increments is None:
-            node.others += self._factors.first(node.number, state)
-        else:
-            self._tie(node, self._nodes[-2], FOREARM.name, increments)
+        self._begin(node, FOREARM.name, state, increments)
         if np.isfinite(velocity_change):
-            node.others.append(self._factors.constant_velocity(node.number, velocity_change))
+            node.others.append(constant_velocity(node.number - 1, round(velocity_change, 4)))
         if self._knot is not None and state.t - self._knot_s >= KNOT_S:
             self._add_knot(node, self._values.atPoint3(S(self._knot)))
+
+    def _begin(
+        self, node: LagNode, segment: str, state: NodeState, increments: ImuIncrements | None
+    ) -> LagNode | None:
+        """A segment's variables at a node, tied to its last one, or with wide priors; that last one."""
+        before = next((each for each in reversed(self._nodes[:-1]) if segment in each.bodies), None)
+        pose, velocity, *_ = node_keys(segment, node.number)
+        here = Pose3(Rot3(state.R), state.p)
+        self._values.insert(pose, here)
+        self._values.insert(velocity, state.v)
+        body = node.bodies.setdefault(segment, LagBody())
+        if increments is not None:
+            assert before is not None
+            self._tie(node, before, segment, increments)
+            return before
+        wide = gtsam.noiseModel.Diagonal.Sigmas(np.repeat([FIRST_TURN_RAD, FIRST_POSITION_M], 3))
+        first = [
+            gtsam.PriorFactorPose3(pose, here, wide),
+            gtsam.PriorFactorVector(velocity, state.v, isotropic(3, FIRST_VELOCITY)),
+        ]
+        (node if segment == FOREARM.name else body).others.extend(first)
+        return None
 
     def attach(
         self, index: int, segment: str, state: NodeState, increments: ImuIncrements | None = None
     ) -> None:
         """Give a further segment with an IMU its variables at a node."""
-        node, before = self._nodes[index], self.nodes_of(segment)
-        lever = self._factors.shared_joint_m[segment]
-        pose, velocity, point = state_keys_of(segment, node.number)
-        self._values.insert(pose, Pose3(Rot3(state.R), state.p))
-        self._values.insert(velocity, state.v)
-        self._values.insert(point, state.p + state.R @ lever)
-        node.bodies[segment] = body = LagBody()
-        if increments is None:
-            body.others += self._factors.first(node.number, state, segment)
-        else:
-            self._tie(node, self._nodes[before[-1]], segment, increments)
-        step_s = TISSUE_S if increments is None else node.t - self._nodes[before[-1]].t
-        body.others += self._factors.shared_joint(node.number, segment, step_s)
+        node = self._nodes[index]
+        before = self._begin(node, segment, state, increments)
+        body, lever = node.bodies[segment], self._layout.lever(SEGMENTS[segment].shared_joint, segment)
+        self._values.insert(keys_of(segment).point + node.number, state.p + state.R @ self._mean[lever])
+        step_s = TISSUE_S if before is None else node.t - before.t
+        body.others += shared_joint(segment, node.number, tissue_sigma(self._noise, segment, step_s))
         if self._values.exists(S(node.number)):
-            body.others += self._factors.shoulder_end(node.number, segment, KNOT_S)
+            self._end_in_knot(node, segment)
         waiting, node.waiting = node.waiting, []
         for joint, position in waiting:
             self._see(node, joint, position)
@@ -163,7 +210,7 @@ class LagWindow:
         for node in self._nodes:
             if segment in node.bodies and node.t >= since_s:
                 del node.bodies[segment]
-                leaving += state_keys_of(segment, node.number)
+                leaving += node_keys(segment, node.number)
                 _, node.camera = split(node.camera, set(leaving))
         # what those that left say of it stays, as far as it is about the rest
         held = set(leaving) & {key for factor in self._lasting for key in list(factor.keys())}
@@ -180,8 +227,7 @@ class LagWindow:
         factors = [each for body in bodies if body.imu is not None for each in (body.imu, *body.others)]
         if not factors:
             return float("nan")
-        rows = sum(each.dim() for each in factors)
-        return 2.0 * sum(each.error(self._values) for each in factors) / rows
+        return 2.0 * sum(each.error(self._values) for each in factors) / sum(each.dim() for each in factors)
 
     def set_increments(self, index: int, increments: ImuIncrements, segment: str = FOREARM.name) -> None:
         """Set an IMU's way to a node from its one before, also where there was one already."""
@@ -191,8 +237,10 @@ class LagWindow:
             self._tie(node, before, segment, increments)
 
     def _tie(self, node: LagNode, before: LagNode, segment: str, increments: ImuIncrements) -> None:
-        body = node.bodies[segment]
-        body.imu, body.before = self._factors.imu(before, node, increments, segment), before.number
+        """One interval of an IMU, from its node before."""
+        body, between, dt = node.bodies[segment], (before.number, node.number, node.epoch), node.t - before.t
+        (body.imu,) = imu_factors(segment, [between], increments, np.array([dt]), self._noise)
+        body.before = before.number
 
     def measure(self, index: int, joint: str, position: FloatArray) -> None:
         """Add a joint's position (3,) m in {K} at a node; the shoulder counts at the knot before it."""
@@ -205,15 +253,20 @@ class LagWindow:
                 return
             self._add_knot(node, position)
         assert self._knot is not None
-        node.camera.append(self._factors.shoulder(self._knot, position))
+        node.camera.append(gtsam.PriorFactorPoint3(S(self._knot), position, self._robust(joint)))
 
     def _see(self, node: LagNode, joint: str, position: FloatArray) -> None:
         """A joint at a node; it waits where the IMU that it belongs to is not there yet."""
         segment = self._layout.segment_of(joint)
-        if segment in node.bodies:
-            node.camera.append(self._factors.joint(node.number, joint, position, segment))
-        else:
+        if segment not in node.bodies:
             node.waiting.append((joint, position))
+            return
+        keys = keys_of(segment)
+        lever = keys.lever_of(joint) if joint in self._layout.levers(segment) else None
+        node.camera.append(joint_factor(keys.pose + node.number, lever, position, self._robust(joint)))
+
+    def _robust(self, joint: str) -> gtsam.noiseModel.Robust:
+        return robust(round(float(self._sigma_m[JOINTS.index(joint)]), 6), self._noise.cauchy)
 
     def retract(self, after_s: float) -> None:
         """Take back what the camera saw at nodes after a time."""
@@ -235,7 +288,11 @@ class LagWindow:
         while change_m > SETTLED_M and iterations < ITERATIONS:
             iteration = iterate(graph, self._values, query_keys)
             self._values = iteration.values
-            graph = self._graph() if self._follow_gravity() else graph
+            if have_turned(self._axes, gravity_axes(self._values)):
+                # the Gaussians turn with the axes across gravity
+                self._lasting = turned_with_axes(self._lasting, self._values, self._axes)
+                self._axes = gravity_axes(self._values)
+                graph = self._graph()
             change_m, iterations = iteration.moved_m(X(newest.number)), iterations + 1
         solution = self._solution(newest, settled, iteration, iterations)
         self._leave(newest.t - self._length_s)
@@ -255,7 +312,7 @@ class LagWindow:
             blocks.append((prefix + "position", X(node.number), position))
             blocks.append((prefix + "velocity", V(node.number), np.eye(3)))
         blocks.append(("bias", B(self._epoch), np.eye(6)))
-        blocks.append(("gravity", G(0), self._g * gravity_axes(iteration.before)))
+        blocks.append(("gravity", G(0), GRAVITY * gravity_axes(iteration.before)))
         blocks += [(joint, L(JOINTS.index(joint)), np.eye(3)) for joint in self._layout.joints]
         if self._knot is not None:
             blocks.append(("shoulder", S(self._knot), np.eye(3)))
@@ -284,26 +341,25 @@ class LagWindow:
             graph.add(factor)
         return graph
 
-    def _follow_gravity(self) -> bool:
-        """Turn the Gaussians with the axes across gravity, where these have turned."""
-        if not have_turned(self._axes, gravity_axes(self._values)):
-            return False
-        self._lasting = turned_with_axes(self._lasting, self._values, self._axes)
-        self._axes = gravity_axes(self._values)
-        return True
-
     def _leave(self, before_s: float) -> None:
         """Marginalise the nodes before a time, with their knots and biases; the newest two stay."""
         count = sum(node.t < before_s for node in self._nodes[:-2])
         if not count:
             return
         leaving, self._nodes = self._nodes[:count], self._nodes[count:]
-        keys = self._leaving_keys(leaving, self._nodes[0])
+        first, gone = self._nodes[0], {node.number for node in leaving}
+        keys = [key for node in leaving for segment in node.bodies for key in node_keys(segment, node.number)]
+        first_biases = [keys_of(segment).bias for segment in self._layout.segments]
+        keys += [bias + epoch for epoch in range(self._first_epoch, first.epoch) for bias in first_biases]
+        knots = (S(node.number) for node in leaving if node.number != self._knot)
+        keys += [knot for knot in knots if self._values.exists(knot)]
         factors = self._lasting + [factor for node in leaving for factor in node.factors]
         # what ties those that stay to those that leave goes with them
-        first, gone = self._nodes[0], {node.number for node in leaving}
         for node in self._nodes:
-            factors += [f for body in node.bodies.values() if body.before in gone for f in body.release()]
+            for body in node.bodies.values():
+                if body.before in gone:
+                    factors += [] if body.imu is None else [body.imu]
+                    body.imu, body.before = None, -1
         for node in self._nodes:
             ties, node.others = split(node.others, set(keys))
             seen, node.camera = split(node.camera, set(keys))
@@ -311,33 +367,107 @@ class LagWindow:
         self._lasting = marginalise(factors, self._values, keys)
         self._first_epoch = first.epoch
 
-    def _leaving_keys(self, leaving: list[LagNode], first: LagNode) -> list[int]:
-        """Keys of what leaves with some nodes, in the order of elimination; `first` is the first to stay."""
-        states = [key for node in leaving for key in node.state_keys]
-        first_biases = [keys_of(segment).bias for segment in self._layout.segments]
-        biases = [bias + epoch for epoch in range(self._first_epoch, first.epoch) for bias in first_biases]
-        knots = [S(node.number) for node in leaving if node.number != self._knot]
-        return [*states, *biases, *(knot for knot in knots if self._values.exists(knot))]
-
-    def _next_epoch(self, t: float) -> None:
-        """A new bias variable where the last one is old."""
-        if t - self._epoch_s < BIAS_EPOCH_S:
-            return
-        if np.isfinite(self._epoch_s):
-            self._epoch += 1
-            for segment in self._layout.segments:
-                bias = keys_of(segment).bias + self._epoch
-                self._values.insert(bias, self._values.atConstantBias(bias - 1))
-                self._lasting.append(self._factors.bias_walk(self._epoch, t - self._epoch_s, segment))
-        self._epoch_s = t
-
     def _add_knot(self, node: LagNode, position: FloatArray) -> None:
         """A shoulder knot at a node: near the one before, the upper arm's length from the elbow."""
-        self._values.insert(S(node.number), np.asarray(position, dtype=float))
+        knot, noise, layout = node.number, self._noise, self._layout
+        self._values.insert(S(knot), np.asarray(position, dtype=float))
         if self._knot is not None:
-            node.others.append(self._factors.knot_walk(self._knot, node.number, node.t - self._knot_s))
-        node.others += self._factors.upper_arm(node.number)
-        for segment, body in node.bodies.items():
-            if SEGMENTS[segment].parent:
-                body.others += self._factors.shoulder_end(node.number, segment, KNOT_S)
-        self._knot, self._knot_s = node.number, node.t
+            root_s = float(np.sqrt(node.t - self._knot_s))
+            node.others.append(knot_walk(self._knot, knot, noise.shoulder_walk, root_s))
+        if layout.has_upper_arm:
+            length_m, elbow = float(self._mean[layout.upper_arm][0]), self._mean[layout.lever("elbow")]
+            node.others.append(length_factor(knot, knot, length_m, noise.upper_arm_sigma_m, elbow))
+        self._knot, self._knot_s = knot, node.t
+        for segment in node.bodies:
+            self._end_in_knot(node, segment)
+
+    def _end_in_knot(self, node: LagNode, segment: str) -> None:
+        """A further segment that reaches the shoulder ends in its node's knot."""
+        if SEGMENTS[segment].parent and "shoulder" in SEGMENTS[segment].joints:
+            sigma_m = tissue_sigma(self._noise, segment, KNOT_S)
+            node.bodies[segment].others.append(shoulder_end(segment, node.number, node.number, sigma_m))
+
+
+#: Elimination goes along time; the variables of few nodes follow, and last come those of all.
+_RANK = {"s": 1}
+for _segment in SEGMENTS.values():
+    _pose, _velocity, _bias, _, *_point = _segment.letters
+    _RANK |= dict.fromkeys([_pose, _velocity, *_point], 0) | {_bias: 2}
+_LAST = 3
+
+
+def in_order(keys: Iterable[int]) -> list[int]:
+    """Variables in the order of time, as their numbers have it; those that last at the end."""
+    number = (1 << LETTER_BITS) - 1
+    return sorted(keys, key=lambda key: (_RANK.get(letter_of(key), _LAST), key & number, key))
+
+
+@dataclass(frozen=True)
+class LagIteration:
+    """What an iteration answers."""
+
+    before: gtsam.Values  # Where it was linearised
+    values: gtsam.Values  # After the step
+    step: FloatArray  # (c,): of the variables that are read, in GTSAM's own coordinates
+    covariance: FloatArray  # (c, c): joint, of the same
+    columns: dict[int, slice]  # Where each of them is in both
+
+    def moved_m(self, pose: int) -> float:
+        """How far the step moved a pose that is read."""
+        return float(np.linalg.norm(self.step[self.columns[pose]][3:]))
+
+
+def iterate(
+    graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, query_keys: Sequence[int]
+) -> LagIteration:
+    """One Gauss-Newton step: eliminate all but what is read, invert what is left, and substitute back."""
+    others = ordering_of(in_order(set(values.keys()) - set(query_keys)))
+    net, rest = graph.linearize(values).eliminatePartialSequential(others)
+    columns, start = {}, 0
+    for key in query_keys:
+        columns[key] = slice(start, start + DIMENSION[letter_of(key)])
+        start = columns[key].stop
+    information, vector = rest.hessian(ordering_of(query_keys))
+    covariance = scaled_inverse(information)
+    step = covariance @ np.ravel(vector)
+    asked_steps = gtsam.VectorValues()
+    for key, rows in columns.items():
+        asked_steps.insert(key, step[rows])
+    delta = net.optimize(asked_steps)
+    for key, rows in columns.items():
+        if not delta.exists(key):
+            delta.insert(key, step[rows])
+    return LagIteration(values, values.retract(delta), step, covariance, columns)
+
+
+def ordering_of(keys: Iterable[int]) -> gtsam.Ordering:
+    """The keys as GTSAM takes them."""
+    ordering = gtsam.Ordering()
+    for key in keys:
+        ordering.push_back(key)
+    return ordering
+
+
+def marginalise(factors: Factors, values: gtsam.Values, leaving: Sequence[int]) -> Factors:
+    """Eliminate variables; what is left of the factors."""
+    touching, rest = split(factors, set(leaving))
+    graph = gtsam.NonlinearFactorGraph()
+    for factor in touching:
+        graph.add(factor)
+    _, gaussians = graph.linearize(values).eliminatePartialSequential(ordering_of(leaving))
+    for i in range(gaussians.size()):
+        gaussian = gaussians.at(i)
+        if gaussian is not None:
+            rest.append(gtsam.LinearContainerFactor(gaussian, values_of(values, gaussian.keys())))
+    for key in leaving:
+        values.erase(key)
+    return rest
+
+
+def split(factors: Factors, keys: set[int]) -> tuple[Factors, Factors]:
+    """The factors that touch some variables, and those that do not."""
+    touching: Factors = []
+    others: Factors = []
+    for factor in factors:
+        (others if keys.isdisjoint(factor.keys()) else touching).append(factor)
+    return touching, others

@@ -25,7 +25,7 @@ from .build import node_of_variables
 from .columns import is_place
 from .linear_system import LinearSystem
 from .solved import SolvedWindow
-from .variables import DIMENSION, LETTER_BITS, keys_of
+from .variables import DIMENSION, keys_of, letter_of
 
 #: Every segment has its own stream of random numbers, so that a further IMU changes nothing of the others'.
 #: By segment the letters of a node's variables that it is for.
@@ -135,7 +135,7 @@ def _normals_of_columns(system: LinearSystem, window: Window, plan: DrawPlan) ->
     normals = np.zeros((plan.count, system.jacobian.width))
     by_letter: dict[str, dict[int, int]] = {}
     for key, node in node_of_variables(window).items():
-        by_letter.setdefault(chr(key >> LETTER_BITS), {})[key] = node
+        by_letter.setdefault(letter_of(key), {})[key] = node
     for segment, letters in _LETTERS.items():
         if letters[0] not in by_letter:
             continue

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 
 import gtsam
 import numpy as np
@@ -12,7 +12,8 @@ from gtsam.symbol_shorthand import G, U
 from ..array_types import FloatArray, IntArray
 from ..window.problem import Priors, Window
 from ..window.shared import SharedLayout
-from .variables import DIMENSION, keys_of, values_of
+from .factors import bias_walk
+from .variables import DIMENSION, keys_of, letter_of, values_of
 
 
 def shared_factors(
@@ -21,53 +22,47 @@ def shared_factors(
     biases: IntArray,  # int (n - 1,)
 ) -> Iterator[tuple[str, str, list[gtsam.NonlinearFactor], int]]:
     """A random walk of the biases (`BetweenFactor..`), one joint Gaussian prior (`HessianFactor`)."""
-    priors, layout, mean = window.priors, window.priors.layout, window.priors.shared.mean
-    count = int(biases[-1]) + 1
+    priors, layout, count = window.priors, window.priors.layout, int(biases[-1]) + 1
     walk = noiseModel.Diagonal.Sigmas(priors.bias_walk * np.sqrt((window.t[-1] - window.t[0]) / count))
-    insert_constants(values, layout, mean)
+    insert_shared(values, layout, priors.shared.mean, range(count))
     for segment in layout.segments:
         first = keys_of(segment).bias
-        bias = gtsam.imuBias.ConstantBias(*np.split(mean[layout.bias_of(segment)], 2))
-        for k in range(count):
-            values.insert(first + k, bias)
         yield "bias walk", segment, [bias_walk(k, k + 1, walk) for k in range(first, first + count - 1)], 6
-    yield "prior", "", [prior_factor(priors, shared_keys(window, biases))], layout.size
+    yield "prior", "", [prior_factor(priors, count // 2)], layout.size
 
 
-def bias_walk(before: int, bias: int, model: noiseModel.Base) -> gtsam.BetweenFactorConstantBias:
-    """A bias variable near the one before it."""
-    return gtsam.BetweenFactorConstantBias(before, bias, gtsam.imuBias.ConstantBias(), model)
-
-
-def prior_factor(priors: Priors, keys: list[int]) -> gtsam.LinearContainerFactor:
-    """The joint Gaussian prior on what windows share."""
+def prior_factor(priors: Priors, bias: int) -> gtsam.LinearContainerFactor:
+    """The joint Gaussian prior on what windows share, with this number of the biases."""
     layout, mean = priors.layout, priors.shared.mean
     # the prior's mean is the initial value, so only its information matrix is needed
     jacobian = shared_jacobian(layout, Unit3(layout.down(mean)))
     information = jacobian.T @ np.linalg.inv(priors.shared.covariance) @ jacobian
-    factor = gaussian_factor(keys, _blocks(layout), 0.5 * (information + information.T))
+    upper_arm = [layout.upper_arm] if layout.has_upper_arm else []
+    levers = [rows for segment in layout.segments for rows in layout.levers(segment).values()]
+    first, *further = (layout.bias_of(segment) for segment in layout.segments)
+    blocks = [first, layout.gravity, *upper_arm, *levers, *further]
+    factor = gaussian_factor(shared_keys(layout, bias), blocks, 0.5 * (information + information.T))
     at = gtsam.Values()
-    insert_constants(at, layout, mean)
-    for segment, key in zip(layout.segments, bias_keys(layout, keys), strict=True):
-        at.insert(key, gtsam.imuBias.ConstantBias(*np.split(mean[layout.bias_of(segment)], 2)))
+    insert_shared(at, layout, mean, range(bias, bias + 1))
     return gtsam.LinearContainerFactor(factor, at)
 
 
-def insert_constants(values: gtsam.Values, layout: SharedLayout, mean: FloatArray) -> None:
-    """Insert the initial values of what is one variable a window: all but the biases."""
+def insert_shared(values: gtsam.Values, layout: SharedLayout, mean: FloatArray, biases: range) -> None:
+    """Insert the initial values of what is shared, and of these numbers of the biases."""
     values.insert(G(0), Unit3(layout.down(mean)))
     if layout.has_upper_arm:
         values.insert(U(0), 0.0)
     for segment in layout.segments:
+        keys, bias = keys_of(segment), gtsam.imuBias.ConstantBias(*np.split(mean[layout.bias_of(segment)], 2))
         for joint, rows in layout.levers(segment).items():
-            values.insert(keys_of(segment).lever_of(joint), mean[rows])
+            values.insert(keys.lever_of(joint), mean[rows])
+        for number in biases:
+            values.insert(keys.bias + number, bias)
 
 
-def shared_keys(window: Window, biases: IntArray) -> list[int]:  # biases int (n - 1,)
-    """Keys of the shared variables in the order of the shared vector; the bias of the window's middle."""
-    layout = window.priors.layout
-    middle = (int(biases[-1]) + 1) // 2
-    first, *further = (keys_of(segment).bias + middle for segment in layout.segments)
+def shared_keys(layout: SharedLayout, bias: int) -> list[int]:
+    """Keys of the shared variables in the order of the shared vector, with this number of the biases."""
+    first, *further = (keys_of(segment).bias + bias for segment in layout.segments)
     return [first, G(0), *([U(0)] if layout.has_upper_arm else []), *lever_keys(layout), *further]
 
 
@@ -78,24 +73,12 @@ def lever_keys(layout: SharedLayout) -> list[int]:
     ]
 
 
-def bias_keys(layout: SharedLayout, keys: Sequence[int]) -> list[int]:
-    """Those of the shared keys that are biases, one per segment."""
-    return [keys[0], *keys[len(keys) - len(layout.further) :]]
-
-
 def shared_jacobian(layout: SharedLayout, down: Unit3) -> FloatArray:  # -> (s, s)
     """Shared vector's change for a change of GTSAM's own coordinates."""
     jacobian = np.eye(layout.size)
     jacobian[layout.upper_arm, layout.upper_arm] *= -1.0
     jacobian[layout.gravity, layout.gravity] = layout.gravity_axes @ down.basis()
     return jacobian
-
-
-def _blocks(layout: SharedLayout) -> list[slice]:
-    upper_arm = [layout.upper_arm] if layout.has_upper_arm else []
-    levers = [rows for segment in layout.segments for rows in layout.levers(segment).values()]
-    first, *further = (layout.bias_of(segment) for segment in layout.segments)
-    return [first, layout.gravity, *upper_arm, *levers, *further]
 
 
 def gaussian_factor(
@@ -161,13 +144,12 @@ def _turned(
     keys, ordering, blocks, start = list(factor.keys()), gtsam.Ordering(), [], 0
     for key in keys:
         ordering.push_back(key)
-        blocks.append(slice(start, start + DIMENSION[chr(gtsam.Symbol(key).chr())]))
+        blocks.append(slice(start, start + DIMENSION[letter_of(key)]))
         start = blocks[-1].stop
     linear = gtsam.GaussianFactorGraph()
     linear.push_back(factor.linearize(values))
     information, vector = linear.hessian(ordering)
-    whole = np.eye(start)
-    rows = blocks[keys.index(G(0))]
+    whole, rows = np.eye(start), blocks[keys.index(G(0))]
     whole[rows, rows] = turn
     information = whole.T @ information @ whole
     information = 0.5 * (information + information.T)

@@ -20,8 +20,8 @@ from ..window.shared import SharedLayout
 from ..window.solution import SegmentSolution
 from .build import FactorGroup, bias_of_intervals, node_of_variables
 from .linear_system import Jacobian, LinearSystem
-from .shared_prior import bias_keys, shared_jacobian, shared_keys
-from .variables import keys_of
+from .shared_prior import shared_jacobian, shared_keys
+from .variables import keys_of, letter_of
 
 
 @dataclass(frozen=True)
@@ -53,7 +53,7 @@ class SolvedWindow:
             R, p, v = np.tile(np.eye(3), (n, 1, 1)), np.full((n, 3), np.nan), np.full((n, 3), np.nan)
             R[known], p[known] = own[:, :9].reshape(-1, 3, 3), own[:, 9:]
             if known.any():
-                v[known] = gtsam.utilities.extractVectors(values, chr(gtsam.Symbol(keys.velocity).chr()))
+                v[known] = gtsam.utilities.extractVectors(values, letter_of(keys.velocity))
             count = int(self.biases[-1]) + 1
             bias = np.array([values.atConstantBias(keys.bias + k).vector() for k in range(count)])
             own_bias = bias[np.append(self.biases, self.biases[-1])]
@@ -74,16 +74,22 @@ class SolvedWindow:
         if layout.has_upper_arm:
             # the factor's error is range + U - length: the true length is shorter by U
             mean[layout.upper_arm] = prior.mean[layout.upper_arm] - values.atDouble(U(0))
-        for segment, bias in zip(layout.segments, bias_keys(layout, self.shared_keys), strict=True):
-            mean[layout.bias_of(segment)] = values.atConstantBias(bias).vector()
+        for segment in layout.segments:
+            keys = keys_of(segment)
+            mean[layout.bias_of(segment)] = values.atConstantBias(keys.bias + self.middle_bias).vector()
             for joint, rows in layout.levers(segment).items():
-                mean[rows] = values.atPoint3(keys_of(segment).lever_of(joint))
+                mean[rows] = values.atPoint3(keys.lever_of(joint))
         return mean
+
+    @property
+    def middle_bias(self) -> int:
+        """Number of the bias of the window's middle: that of the shared vector."""
+        return (int(self.biases[-1]) + 1) // 2
 
     @property
     def shared_keys(self) -> list[int]:
         """Keys of the shared variables in the order of the shared vector."""
-        return shared_keys(self.window, self.biases)
+        return shared_keys(self.window.priors.layout, self.middle_bias)
 
     @property
     def shared_jacobian(self) -> FloatArray:

@@ -99,7 +99,7 @@ class Tracker:
         priors = first_priors(model.initial, model.estimate, config)
         if before is not None and before.solution is not None:
             priors = _with_learnt(priors, before.solution)
-        self.window = LagWindow(priors, self.noise, model.joint_sigma_m, GRAVITY, length_s)
+        self.window = LagWindow(priors, self.noise, model.joint_sigma_m, length_s)
         self.signal, self.history = LiveSignal(imu, model.errors.imu), FrameHistory()
         self.monitor, self.further = CameraMonitor(model, self.noise), further
         self.findings: list[Finding] = []

@@ -27,7 +27,7 @@ from smoother.errors import SolveError
 from smoother.graph.build import WindowGraph, bias_of_intervals, build, node_of_variables
 from smoother.graph.columns import constant_error_columns, evidence, stamp_columns
 from smoother.graph.linear_system import Jacobian
-from smoother.graph.shared_prior import shared_jacobian, shared_keys
+from smoother.graph.shared_prior import shared_jacobian
 from smoother.graph.solve import TIGHTEN, solve
 from smoother.graph.solved import SolvedWindow, levers_of
 from smoother.recording import JOINTS
@@ -190,7 +190,7 @@ def shared_of(best: Optimum) -> tuple[FloatArray, FloatArray]:
             delta.insert(key, move)
             slopes.append((vector(best.values.retract(delta)) - vector(best.values)) / step)
     J = np.array(slopes).T
-    assert shared_keys(best.window, best.biases) == keys
+    assert best.solved.shared_keys == keys
     np.testing.assert_allclose(
         J, shared_jacobian(best.window.priors.layout, best.values.atUnit3(G(0))), atol=1e-5
     )
@@ -411,7 +411,7 @@ def test_considered_errors_widen_the_covariance(rows: int) -> None:
             window, considered=replace(window.considered, shared=window.considered.shared[:-rows])
         )
     best, found = Optimum(window), solve(window, with_covariance=True, tolerance=1e-13)
-    keys = shared_keys(window, best.biases)
+    keys = best.solved.shared_keys
     J = shared_jacobian(window.priors.layout, best.values.atUnit3(G(0)))
     shared = np.zeros((window.priors.layout.size, SIZE))
     shared[: len(window.considered.shared)] = window.considered.shared

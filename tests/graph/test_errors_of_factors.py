@@ -17,15 +17,8 @@ from small_window import BIAS_LENGTH_S, LEVERS, UPPER_FIRST, UPPER_NODES, small_
 import smoother.graph.build
 from smoother.array_types import FloatArray
 from smoother.body import UPPER_ARM
-from smoother.graph.build import (
-    MOST_BIASES,
-    PARENT_TIE_M,
-    TISSUE_S,
-    bias_of_intervals,
-    build,
-    stacked_measurements,
-)
-from smoother.graph.factors import DENSITY_STEP, INTEGRATION_VARIANCE
+from smoother.graph.build import MOST_BIASES, bias_of_intervals, build, stacked_measurements
+from smoother.graph.factors import DENSITY_STEP, INTEGRATION_VARIANCE, PARENT_TIE_M, TISSUE_S
 from smoother.graph.linear_system import Jacobian
 from smoother.graph.shared_prior import shared_factors
 from smoother.recording import JOINTS

@@ -73,4 +73,4 @@ def lag_window(
             mean[layout.lever(joint, segment)] = lever
     mean[layout.upper_arm], sigma[layout.upper_arm] = 0.3, 0.3
     priors = Priors(layout, Gaussian(mean, np.diag(sigma**2)), np.repeat([1e-3, 1e-4], 3))
-    return LagWindow(priors, NOISE, np.full(len(JOINTS), SIGMA_M), GRAVITY, length_s)
+    return LagWindow(priors, NOISE, np.full(len(JOINTS), SIGMA_M), length_s)
