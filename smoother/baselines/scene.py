@@ -20,7 +20,7 @@ from ..errors import SolveError
 from ..linalg import interpolate, rotate_covariance, skew
 from ..measurements.alignment import Alignment, VectorPairs, align, lever_of, pairs
 from ..measurements.inertial import InertialSignal, inertial_attitude
-from ..measurements.segment import FEWEST_SAMPLES, FILTER_RATE_HZ, Segment
+from ..measurements.segment import FEWEST_SAMPLES, Segment
 from ..measurements.timestamps import dejitter, split_at_pauses
 from ..measurements.visibility import Gap, enough_joints, find_gaps, joints_needed, occluded_at
 from ..recording import FOREARM_JOINTS, JOINTS, ImuStream, JointState, Recording
@@ -212,11 +212,11 @@ def _segment(
     used: BoolArray,
 ) -> Segment:
     """The segment as the alignment takes it, its attitude by the chosen filter."""
-    signal, rate_hz = InertialSignal(imu), min(imu.rate_hz, FILTER_RATE_HZ)
-    bias = inertial_attitude(signal, rate_hz).gyroscope_bias
+    signal = InertialSignal(imu)
+    bias = inertial_attitude(signal, imu.rate_hz).gyroscope_bias
     return Segment(
         signal=signal,
-        attitude=attitude_by(orientation, signal, imu, rate_hz, bias),
+        attitude=attitude_by(orientation, signal, imu, imu.rate_hz, bias),
         frame_t_camera=frame_t,
         position=joints,
         accepted=used,

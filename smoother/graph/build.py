@@ -301,7 +301,8 @@ def _add_shared_joint(built: WindowGraph, window: Window, run: SegmentRun) -> No
     """`ReferenceFrameFactorPoint3Pose3` (lever, pose, point): one point on the segment and its parent."""
     lever = window.priors.layout.lever(SEGMENTS[run.segment].shared_joint, run.segment)
     nodes, point = np.arange(run.first, run.nodes.stop), keys_of(run.segment).point
-    for node, place in zip(nodes.tolist(), run.start.p + run.start.R @ window.priors.shared.mean[lever]):
+    places = run.start.p + run.start.R @ window.priors.shared.mean[lever]
+    for node, place in zip(nodes.tolist(), places, strict=True):
         built.values.insert(point + node, place)
     ties = zip(nodes.tolist(), _tissue(window, run, nodes), strict=True)
     factors = (factor for node, sigma_m in ties for factor in shared_joint(run.segment, node, sigma_m))

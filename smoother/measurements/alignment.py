@@ -79,10 +79,10 @@ def acceleration_pairs(
     t: FloatArray, point: FloatArray, attitude: InertialAttitude, signal: InertialSignal, gravity: float
 ) -> AccelerationPairs:
     """A joint's acceleration from the camera and from the IMU, both by the same local parabolas."""
-    none = np.zeros((0, 3))
+    none = AccelerationPairs(*(np.zeros(shape) for shape in (0, (0, 3), (0, 3), (0, 3, 3), 0)))
     inside_signal = (t >= signal.start_s) & (t <= signal.end_s)
     if np.count_nonzero(inside_signal) < FEWEST_FRAMES:
-        return AccelerationPairs(np.zeros(0), none, none, np.zeros((0, 3, 3)), np.zeros(0))
+        return none
     t, point = t[inside_signal], point[inside_signal]
     step = 0.01
     grid = np.arange(max(signal.start_s, t[0] - 0.1), min(signal.end_s, t[-1] + 0.1), step)
@@ -96,7 +96,7 @@ def acceleration_pairs(
     centre = np.arange(t[0] + half, t[-1] - half, 0.5 * half)
     lo, hi = np.searchsorted(t, [centre - half, centre + half])
     if not len(centre) or (hi - lo).max() < FEWEST_FRAMES:
-        return AccelerationPairs(np.zeros(0), none, none, np.zeros((0, 3, 3)), np.zeros(0))
+        return none
     # every parabola as one row of indices, short ones filled up and masked
     index = np.minimum(lo[:, None] + np.arange((hi - lo).max()), len(t) - 1)
     inside = np.arange(index.shape[1]) < (hi - lo)[:, None]
@@ -106,9 +106,8 @@ def acceleration_pairs(
     good = (hi - lo >= FEWEST_FRAMES) & (longest < 0.35 * half) & (last - first > 1.6 * half)
     u, index, inside, centre = u[good], index[good], inside[good], centre[good]
     basis = np.stack([inside.astype(float), u, u**2], axis=2)
-    functional = (
-        2.0 * np.linalg.solve(np.einsum("wka,wkb->wab", basis, basis), np.swapaxes(basis, 1, 2))[:, 2]
-    )
+    normal = np.einsum("wka,wkb->wab", basis, basis)
+    functional = 2.0 * np.linalg.solve(normal, np.swapaxes(basis, 1, 2))[:, 2]
     variance = POINT_SIGMA_M**2 * np.sum(functional**2, axis=1) + ACCELERATION_SIGMA**2
     return AccelerationPairs(
         centre,
@@ -156,7 +155,12 @@ def align(
     profile = np.zeros((len(t), 3, 3))
     outer = weight[:, None, None] * in_K[:, :, None] * in_E[:, None, :]
     np.add.at(profile, nearest, outer)
-    profile = _spread(profile, np.exp(-ALIGN_STEP_S / ALIGN_MEMORY_S))
+    # exponentially weighted, over the neighbours on both sides
+    forward, backward, decay = profile.copy(), profile.copy(), np.exp(-ALIGN_STEP_S / ALIGN_MEMORY_S)
+    for i in range(1, len(t)):
+        forward[i] += decay * forward[i - 1]
+        backward[-1 - i] += decay * backward[-i]
+    profile = forward + backward - profile
     profile += np.outer(down_K, [0.0, 0.0, -1.0]) / HINT_SIGMA_RAD**2
     R = nearest_rotation(profile)
     # information of Wahba's loss about the attitude, in {K}: tr(M) I - M with M = R B' symmetrised
@@ -164,15 +168,6 @@ def align(
     information = np.trace(M, axis1=1, axis2=2)[:, None, None] * np.eye(3) - 0.5 * (M + np.swapaxes(M, 1, 2))
     covariance = np.linalg.inv(information + np.eye(3)) + FILTER_SIGMA_RAD**2 * np.eye(3)
     return Alignment(t, Rotation.from_matrix(R), covariance)
-
-
-def _spread(profiles: FloatArray, decay: float) -> FloatArray:
-    """Exponentially weighted sum over the neighbours on both sides."""
-    forward, backward = profiles.copy(), profiles.copy()
-    for i in range(1, len(profiles)):
-        forward[i] += decay * forward[i - 1]
-        backward[-1 - i] += decay * backward[-i]
-    return forward + backward - profiles
 
 
 def located(calibration: ArmCalibration) -> BoolArray:

@@ -29,13 +29,6 @@ STEP_S = 0.036
 IMPACT_SHARE = 0.2
 
 
-def _impact_size(imu: ImuStream) -> FloatArray:
-    """How far each sample's specific force is from its neighbours' mean, m/s^2 (N,)."""
-    size = np.zeros(len(imu))
-    size[1:-1] = np.linalg.norm(imu.acc[1:-1] - 0.5 * (imu.acc[:-2] + imu.acc[2:]), axis=1)
-    return size
-
-
 class InertialSignal:
     """The specific force and angular rate between samples."""
 
@@ -48,7 +41,10 @@ class InertialSignal:
         integral = np.zeros((len(self.edges), 6))
         np.cumsum(samples * np.diff(self.edges)[:, None], axis=0, out=integral[1:])
         self._integral = cubic_spline(self.edges, integral)
-        self._impacts = np.concatenate(([0.0], np.cumsum((_impact_size(imu) * np.diff(self.edges)) ** 2)))
+        # how far each sample's specific force is from its neighbours' mean, m/s^2
+        impact = np.zeros(len(imu))
+        impact[1:-1] = np.linalg.norm(imu.acc[1:-1] - 0.5 * (imu.acc[:-2] + imu.acc[2:]), axis=1)
+        self._impacts = np.concatenate(([0.0], np.cumsum((impact * np.diff(self.edges)) ** 2)))
 
     def __reduce__(self) -> tuple[type[InertialSignal], tuple[ImuStream]]:
         return InertialSignal, (self._imu,)  # the samples are an eighth of the spline
@@ -72,21 +68,13 @@ class InertialSignal:
         """`velocity_error_between` of each interval of consecutive times (n + 1,), s: (n,), m/s."""
         return self.velocity_error_between(t[:-1], t[1:])
 
-    def velocity_error_between(
-        self,
-        start_s: FloatArray,  # (n,) s
-        end_s: FloatArray,  # (n,) s
-    ) -> FloatArray:  # (n,) m/s
-        """Velocity that intervals may have lost to impacts."""
+    def velocity_error_between(self, start_s: FloatArray, end_s: FloatArray) -> FloatArray:
+        """Velocity (n,) m/s that intervals may have lost to impacts, by their ends (n,) s."""
         start, end = (np.interp(t, self.edges, self._impacts) for t in (start_s, end_s))
         return np.asarray(IMPACT_SHARE * np.sqrt(np.maximum(end - start, 0.0)))
 
-    def mean(
-        self,
-        start_s: FloatArray,  # (...) s
-        end_s: FloatArray,  # (...) s
-    ) -> FloatArray:  # (..., 6) m/s^2 and rad/s
-        """Mean of the signal over any intervals."""
+    def mean(self, start_s: FloatArray, end_s: FloatArray) -> FloatArray:
+        """Mean of the signal (..., 6), m/s^2 and rad/s, over any intervals, by their ends (...) s."""
         return (self._integral(end_s) - self._integral(start_s)) / (end_s - start_s)[..., None]
 
     def means(self, edges_s: FloatArray) -> FloatArray:
@@ -161,13 +149,14 @@ def integrate_one(
     bias: FloatArray,  # (6,) m/s^2 and rad/s
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Integrate the signal over one interval: `integrate_between` without a loop over its steps."""
-    count = _step_count(end_s - start_s)
+    steps = max(math.ceil((end_s - start_s) / FINE_STEP_S - 1e-6), 1)
+    group = max(math.ceil(math.log(steps) / math.log(STEP_FACTOR) - 1e-9), 0)
+    count = math.ceil(STEP_FACTOR**group - 1e-9)
     h = (end_s - start_s) / count
     rate = signal.means(start_s + h * np.arange(count + 1, dtype=float)) - bias
     halves = Rotation.from_rotvec(0.5 * h * rate[:, 3:]).as_matrix()
     R = chained(halves @ halves)
-    middle = R[:-1] @ halves
-    a = (middle @ rate[:, :3, None])[..., 0]
+    a = (R[:-1] @ halves @ rate[:, :3, None])[..., 0]
     v = h * np.cumsum(a, axis=0)
     # each step: p += h v + h^2 a / 2 with the v before it
     p = h * (v.sum(axis=0) - v[-1]) + 0.5 * h**2 * a.sum(axis=0)
@@ -176,17 +165,8 @@ def integrate_one(
 
 def integrate_each(signal: InertialSignal, t: FloatArray, bias: FloatArray) -> Preintegration:
     """`integrate` of a few intervals with one bias (6,), each by `integrate_one`."""
-    bounds = t.tolist()
-    parts = [integrate_one(signal, a, b, bias) for a, b in pairwise(bounds)]
-    delta_R, delta_v, delta_p = (np.stack(each) for each in zip(*parts, strict=True))
-    return Preintegration(delta_R, delta_v, delta_p, t[1:] - t[:-1])
-
-
-def _step_count(seconds: float) -> int:
-    """Fine steps of one interval, as `integrate_between` takes them."""
-    steps = max(math.ceil(seconds / FINE_STEP_S - 1e-6), 1)
-    group = max(math.ceil(math.log(steps) / math.log(STEP_FACTOR) - 1e-9), 0)
-    return math.ceil(STEP_FACTOR**group - 1e-9)
+    parts = [integrate_one(signal, a, b, bias) for a, b in pairwise(t.tolist())]
+    return Preintegration(*(np.stack(each) for each in zip(*parts, strict=True)), t[1:] - t[:-1])
 
 
 def split_steps(
@@ -241,19 +221,36 @@ class InertialAttitude:
         return self._curve(np.clip(t, self.t[0], self.t[-1]))
 
 
+#: The inertial filter runs no faster than this, Hz.
+FILTER_RATE_HZ = 120.0
+
+
 def inertial_attitude(signal: InertialSignal, rate_hz: float) -> InertialAttitude:
     """Orientation by the offline filter VQF (Laidig and Seel, Information Fusion 2023)."""
     from vqf import offlineVQF
 
+    rate_hz = min(rate_hz, FILTER_RATE_HZ)
     count = max(int(np.floor((signal.end_s - signal.start_s) * rate_hz)), 2)
     edges = np.linspace(signal.start_s, signal.end_s, count + 1)
     mean = signal.mean(edges[:-1], edges[1:])
-    step = float(edges[1] - edges[0])
     acc, gyro = np.ascontiguousarray(mean[:, :3]), np.ascontiguousarray(mean[:, 3:])
-    answer = offlineVQF(gyro, acc, None, step)
-    quaternion = answer["quat6D"][:, [1, 2, 3, 0]]
+    answer = offlineVQF(gyro, acc, None, float(edges[1] - edges[0]))
+    attitude = Rotation.from_quat(answer["quat6D"][:, [1, 2, 3, 0]])
     # the filter's result is valid at the end of each sample's interval
-    return InertialAttitude(edges[1:], Rotation.from_quat(quaternion), np.median(answer["bias"], axis=0))
+    return InertialAttitude(edges[1:], attitude, np.median(answer["bias"], axis=0))
+
+
+def _moments_around(
+    edges: FloatArray, values: FloatArray, t: FloatArray, half_s: float
+) -> tuple[FloatArray, FloatArray]:
+    """Mean (n, k) of values (m, k) within a time of each t, and the variance (n,) of the first three."""
+    lo, hi = np.searchsorted(edges[:-1], [t - half_s, t + half_s])
+    hi = np.maximum(hi, lo + 1)
+    sums = np.vstack([np.zeros(values.shape[1]), np.cumsum(values, axis=0)])
+    squares = np.concatenate([[0.0], np.cumsum(np.sum(values[:, :3] ** 2, axis=1))])
+    count = (hi - lo).astype(float)
+    mean = (sums[hi] - sums[lo]) / count[:, None]
+    return mean, (squares[hi] - squares[lo]) / count - np.sum(mean[:, :3] ** 2, axis=1)
 
 
 #: A sensor is still where over this long on both sides of a moment, s, its specific force varies by less than
@@ -262,50 +259,26 @@ def inertial_attitude(signal: InertialSignal, rate_hz: float) -> InertialAttitud
 STILL_HALF_S, STILL_FORCE, STILL_RATE = 0.5, 0.1, 0.03
 
 
-def is_still(
-    signal: InertialSignal, attitude: InertialAttitude, t: FloatArray
-) -> BoolArray:  # t (n,) s -> bool (n,)
-    """Whether the sensor lies still about each time."""
-    step = 0.05
-    edges = np.arange(max(signal.start_s, t[0] - 1.0), min(signal.end_s, t[-1] + 1.0), step)
+def is_still(signal: InertialSignal, attitude: InertialAttitude, t: FloatArray) -> BoolArray:
+    """Whether the sensor lies still about each time, (n,)."""
+    edges = np.arange(max(signal.start_s, t[0] - 1.0), min(signal.end_s, t[-1] + 1.0), 0.05)
     if len(edges) < 2:
         return np.zeros(len(t), dtype=bool)
-    mean = signal.means(edges) - np.concatenate([np.zeros(3), attitude.gyroscope_bias])
-    lo, hi = np.searchsorted(edges[:-1], [t - STILL_HALF_S, t + STILL_HALF_S])
-    hi = np.maximum(hi, lo + 1)
-    sums = np.vstack([np.zeros(6), np.cumsum(mean, axis=0)])
-    squares = np.concatenate([[0.0], np.cumsum(np.sum(mean[:, :3] ** 2, axis=1))])
-    count = (hi - lo).astype(float)
-    middle = (sums[hi] - sums[lo]) / count[:, None]
-    variance = (squares[hi] - squares[lo]) / count - np.sum(middle[:, :3] ** 2, axis=1)
-    turning = np.linalg.norm(middle[:, 3:], axis=1)
+    values = signal.means(edges) - np.concatenate([np.zeros(3), attitude.gyroscope_bias])
+    mean, variance = _moments_around(edges, values, t, STILL_HALF_S)
+    turning = np.linalg.norm(mean[:, 3:], axis=1)
     return np.asarray((variance < 3.0 * STILL_FORCE**2) & (turning < STILL_RATE))
 
 
-def acceleration_std(
-    signal: InertialSignal,
-    attitude: InertialAttitude,
-    t: FloatArray,  # (n,) s
-) -> FloatArray:  # (n,) m/s^2
-    """How much the sensor's acceleration varies about each time."""
+def acceleration_std(signal: InertialSignal, attitude: InertialAttitude, t: FloatArray) -> FloatArray:
+    """How much the sensor's acceleration varies about each time, (n,) m/s^2."""
     step = 0.02
     around = ACCELERATION_STD_HALF_S + step
     edges = np.arange(max(signal.start_s, t[0] - around), min(signal.end_s, t[-1] + around), step)
     force = signal.mean(edges[:-1], edges[1:])[:, :3]
     acc = attitude.at(0.5 * (edges[1:] + edges[:-1])).apply(force)
-    acc -= acc.mean(axis=0)
-    lo, hi = np.searchsorted(edges[:-1], [t - ACCELERATION_STD_HALF_S, t + ACCELERATION_STD_HALF_S])
-    hi = np.maximum(hi, lo + 1)
-    sums = np.vstack([np.zeros(3), np.cumsum(acc, axis=0)])
-    squares = np.concatenate([[0.0], np.cumsum(np.sum(acc**2, axis=1))])
-    count = (hi - lo).astype(float)
-    mean = (sums[hi] - sums[lo]) / count[:, None]
-    variance = (squares[hi] - squares[lo]) / count - np.sum(mean**2, axis=1)
+    _, variance = _moments_around(edges, acc - acc.mean(axis=0), t, ACCELERATION_STD_HALF_S)
     return np.sqrt(np.maximum(variance, 0.0) / 3.0)
-
-
-#: The inertial filter runs no faster than this, Hz.
-FILTER_RATE_HZ = 120.0
 
 
 @dataclass(frozen=True)
@@ -320,4 +293,4 @@ class ImuRun:
 def imu_run(segment: str, imu: ImuStream) -> ImuRun:
     """The samples (without a pause, on the forearm IMU's clock) with their inertial attitude."""
     signal = InertialSignal(imu)
-    return ImuRun(segment, signal, inertial_attitude(signal, min(imu.rate_hz, FILTER_RATE_HZ)))
+    return ImuRun(segment, signal, inertial_attitude(signal, imu.rate_hz))

@@ -68,7 +68,11 @@ def interpolated(
     usual_step = sliding_window_view(step, STENCIL - 1).mean(axis=1)
     reach = t[STENCIL - 1 :] - t[: 1 - STENCIL]
     broken = reach > LONGEST * np.median(reach)  # over a gap a difference by time is small for its own reason
-    for difference in (np.diff(x, STENCIL - 1, axis=0), _by_time(t, x)):
+    by_time = x  # for uneven times: divided differences at the usual spacing
+    for order in range(1, STENCIL):
+        spans = (t[order:] - t[:-order]) / (order * float(np.median(np.diff(t))))
+        by_time = np.diff(by_time, axis=0) / spans[:, None]
+    for difference in (np.diff(x, STENCIL - 1, axis=0), by_time):
         size = np.where(broken, np.inf, np.abs(difference).max(axis=1))
         usual = float(np.median(size))
         if usual < NOISELESS_M:
@@ -78,15 +82,6 @@ def interpolated(
             if run.stop - run.start >= IN_A_ROW:
                 filled[rows[first + 1 : last]] = True
     return filled
-
-
-def _by_time(t: FloatArray, x: FloatArray) -> FloatArray:
-    """Fourth differences (n - 4, 3) m for uneven times: divided ones at the usual spacing."""
-    step = float(np.median(np.diff(t)))
-    difference = x
-    for order in range(1, STENCIL):
-        difference = np.diff(difference, axis=0) / ((t[order:] - t[:-order]) / (order * step))[:, None]
-    return difference
 
 
 #: No depth camera sees a person farther away, m.
@@ -118,47 +113,41 @@ def reject_by_camera(segment: Segment) -> Segment:
     """
     if segment.camera is None:
         return _reject_by_one_camera(segment)
-    accepted, reason = segment.accepted.copy(), segment.reason.copy()
+    accepted, reason, origins = segment.accepted.copy(), segment.reason.copy(), segment.ray_origin_m
     for number in np.unique(segment.camera):
         own = segment.camera == number
-        alone = _reject_by_one_camera(
-            replace(
-                segment,
-                frame_t_camera=segment.frame_t_camera[own],
-                position=segment.position[own],
-                accepted=segment.accepted[own],
-                reason=segment.reason[own],
-                camera=None,
-                ray_origin_m=None if segment.ray_origin_m is None else segment.ray_origin_m[number][None],
-            )
-        )
+        origin = None if origins is None else origins[number][None]
+        alone = replace(segment.of_frames(own), camera=None, ray_origin_m=origin)
+        alone = _reject_by_one_camera(alone)
         accepted[own], reason[own] = alone.accepted, alone.reason
     return replace(segment, accepted=accepted, reason=reason)
 
 
 def _reject_by_one_camera(segment: Segment) -> Segment:
-    flat = segment.ray_origin_m is not None and bool(np.isfinite(segment.ray_origin_m).all())
     with np.errstate(over="ignore", invalid="ignore"):
         segment = _reject(segment, np.linalg.norm(segment.position, axis=2) > FARTHEST_M, Rejection.FAR)
-    for column in range(len(JOINTS)):
-        segment = _reject(segment, _only(_frozen(segment, column), column), Rejection.FROZEN)
-    for column in range(len(JOINTS)):
-        filled = interpolated(
-            segment.frame_t_camera, segment.position[:, column], segment.accepted[:, column]
-        )
-        segment = _reject(segment, _only(filled, column), Rejection.INTERPOLATED)
-    for column in range(len(JOINTS)):
-        segment = _reject(segment, _only(_jumps(segment, column), column), Rejection.JUMP)
-    if flat:
+    for why, test in (
+        (Rejection.FROZEN, _frozen),
+        (Rejection.INTERPOLATED, _filled),
+        (Rejection.JUMP, _jumps),
+    ):
+        wrong = np.stack([test(segment, column) for column in range(len(JOINTS))], axis=1)
+        segment = _reject(segment, wrong, why)
+    if segment.ray_origin_m is not None and np.isfinite(segment.ray_origin_m).all():
         return segment  # lengths on rays are what their depths were made of
     both = segment.accepted[:, ELBOW] & segment.accepted[:, WRIST]
+    elbow, wrist, strap = (segment.position[:, column] for column in (ELBOW, WRIST, STRAP_COLUMN))
+    length = np.linalg.norm(wrist - elbow, axis=1)
     if both.sum() >= 10:
-        length = np.linalg.norm(segment.position[:, WRIST] - segment.position[:, ELBOW], axis=1)
         usual = float(np.median(length[both]))
         wrong = both & (np.abs(length - usual) > BONE_PART * usual)
         segment = _reject(segment, _only(wrong, ELBOW, WRIST), Rejection.BONE)
-    strap = both & segment.accepted[:, STRAP_COLUMN]
-    return _reject(segment, _only(strap & _strap_off(segment), STRAP_COLUMN), Rejection.STRAP)
+    # a strap that is off the line from elbow to wrist, or nearer the elbow
+    along = unit(wrist - elbow)
+    at = np.sum((strap - elbow) * along, axis=1)
+    off = (np.linalg.norm(strap - elbow - at[:, None] * along, axis=1) > STRAP_M) | (at < 0.5 * length)
+    both &= segment.accepted[:, STRAP_COLUMN] & off
+    return _reject(segment, _only(both, STRAP_COLUMN), Rejection.STRAP)
 
 
 def reject_by_attitude(
@@ -194,17 +183,12 @@ def reject_by_residual(
 ) -> Segment:
     """Reject samples far from a first solution."""
     length = np.linalg.norm(across(residual, segment.position, segment.frame_origins), axis=2)
-    cameras = 1 if segment.camera is None else int(segment.camera.max(initial=0)) + 1
-    limit = np.array(
-        [
-            [
-                max(RESIDUAL_M, RESIDUAL_SIGMAS * noise[key].sample_m) if key in noise else np.inf
-                for key in (noise_key(joint, camera) for joint in JOINTS)
-            ]
-            for camera in range(cameras)
-        ]
-    )
-    limit = limit[0] if segment.camera is None else limit[segment.camera]
+    numbers = np.zeros(1, int) if segment.camera is None else np.asarray(segment.camera).astype(int)
+    sigma_m = np.full((int(numbers.max(initial=0)) + 1, len(JOINTS)), np.inf)
+    for camera, column in np.ndindex(sigma_m.shape):
+        if (own := noise.get(noise_key(JOINTS[column], camera))) is not None:
+            sigma_m[camera, column] = own.sample_m
+    limit = np.maximum(RESIDUAL_M, RESIDUAL_SIGMAS * sigma_m)[numbers]
     with np.errstate(invalid="ignore"):
         return _reject(segment, length > limit, Rejection.RESIDUAL)
 
@@ -246,6 +230,10 @@ def _moved(segment: Segment, start_s: float, end_s: float) -> bool:
     return turning > FROZEN_RATE or float(np.ptp(np.linalg.norm(rate[:, :3], axis=1))) > FROZEN_FORCE
 
 
+def _filled(segment: Segment, column: int) -> BoolArray:
+    return interpolated(segment.frame_t_camera, segment.position[:, column], segment.accepted[:, column])
+
+
 def _jumps(segment: Segment, column: int) -> BoolArray:
     """Samples far from the running median of the accepted ones, near in time."""
     rows = np.flatnonzero(segment.accepted[:, column])
@@ -261,16 +249,6 @@ def _jumps(segment: Segment, column: int) -> BoolArray:
     usual = float(np.median(np.diff(t))) * (JUMP_FRAMES - 1)
     wrong[rows] = (np.linalg.norm(x - middle, axis=1) > JUMP_M) & (spread < 1.7 * usual)
     return wrong
-
-
-def _strap_off(segment: Segment) -> BoolArray:
-    """Strap more than 5 cm off the elbow-wrist line, or nearer the elbow."""
-    elbow, wrist, strap = (segment.position[:, column] for column in (ELBOW, WRIST, STRAP_COLUMN))
-    along = unit(wrist - elbow)
-    at = np.sum((strap - elbow) * along, axis=1)
-    distance = np.linalg.norm(strap - elbow - at[:, None] * along, axis=1)
-    nearer_elbow = at < 0.5 * np.linalg.norm(wrist - elbow, axis=1)
-    return (distance > STRAP_M) | nearer_elbow
 
 
 def reject_by_direction(

@@ -6,9 +6,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..array_types import FloatArray
 from ..errors import RecordingError
-from ..recording import JOINTS, CameraFrame, ImuStream, JointTracks, Recording
+from ..recording import JOINTS, CameraFrame, JointTracks, Recording
 from ..runtime.store import by_rows
 
 AXES = ("x", "y", "z")
@@ -63,18 +62,25 @@ class Remedy:
             if opposite is None:
                 raise RecordingError(f"{recording.name}: the camera saw one arm, so sides cannot be swapped")
             arm, opposite = opposite, arm
-        for sensor in self.negate:
-            imu = _negated(imu, sensor)
+        if "accelerometer" in self.negate:
+            imu = replace(imu, acc=by_rows(np.negative, imu.acc))
+        if "gyroscope" in self.negate:
+            imu = replace(imu, gyro=by_rows(np.negative, imu.gyro))
         if self.mirror:
-            arm = replace(arm, position=_mirrored(arm.position, AXES.index(self.mirror)))
+            sign = np.where(np.array(AXES) == self.mirror, -1.0, 1.0)
+
+            def mirrored(tracks: JointTracks) -> JointTracks:
+                return replace(tracks, position=by_rows(lambda part: part * sign, tracks.position))
+
+            arm, opposite = mirrored(arm), None if opposite is None else mirrored(opposite)
             if trunk is not None and trunk.other_arm is not None:
-                position = _mirrored(trunk.other_arm.position, AXES.index(self.mirror))
-                trunk = replace(trunk, other_arm=replace(trunk.other_arm, position=position))
-            if opposite is not None:
-                position = _mirrored(opposite.position, AXES.index(self.mirror))
-                opposite = replace(opposite, position=position)
+                trunk = replace(trunk, other_arm=mirrored(trunk.other_arm))
         if self.swap:
-            arm = _swapped(arm, self.swap)
+            first, second = self.swap
+            other = {first: second, second: first}
+            columns = [JOINTS.index(other.get(joint, joint)) for joint in JOINTS]
+            position = by_rows(lambda part: part[:, columns], arm.position)
+            arm = replace(arm, position=position, state=np.asarray(arm.state)[:, columns])
         return replace(
             recording,
             imu=imu,
@@ -98,28 +104,3 @@ class Remedy:
         if self.camera_frame is not None:
             notes.append(f"the camera's axes were taken as {self.camera_frame} (--camera-frame)")
         return notes
-
-
-def _negated(imu: ImuStream, sensor: str) -> ImuStream:
-    turn = np.full(3, -1.0)
-    if sensor == "accelerometer":
-        return replace(imu, acc=_scaled(imu.acc, turn))
-    return replace(imu, gyro=_scaled(imu.gyro, turn))
-
-
-def _mirrored(position: FloatArray, axis: int) -> FloatArray:
-    sign = np.ones(3)
-    sign[axis] = -1.0
-    return _scaled(position, sign)
-
-
-def _scaled(values: FloatArray, factor: FloatArray) -> FloatArray:
-    return by_rows(lambda part: part * factor, values)
-
-
-def _swapped(arm: JointTracks, joints: tuple[str, ...]) -> JointTracks:
-    first, second = (JOINTS.index(joint) for joint in joints)
-    order = list(range(len(JOINTS)))
-    order[first], order[second] = second, first
-    position = by_rows(lambda part: part[:, order], arm.position)
-    return replace(arm, position=position, state=np.asarray(arm.state)[:, order])

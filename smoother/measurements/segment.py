@@ -19,8 +19,6 @@ from .visibility import MISSING_S, accepted_samples, enough_joints, joints_neede
 SPIKE_RAD_S = 15.0
 #: Samples that are looked at at once.
 SPIKE_BATCH = 100_000
-#: The inertial filter runs no faster than this, Hz.
-FILTER_RATE_HZ = 120.0
 #: A segment shorter than this is not worth a filter, samples.
 FEWEST_SAMPLES = 8
 #: Frames kept on both sides of a time range: the largest clock offset and what a local fit needs, s.
@@ -58,6 +56,11 @@ class Segment:
         start_s, end_s = max(start_s, self.start_s), min(end_s, self.end_s)
         first, last = np.searchsorted(self.frame_t_camera, [start_s - AROUND_S, end_s + AROUND_S])
         rows = slice(int(first), int(last))
+        frames = slice(self.frames.start + rows.start, self.frames.start + rows.stop)
+        return replace(self.of_frames(rows), frames=frames, start_s=start_s, end_s=end_s)
+
+    def of_frames(self, rows: slice | BoolArray) -> Segment:
+        """The same with some of its frames."""
         return replace(
             self,
             frame_t_camera=self.frame_t_camera[rows],
@@ -65,9 +68,6 @@ class Segment:
             accepted=self.accepted[rows],
             reason=self.reason[rows],
             camera=None if self.camera is None else self.camera[rows],
-            frames=slice(self.frames.start + rows.start, self.frames.start + rows.stop),
-            start_s=start_s,
-            end_s=end_s,
         )
 
     @property
@@ -136,19 +136,15 @@ def make_segment(
     signal = InertialSignal(without_spikes(replace(imu, t_s=even_t)))
     return Segment(
         signal=signal,
-        attitude=inertial_attitude(signal, min(imu.rate_hz, FILTER_RATE_HZ)),
+        attitude=inertial_attitude(signal, imu.rate_hz),
         frame_t_camera=arm.t_s,
         position=arm.position,
         accepted=accepted,
         reason=np.zeros(accepted.shape, np.uint8),
-        down=traits.down,
-        needed=traits.needed,
         frames=frames,
         start_s=float(imu.t_s[0]),
         end_s=float(imu.t_s[-1]),
-        recording=traits.recording,
-        synthetic_stamps=traits.synthetic_stamps,
-        down_sigma_rad=traits.down_sigma_rad,
+        **vars(traits),
         camera=arm.camera,
         ray_origin_m=arm.ray_origin_m,
         focal_share=arm.focal_share,

@@ -32,7 +32,7 @@ PADDING_S = 0.05
 #: Sections that the mounting is found on, evenly spread, and frames with both shoulders that one needs.
 EXCERPTS, FEWEST_FRAMES = 5, 60
 #: The inertial filter runs no faster than this, Hz; a shorter run of samples is not worth one.
-FILTER_RATE_HZ, FEWEST_SAMPLES = 120.0, 40
+FEWEST_SAMPLES = 40
 #: The vertical by the inertial filter and by the recovered direction of gravity, rad.
 VERTICAL_RAD = np.radians(1.0)
 #: A line of shoulders that departs by more than this, rms, does not move as the IMU does, rad.
@@ -102,7 +102,7 @@ class _TrunkData:
                 continue
             samples = without_spikes(own.select(run))
             signal = InertialSignal(replace(samples, t_s=dejitter(samples.t_s)))
-            attitude = inertial_attitude(signal, min(samples.rate_hz, FILTER_RATE_HZ))
+            attitude = inertial_attitude(signal, samples.rate_hz)
             inside = (t + offset_s >= signal.start_s) & (t + offset_s <= signal.end_s)
             if inside.sum() >= FEWEST_FRAMES // 2:
                 width_m = float(np.median(width[inside]))

@@ -24,7 +24,7 @@ from ..array_types import BoolArray, FloatArray, IntArray
 from ..filters import gaussian_smoothed
 from ..linalg import largest_trace, nearest_rotation, unit, upright
 from ..measurements.inertial import InertialSignal, inertial_attitude
-from ..measurements.segment import FEWEST_SAMPLES, FILTER_RATE_HZ, without_spikes
+from ..measurements.segment import FEWEST_SAMPLES, without_spikes
 from ..measurements.timestamps import dejitter
 from ..recording import ImuStream, JointTracks
 
@@ -139,7 +139,7 @@ def imu_turning(imu: ImuStream, origin_s: float) -> ImuTurning | None:
         return None
     t_s = dejitter(np.asarray(imu.t_s)) - origin_s
     signal = InertialSignal(without_spikes(replace(imu, t_s=t_s)))
-    attitude = inertial_attitude(signal, min(imu.rate_hz, FILTER_RATE_HZ))
+    attitude = inertial_attitude(signal, imu.rate_hz)
     grid, first = _grid(attitude.t)
     if len(grid) < SHORTEST_S * GRID_HZ:
         return None

@@ -7,9 +7,9 @@ from itertools import product
 
 import numpy as np
 
-from ..array_types import FloatArray, IntArray
+from ..array_types import FloatArray
 from ..linalg import interpolate
-from ..measurements.inertial import InertialSignal, equivalent_samples, integrate, split_steps
+from ..measurements.inertial import equivalent_samples, integrate, split_steps
 from ..measurements.rays import LONE_SHOULDER_ALONG_M, SHOULDER_ALONG_M, is_alone, origins_of
 from ..measurements.visibility import occluded_at
 from ..recording import FOREARM_JOINTS, JOINTS
@@ -24,7 +24,6 @@ from .problem import (
     Priors,
     SegmentRun,
     ShoulderMeasurements,
-    States,
     Window,
 )
 
@@ -74,18 +73,6 @@ def _velocity_change(prepared: PreparedSegment, lo: int, hi: int) -> FloatArray:
     return np.where(occluded_at(middle, prepared.gaps), change, np.inf)
 
 
-def _weakened(covariance: FloatArray, factor: float) -> FloatArray:
-    """The covariance times the factor, no direction worse known than `FREE_RAD`."""
-    variance, axes = np.linalg.eigh(covariance)
-    return (axes * np.minimum(variance * factor, FREE_RAD**2)) @ axes.T
-
-
-def _increments(signal: InertialSignal, t: FloatArray, bias: FloatArray) -> ImuIncrements:
-    step_t, first = split_steps(t)
-    acc, gyro, h = equivalent_samples(integrate(signal, step_t, bias))
-    return ImuIncrements(acc, gyro, h, first, bias, signal.velocity_error(t))
-
-
 def _segment_runs(
     prepared: PreparedSegment, lo: int, hi: int, prior: Priors, sharing: int
 ) -> Iterator[SegmentRun]:
@@ -96,35 +83,34 @@ def _segment_runs(
             continue
         rows = slice(first - run.first, last - run.first)
         node = int(np.argmin(np.trace(run.attitude_covariance[rows], axis1=1, axis2=2)))
-        bias = prior.shared.mean[prior.layout.bias_of(run.segment)]
+        # one prior for all windows together: its error is common to all; none is weaker than `FREE_RAD`
+        variance, axes = np.linalg.eigh(run.attitude_covariance[rows][node])
+        weakened = (axes * np.minimum(variance * sharing, FREE_RAD**2)) @ axes.T
+        t, bias = prepared.t[first:last], prior.shared.mean[prior.layout.bias_of(run.segment)]
+        step_t, steps = split_steps(t)
+        acc, gyro, h = equivalent_samples(integrate(run.signal, step_t, bias))
         yield SegmentRun(
             segment=run.segment,
             first=first - lo,
-            start=States(run.start.R[rows], run.start.p[rows], run.start.v[rows]),
-            increments=_increments(run.signal, prepared.t[first:last], bias),
+            start=run.start.rows(rows),
+            increments=ImuIncrements(acc, gyro, h, steps, bias, run.signal.velocity_error(t)),
             attitude_node=node,
             attitude=run.attitude[rows][node],
-            # one prior for all windows together: its error is common to all
-            attitude_covariance=_weakened(run.attitude_covariance[rows][node], sharing),
+            attitude_covariance=weakened,
         )
 
 
 def _joint_measurements(
     prepared: PreparedSegment, lo: int, hi: int, prior: Priors
 ) -> tuple[JointMeasurements, ...]:
-    layout = prior.layout
+    """Each joint's samples by each camera, those between all pauses of its IMU together."""
     parts = [measured for run in prepared.bodies for measured in _of_run(prepared, run, lo, hi, prior)]
-    joint_measurements = []
-    for joint, camera in product(FOREARM_JOINTS, sorted({part.camera for part in parts})):
-        own = [
-            part
-            for part in parts
-            if (part.joint, part.camera) == (joint, camera) and part.segment == layout.segment_of(joint)
-        ]
-        if len(own) > 1:  # between the pauses of its IMU
-            own = [JointMeasurements.joined(own)]
-        joint_measurements += own
-    return tuple(joint_measurements)
+    cameras = sorted({part.camera for part in parts})
+    alike = (
+        [part for part in parts if (part.joint, part.camera) == (joint, camera)]
+        for joint, camera in product(FOREARM_JOINTS, cameras)
+    )
+    return tuple(JointMeasurements.joined(own) for own in alike if own)
 
 
 def _of_run(
@@ -147,15 +133,15 @@ def _of_run(
         layout.down(mean) * GRAVITY,
         mean[layout.bias_of(run.segment)],
     )
+    by_frame = np.zeros(len(inside), int) if prepared.camera is None else prepared.camera[inside]
+    origins = origins_of(prepared.ray_origin_m, by_frame, len(inside))
     cameras = np.zeros(1, int) if prepared.camera is None else np.unique(prepared.camera)
     for joint, camera in product(joints, cameras.tolist()):
         column, rows_of = JOINTS.index(joint), layout.lever_of_sample(joint, run.segment)
-        accepted = prepared.accepted[inside, column]
-        if prepared.camera is not None:
-            accepted = accepted & (prepared.camera[inside] == camera)
-        rows = np.flatnonzero(accepted)
+        rows = np.flatnonzero(prepared.accepted[inside, column] & (by_frame == camera))
         if len(rows):
             lever = np.zeros(3) if rows_of is None else mean[rows_of]
+            is_ray = origins is not None and bool(np.isfinite(origins[rows[0]]).all())
             yield JointMeasurements(
                 joint,
                 frame_t_imu[rows],
@@ -166,14 +152,8 @@ def _of_run(
                 motion.velocity(lever)[rows],
                 run.segment,
                 camera,
-                _ray_origin(prepared, camera),
+                origins[rows[0]] if origins is not None and is_ray else None,
             )
-
-
-def _ray_origin(prepared: PreparedSegment, camera: int) -> FloatArray | None:
-    """Where a camera's rays begin, (3,) m; None of one with depth."""
-    origins = prepared.ray_origin_m
-    return None if origins is None or not np.isfinite(origins[camera]).all() else origins[camera]
 
 
 def _shoulder(prepared: PreparedSegment, lo: int, hi: int) -> ShoulderMeasurements | None:
@@ -199,22 +179,15 @@ def _shoulder(prepared: PreparedSegment, lo: int, hi: int) -> ShoulderMeasuremen
         position = total / count[:, None]
         sigma = np.sqrt(variance) / count
     start = interpolate(visible_t, prepared.position[visible, column], t[node])
-    if prepared.ray_origin_m is not None:
-        return _shoulder_on_rays(prepared, node, visible[near], owner, start)
-    return ShoulderMeasurements(node, position, sigma, np.where(count[:, None] > 0, position, start))
-
-
-def _shoulder_on_rays(
-    prepared: PreparedSegment, node: IntArray, frames: IntArray, owner: IntArray, start: FloatArray
-) -> ShoulderMeasurements:
-    """The same where a camera sees no depth: every frame adds what it knows, across its ray or in all."""
-    column = JOINTS.index("shoulder")
+    if prepared.ray_origin_m is None:
+        return ShoulderMeasurements(node, position, sigma, np.where(count[:, None] > 0, position, start))
+    # every frame adds what it knows, across its ray or in all
+    frames = visible[near]
     camera = None if prepared.camera is None else prepared.camera[frames]
     origin = origins_of(prepared.ray_origin_m, camera, len(frames))
     assert origin is not None
-    position, sigma = prepared.position[frames, column], prepared.sigma_m[frames, column]
     along_m = LONE_SHOULDER_ALONG_M if is_alone(prepared.ray_origin_m) else SHOULDER_ALONG_M
-    samples = KnotSamples(owner, position, sigma, origin, along_m)
-    mean, sigmas, roots = samples.of_knots(start)
-    start = np.where(np.isfinite(mean), mean, start)
-    return ShoulderMeasurements(node, mean, sigmas, start, roots, samples)
+    places, sigmas_m = prepared.position[frames, column], prepared.sigma_m[frames, column]
+    samples = KnotSamples(owner, places, sigmas_m, origin, along_m)
+    mean, sigma, roots = samples.of_knots(start)
+    return ShoulderMeasurements(node, mean, sigma, np.where(np.isfinite(mean), mean, start), roots, samples)

@@ -13,7 +13,6 @@ from ..calibration import ArmCalibration
 from ..linalg import interpolate, unit
 from ..measurements.alignment import (
     Alignment,
-    VectorPairs,
     acceleration_pairs,
     align,
     direction_pairs,
@@ -22,7 +21,7 @@ from ..measurements.alignment import (
     pairs,
 )
 from ..measurements.clock import Clock
-from ..measurements.inertial import ImuRun, InertialSignal, acceleration_std, is_still
+from ..measurements.inertial import InertialSignal, acceleration_std, is_still
 from ..measurements.segment import Segment
 from ..measurements.visibility import Gap, enough_joints, find_gaps, occluded_at, seen_by_any
 from ..recording import FOREARM_JOINTS, JOINTS
@@ -149,7 +148,9 @@ def prepare(
         frame_node=frame_node[rows],
         position=segment.position[rows],
         accepted=accepted[rows],
-        sigma_m=sigma_of_frames(sigma_m, segment.camera, rows),
+        sigma_m=np.broadcast_to(sigma_m, (len(rows), len(JOINTS)))
+        if segment.camera is None or sigma_m.ndim == 1
+        else sigma_m[np.minimum(segment.camera[rows], len(sigma_m) - 1)],
         gaps=gaps,
         acceleration_std=acceleration_std(segment.signal, segment.attitude, t),
         still=is_still(segment.signal, segment.attitude, t),
@@ -159,13 +160,6 @@ def prepare(
         ray_origin_m=segment.ray_origin_m,
     )
     return prepared, alignment
-
-
-def sigma_of_frames(sigma_m: FloatArray, camera: CameraNumbers | None, rows: IntArray) -> FloatArray:
-    """Noise of the joints in some frames (k, 5), m, from that of one camera (5,) or of several (c, 5)."""
-    if camera is None or sigma_m.ndim == 1:
-        return np.tile(sigma_m if sigma_m.ndim == 1 else sigma_m[0], (len(rows), 1))
-    return np.asarray(sigma_m[np.minimum(camera[rows], len(sigma_m) - 1)])
 
 
 def _nodes(
@@ -296,66 +290,33 @@ def prepare_further(
         levers = calibration.mountings[run.segment].lever_arms
         near_B, far_B = (levers[body.as_forearm[end]].position_m for end in ("elbow", "wrist"))
         start_s, end_s = max(run.signal.start_s, segment.start_s), min(run.signal.end_s, segment.end_s)
-        pairs = _segment_pairs(segment, run, frame_t_imu, used, (near, far), near_B, far_B)
+        # what camera and IMU both measure: the segment's direction, and its far joint's acceleration
+        both, seen_far = used[:, near] & used[:, far], used[:, far]
+        ends = segment.position[both, near], segment.position[both, far]
+        along_B = unit(far_B - near_B)
+        directions = direction_pairs(frame_t_imu[both], *ends, run.attitude, along_B)
+        accelerations = acceleration_pairs(
+            frame_t_imu[seen_far], segment.position[seen_far, far], run.attitude, run.signal, GRAVITY
+        )
+        pairs = [directions, accelerations.with_lever(far_B)]
         alignment = align(pairs, start_s, end_s, segment.down)
         own_t = t[rows]
         R = (alignment.at(own_t) * run.attitude.at(own_t)).as_matrix()
-        if parent is None:
-            place = _near_joint(segment, run, frame_t_imu, used, alignment, (near, far), near_B - far_B)
-            p = interpolate(*place, own_t) - R @ near_B
+        if parent is None:  # its near joint: as seen, or from the far joint and the segment
+            frames = np.flatnonzero(used[:, near] | used[:, far])
+            seen_t, position = frame_t_imu[frames], segment.position[frames]
+            R_frames = (alignment.at(seen_t) * run.attitude.at(seen_t)).as_matrix()
+            by_far = position[:, far] + R_frames @ (near_B - far_B)
+            place = np.where(used[frames, near, None], position[:, near], by_far)
+            p = interpolate(seen_t, place, own_t) - R @ near_B
         else:
             lever = calibration.lever_arms[body.shared_joint].position_m
             p = parent.p[rows] + parent.R[rows] @ lever - R @ levers[body.shared_joint].position_m
         v = np.gradient(p, own_t, axis=0) if len(own_t) > 2 else np.zeros_like(p)
         nearest = np.clip(np.searchsorted(alignment.t, own_t), 0, len(alignment.t) - 1)
-        prepared.append(
-            PreparedRun(
-                run.segment, run.signal, int(rows[0]), States(R, p, v), R, alignment.covariance[nearest]
-            )
-        )
+        start, covariance = States(R, p, v), alignment.covariance[nearest]
+        prepared.append(PreparedRun(run.segment, run.signal, int(rows[0]), start, R, covariance))
     return tuple(prepared)
-
-
-def _segment_pairs(
-    segment: Segment,
-    run: ImuRun,
-    frame_t_imu: FloatArray,
-    accepted: BoolArray,
-    columns: tuple[int, int],
-    near_B: FloatArray,
-    far_B: FloatArray,
-) -> list[VectorPairs]:
-    """What camera and IMU both measure: the segment's direction, and its far joint's acceleration."""
-    near, far = columns
-    both = accepted[:, near] & accepted[:, far]
-    position = segment.position[both]
-    along_B = unit(far_B - near_B)
-    pairs = [direction_pairs(frame_t_imu[both], position[:, near], position[:, far], run.attitude, along_B)]
-    rows = accepted[:, far]
-    accelerations = acceleration_pairs(
-        frame_t_imu[rows], segment.position[rows, far], run.attitude, run.signal, GRAVITY
-    )
-    return [*pairs, accelerations.with_lever(far_B)]
-
-
-def _near_joint(
-    segment: Segment,
-    run: ImuRun,
-    frame_t_imu: FloatArray,
-    accepted: BoolArray,
-    alignment: Alignment,
-    columns: tuple[int, int],
-    far_to_near_B: FloatArray,
-) -> tuple[FloatArray, FloatArray]:
-    """Times (k,) and the near joint there (k, 3) m: as seen, or from the far joint and the segment."""
-    near, far = columns
-    rows = np.flatnonzero(accepted[:, near] | accepted[:, far])
-    frame_t = frame_t_imu[rows]
-    position = segment.position[rows]
-    R = (alignment.at(frame_t) * run.attitude.at(frame_t)).as_matrix()
-    by_far = position[:, far] + R @ far_to_near_B
-    seen = accepted[rows, near]
-    return frame_t, np.where(seen[:, None], position[:, near], by_far)
 
 
 def forearm_in_gaps(

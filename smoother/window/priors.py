@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from ..array_types import FloatArray
+from ..body import FOREARM
 from ..calibration import ArmCalibration, Length, LeverArm
 from ..config import Anatomy, ArmPrior, Config
 from ..linalg import robust_sigma, unit
@@ -84,21 +85,16 @@ def first_priors(initial: InitialValues, calibration: ArmCalibration, config: Co
     mean, variance = np.zeros(layout.size), np.ones(layout.size)
     mean[:3] = 0.0 if calibration.accelerometer_bias is None else calibration.accelerometer_bias
     mean[3:6] = initial.gyroscope_bias
-    variance[:3], variance[3:6] = (
-        config.imu.accelerometer_bias_sigma**2,
-        config.imu.gyroscope_bias_sigma**2,
-    )
+    variance[:3], variance[3:6] = config.imu.accelerometer_bias_sigma**2, config.imu.gyroscope_bias_sigma**2
     variance[layout.gravity] = initial.down_sigma_rad**2
     if layout.has_upper_arm:
         upper_arm = calibration.upper_arm or Length(config.arm.upper_arm_m, config.arm.upper_arm_sigma_m)
         mean[layout.upper_arm], variance[layout.upper_arm] = upper_arm.value_m, upper_arm.sigma_m**2
-    for joint in layout.joints:
-        lever = calibration.lever_arms[joint]
-        mean[layout.lever(joint)], variance[layout.lever(joint)] = lever.position_m, lever.sigma_m**2
-    for segment in layout.further:
+    for segment in layout.segments:
+        own = calibration.lever_arms if segment == FOREARM.name else calibration.mountings[segment].lever_arms
         for joint, rows in layout.levers(segment).items():
-            lever = calibration.mountings[segment].lever_arms[joint]
-            mean[rows], variance[rows] = lever.position_m, lever.sigma_m**2
+            mean[rows], variance[rows] = own[joint].position_m, own[joint].sigma_m ** 2
+    for segment in layout.further:
         mean[layout.bias_of(segment)] = initial.biases.get(segment, 0.0)
         variance[layout.bias_of(segment)] = variance[layout.bias]
     walk = np.repeat([config.imu.accelerometer_bias_walk, config.imu.gyroscope_bias_walk], 3)
@@ -129,12 +125,10 @@ def with_limb_lengths(shared: Gaussian, layout: SharedLayout, lengths: Gaussian)
         mean[layout.upper_arm] = lengths.mean[1]
         covariance[layout.upper_arm] = covariance[:, layout.upper_arm] = 0.0
         covariance[layout.upper_arm, layout.upper_arm] = UNKNOWN_M**2
-    count = len(rows)
-    gain = np.linalg.solve(
-        rows @ covariance @ rows.T + lengths.covariance[:count, :count], rows @ covariance
-    ).T
+    count, told = len(rows), rows @ covariance
+    gain = np.linalg.solve(told @ rows.T + lengths.covariance[:count, :count], told).T
     mean = mean + gain @ (lengths.mean[:count] - rows @ mean)
-    covariance = covariance - gain @ rows @ covariance
+    covariance = covariance - gain @ told
     return Gaussian(mean, 0.5 * (covariance + covariance.T))
 
 
@@ -224,22 +218,22 @@ def calibration_from(
 ) -> ArmCalibration:
     """The arm's calibration from the Gaussian of its constants (`pooling.pooled`)."""
     sigma = np.hypot(np.sqrt(np.diag(constants.covariance)), joint_bias_m)
-    start = layout.constants.start
-    levers = dict(before.lever_arms)
-    for joint in layout.joints:
-        rows = slice(layout.lever(joint).start - start, layout.lever(joint).stop - start)
-        levers[joint] = LeverArm(constants.mean[rows], sigma[rows])
+
+    def levers(segment: str) -> dict[str, LeverArm]:
+        start = layout.constants.start
+        rows_of = {
+            joint: slice(rows.start - start, rows.stop - start)
+            for joint, rows in layout.levers(segment).items()
+        }
+        return {joint: LeverArm(constants.mean[rows], sigma[rows]) for joint, rows in rows_of.items()}
+
     upper_arm = before.upper_arm
     if layout.has_upper_arm:
         upper_arm = Length(float(constants.mean[0]), float(sigma[0]))
-    mountings = dict(before.mountings)
-    for segment in layout.further:
-        own = {
-            joint: LeverArm(
-                constants.mean[rows.start - start : rows.stop - start],
-                sigma[rows.start - start : rows.stop - start],
-            )
-            for joint, rows in layout.levers(segment).items()
-        }
-        mountings[segment] = replace(mountings[segment], lever_arms=own)
-    return replace(before, lever_arms=levers, upper_arm=upper_arm, mountings=mountings)
+    further = {name: replace(before.mountings[name], lever_arms=levers(name)) for name in layout.further}
+    return replace(
+        before,
+        lever_arms=before.lever_arms | levers(FOREARM.name),
+        upper_arm=upper_arm,
+        mountings=before.mountings | further,
+    )

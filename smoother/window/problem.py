@@ -86,17 +86,9 @@ class JointMeasurements:
     @classmethod
     def joined(cls, parts: Sequence[JointMeasurements]) -> JointMeasurements:
         """One joint's samples of several runs of its IMU, in order of time."""
-        return cls(
-            parts[0].joint,
-            np.concatenate([part.t_s for part in parts]),
-            np.concatenate([part.node for part in parts]),
-            np.concatenate([part.position for part in parts]),
-            np.concatenate([part.sigma_m for part in parts]),
-            np.concatenate([part.shift for part in parts]),
-            np.concatenate([part.velocity for part in parts]),
-            parts[0].segment,
-            parts[0].camera,
-            parts[0].origin_m,
+        names = ("t_s", "node", "position", "sigma_m", "shift", "velocity")
+        return replace(
+            parts[0], **{name: np.concatenate([getattr(part, name) for part in parts]) for name in names}
         )
 
 
@@ -158,6 +150,15 @@ class States:
     p: FloatArray  # (n, 3) m: position of the IMU in {K}
     v: FloatArray  # (n, 3) m/s: velocity of the IMU in {K}
 
+    @classmethod
+    def unknown(cls, count: int) -> States:
+        """Of this many nodes, all nan."""
+        return cls(np.full((count, 3, 3), np.nan), np.full((count, 3), np.nan), np.full((count, 3), np.nan))
+
+    def rows(self, rows: slice) -> States:
+        """Of some of the nodes."""
+        return States(self.R[rows], self.p[rows], self.v[rows])
+
 
 @dataclass(frozen=True)
 class FieldMeasurements:
@@ -178,8 +179,6 @@ class NoiseModel:
     # What scale and mounting errors of the sensor cost, as a share of the specific force beyond gravity and
     # of the angular rate: the noise grows with the motion
     accelerometer_share: float
-    # What scale and mounting errors of the sensor cost, as a share of the specific force beyond gravity and
-    # of the angular rate: the noise grows with the motion
     gyroscope_share: float
     cauchy: float  # Length of a residual, in sigmas, where its weight is halved (Cauchy's loss)
     upper_arm_sigma_m: float  # How far from constant the upper arm's length is

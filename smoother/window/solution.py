@@ -61,9 +61,9 @@ class SegmentSolution:
 
     def of_nodes(self, nodes: slice) -> SegmentSolution:
         """States at some of the nodes."""
-        own = States(self.states.R[nodes], self.states.p[nodes], self.states.v[nodes])
         gravity = self.gravity if self.gravity.ndim == 1 else self.gravity[nodes]
-        return SegmentSolution(self.segment, self.t[nodes], own, self.bias[nodes], gravity)
+        states = self.states.rows(nodes)
+        return SegmentSolution(self.segment, self.t[nodes], states, self.bias[nodes], gravity)
 
     def pose_covariance_at(self, t: FloatArray) -> FloatArray:
         """The pose's covariance (k, 6, 6) between the nodes; nan where the IMU has no samples."""
@@ -123,8 +123,8 @@ class NodeState:
 class LagSolution:
     """A solved window."""
 
-    newest: NodeState  # Of the newest node, and of the one that `settled` was asked for
-    settled: NodeState  # Of the newest node, and of the one that `settled` was asked for
+    newest: NodeState
+    settled: NodeState  # Of the node that was asked for
     bias: FloatArray  # (6,) m/s^2 and rad/s: the newest
     gravity: FloatArray  # (3,) m/s^2: in {K}
     levers: dict[str, FloatArray]  # dict of (3,) m: in {A}

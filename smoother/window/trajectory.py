@@ -89,18 +89,15 @@ def at_times(motion: SegmentSolution, signal: InertialSignal, at: FloatArray) ->
 
 def segment_at(motion: SegmentSolution, prepared: PreparedSegment, at: FloatArray) -> States:  # at (k,) s
     """Pose and velocity of an IMU that pauses at any times; orientation and all else nan without samples."""
-    states = States(
-        np.full((len(at), 3, 3), np.nan), np.full((len(at), 3), np.nan), np.full((len(at), 3), np.nan)
-    )
+    states = States.unknown(len(at))
     known = np.isfinite(motion.states.p[:, 0])
     offset = int(np.searchsorted(prepared.t, motion.t[0] - 1e-9))  # the motion may be of some nodes only
     for run in prepared.runs(motion.segment):
         mine = np.zeros_like(known)
         mine[max(run.first - offset, 0) : max(run.first + len(run.start.p) - offset, 0)] = True
         for nodes in runs(known & mine):
-            inside = slice(
-                *np.searchsorted(at, motion.t[[nodes.start, nodes.stop - 1]] + [0.0, 1e-9]).tolist()
-            )
+            ends = motion.t[[nodes.start, nodes.stop - 1]] + [0.0, 1e-9]
+            inside = slice(*np.searchsorted(at, ends).tolist())
             if nodes.stop - nodes.start < 2 or inside.stop <= inside.start:
                 continue
             part = motion.of_nodes(nodes)
