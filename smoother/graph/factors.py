@@ -133,7 +133,7 @@ def shared_joint(segment: str, node: int, sigma_m: float) -> list[gtsam.Referenc
     own, parent, joint = keys_of(segment), keys_of(SEGMENTS[segment].parent), SEGMENTS[segment].shared_joint
     return [
         gtsam.ReferenceFrameFactorPoint3Pose3(
-            keys.lever_of(joint), keys.pose + node, own.point + node, isotropic(3, float(sigma))
+            keys.lever_of(joint), keys.pose + node, own.point + node, isotropic(3, sigma)
         )
         for keys, sigma in ((parent, PARENT_TIE_M), (own, sigma_m))
     ]
@@ -142,7 +142,7 @@ def shared_joint(segment: str, node: int, sigma_m: float) -> list[gtsam.Referenc
 def shoulder_end(segment: str, node: int, knot: int, sigma_m: float) -> gtsam.ReferenceFrameFactorPoint3Pose3:
     """A segment that reaches the shoulder ends in a knot."""
     ends = keys_of(segment).lever_of("shoulder"), keys_of(segment).pose + node, S(knot)
-    return gtsam.ReferenceFrameFactorPoint3Pose3(*ends, isotropic(3, float(sigma_m)))
+    return gtsam.ReferenceFrameFactorPoint3Pose3(*ends, isotropic(3, sigma_m))
 
 
 @lru_cache(maxsize=4096)

@@ -197,7 +197,7 @@ class LagWindow:
         body, lever = node.bodies[segment], self._layout.lever(SEGMENTS[segment].shared_joint, segment)
         self._values.insert(keys_of(segment).point + node.number, state.p + state.R @ self._mean[lever])
         step_s = TISSUE_S if before is None else node.t - before.t
-        body.others += shared_joint(segment, node.number, tissue_sigma(self._noise, segment, step_s))
+        body.others += shared_joint(segment, node.number, float(tissue_sigma(self._noise, segment, step_s)))
         if self._values.exists(S(node.number)):
             self._end_in_knot(node, segment)
         waiting, node.waiting = node.waiting, []
@@ -384,15 +384,15 @@ class LagWindow:
     def _end_in_knot(self, node: LagNode, segment: str) -> None:
         """A further segment that reaches the shoulder ends in its node's knot."""
         if SEGMENTS[segment].parent and "shoulder" in SEGMENTS[segment].joints:
-            sigma_m = tissue_sigma(self._noise, segment, KNOT_S)
+            sigma_m = float(tissue_sigma(self._noise, segment, KNOT_S))
             node.bodies[segment].others.append(shoulder_end(segment, node.number, node.number, sigma_m))
 
 
 #: Elimination goes along time; the variables of few nodes follow, and last come those of all.
 _RANK = {"s": 1}
 for _segment in SEGMENTS.values():
-    _pose, _velocity, _bias, _, *_point = _segment.letters
-    _RANK |= dict.fromkeys([_pose, _velocity, *_point], 0) | {_bias: 2}
+    _letters = _segment.letters
+    _RANK |= dict.fromkeys(_letters[:2] + _letters[4:], 0) | {_letters[2]: 2}
 _LAST = 3
 
 

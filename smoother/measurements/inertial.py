@@ -166,7 +166,8 @@ def integrate_one(
 def integrate_each(signal: InertialSignal, t: FloatArray, bias: FloatArray) -> Preintegration:
     """`integrate` of a few intervals with one bias (6,), each by `integrate_one`."""
     parts = [integrate_one(signal, a, b, bias) for a, b in pairwise(t.tolist())]
-    return Preintegration(*(np.stack(each) for each in zip(*parts, strict=True)), t[1:] - t[:-1])
+    delta_R, delta_v, delta_p = (np.stack(each) for each in zip(*parts, strict=True))
+    return Preintegration(delta_R, delta_v, delta_p, t[1:] - t[:-1])
 
 
 def split_steps(

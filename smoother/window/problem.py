@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -87,9 +88,8 @@ class JointMeasurements:
     def joined(cls, parts: Sequence[JointMeasurements]) -> JointMeasurements:
         """One joint's samples of several runs of its IMU, in order of time."""
         names = ("t_s", "node", "position", "sigma_m", "shift", "velocity")
-        return replace(
-            parts[0], **{name: np.concatenate([getattr(part, name) for part in parts]) for name in names}
-        )
+        whole: dict[str, Any] = {name: np.concatenate([vars(part)[name] for part in parts]) for name in names}
+        return replace(parts[0], **whole)
 
 
 @dataclass(frozen=True)
