@@ -26,13 +26,46 @@ class Table:
 def tabulated(
     title: str,
     rows: Iterable[Any],
-    columns: Mapping[str, str | Callable[[Any], object]],
+    columns: Mapping[str, str | Callable[[Any], object]] | str,
     caption: str = "",
 ) -> Table:
-    """Figures in SI under headings: by their keys, whose ends are the units, or by functions."""
+    """Figures in SI under headings: by their keys, whose ends are the units, or by functions.
+
+    Keys alone, in one text, are their own headings: `length_s` is "length, s", `length_s=gap_s` "gap, s".
+    """
+    if isinstance(columns, str):
+        columns = dict(map(_under_its_key, columns.split()))
     return Table(
         title, list(columns), [[_figure(row, key) for key in columns.values()] for row in rows], caption
     )
+
+
+#: Units at the end of a key: by what people's number is larger, their unit, its decimals.
+_UNITS: dict[str, tuple[float, str, int]] = {
+    "_m": (100.0, "cm", 2),
+    "_s": (1.0, "s", 2),
+    "_deg": (1.0, "deg", 1),
+    "_hz": (1.0, "Hz", 1),
+    "_share": (100.0, "%", 0),
+}
+
+
+def _under_its_key(text: str) -> tuple[str, Callable[[Any], object]]:
+    """A heading, and what stands under it of a row."""
+    key, _, name = text.partition("=")
+    name = name or key
+    end = next((end for end in _UNITS if name.endswith(end)), "")
+    factor, unit, digits = _UNITS.get(end, (1.0, "", 0))
+
+    def shown(row: Any) -> object:
+        value = row.get(key) if isinstance(row, Mapping) else getattr(row, key)
+        if isinstance(value, bool):
+            return "yes" if value else "no"
+        if isinstance(value, list | tuple):
+            return ", ".join(map(cell_text, value))
+        return fixed(factor * value, digits) if unit and isinstance(value, int | float) else value
+
+    return ", ".join(filter(None, (name.removesuffix(end).replace("_", " "), unit))), shown
 
 
 def _figure(row: Any, key: str | Callable[[Any], object]) -> object:

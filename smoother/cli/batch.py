@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from ..table import Table, centimetres
+from ..table import tabulated
 from . import options as o
 from .arm_output import end_strictly
 from .load import camera_frame_of
@@ -173,15 +173,14 @@ def write_reports(rows: pa.Table, folder: Path, processes: int, anew: bool) -> N
     from ..runtime.pool import Pool
 
     results = [folder / row["output"] for row in rows.to_pylist() if row["status"] == "done"]
-    pages = [folder / report_of(str(result.relative_to(folder))) for result in results]
-    todo = [
-        (result, page)
-        for result, page in zip(results, pages, strict=True)
-        if anew or not page.is_file() or page.stat().st_mtime < result.stat().st_mtime
-    ]
-    for _, page in todo:
+    todo = []
+    for result in results:
+        page = folder / report_of(str(result.relative_to(folder)))
+        if page.is_file() and not anew and page.stat().st_mtime >= result.stat().st_mtime:
+            continue
         if page.is_file() and _PAGE_MARKS[0] not in page.read_bytes()[:1000]:
             check_output(page, force=False)  # another program's file is not replaced
+        todo.append((result, page))
     with Pool(processes, frames=10**9 if len(todo) > 1 else 0) as workers:
         for _ in workers.map(_write_report, todo):
             pass
@@ -190,14 +189,10 @@ def write_reports(rows: pa.Table, folder: Path, processes: int, anew: bool) -> N
 def _write_report(files: tuple[Path, Path]) -> None:
     """The report of a result file."""
     from ..io import read_recovery
-    from ..report import write_arms_report, write_report
+    from ..report import write_arms_report
 
-    result, page = files
-    recoveries, frame = read_recovery(result), camera_frame_of(result)
-    if len(recoveries) == 1:
-        write_report(recoveries[0], page, camera_frame=frame, force=True)
-    else:
-        write_arms_report([(None, each) for each in recoveries], page, camera_frame=frame, force=True)
+    arms = [(None, each) for each in read_recovery(files[0])]
+    write_arms_report(arms, files[1], camera_frame=camera_frame_of(files[0]), force=True)
 
 
 def _is_of_a_study(path: Path) -> bool:
@@ -256,22 +251,15 @@ def _print(rows: pa.Table, tally: Tally, figures: dict[str, Any]) -> None:
         f"{tally.total} recordings: {tally.computed} recovered now in {tally.seconds:.0f} s{speed};"
         f" {tally.before} were dealt with before; {figures['failed']} failed in all"
     )
-    columns = ["recording", "sigma_max_m", "gaps", "gap_longest_s", "occluded_s", "duration_s", "notes"]
+    keys = "recording trusted sigma_max_m gaps gap_longest_s occluded_s duration_s notes"
     done = rows.filter(pc.equal(rows["status"], "done"))
-    few = done.select([*columns, "trusted", "gaps_untrusted", "arm_figures"])
+    few = done.select([*keys.split(), "gaps_untrusted", "arm_figures"])
     order = [("trusted", "ascending"), ("gaps_untrusted", "descending"), ("sigma_max_m", "descending")]
-    worst = [
-        (
-            row["recording"],
-            trust_word(row["trusted"], row["gaps"], row["gaps_untrusted"]),
-            centimetres(row["sigma_max_m"]),
-            *(row[name] for name in columns[2:]),
-        )
-        for row in worst_arms(few.sort_by(order).slice(0, MOST_WORST).to_pylist())
-    ]
-    heads = ("recording", "trusted", "largest sigma, cm", "gaps", "longest gap, s", "occluded, s")
+    worst = worst_arms(few.sort_by(order).slice(0, MOST_WORST).to_pylist())
+    for row in worst:
+        row["trusted"] = trust_word(row["trusted"], row["gaps"], row["gaps_untrusted"])
     title = "Recordings that are not to be trusted, then the least certain (sigma = one standard deviation)"
-    show(Table(title, (*heads, "length, s", "notes"), worst))
+    show(tabulated(title, worst, keys))
     rest = "more; the results have them all"
     if figures["not_trusted"]:
         say(f"{figures['not_trusted']} of {figures['done']} results are not to be trusted:")
@@ -281,5 +269,4 @@ def _print(rows: pa.Table, tally: Tally, figures: dict[str, Any]) -> None:
     damaged = [note for each in done["damage"].to_pylist() for note in each or []]
     print_notes(damaged[:MOST_FAILURES])
     say_more(len(damaged), MOST_FAILURES, f"damaged files {rest}")
-    failures = [(row["recording"], row["error"]) for row in figures["failures"]]
-    show(Table("Failed", ("recording", "why"), failures), MOST_FAILURES, f"failures {rest}")
+    show(tabulated("Failed", figures["failures"], "recording error=why"), MOST_FAILURES, f"failures {rest}")

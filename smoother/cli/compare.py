@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -13,7 +12,7 @@ from ..errors import UnoccludeError
 from ..evaluation.methods import GRAPH, LIVE_METHODS, METHODS, make_methods
 from . import options as o
 from .arm_output import arms_figures, each_arm, say_arm, warn
-from .load import ArmInput
+from .load import ArmInput, refuse_several
 from .methods import baseline_settings, choose
 from .output import (
     check_outputs,
@@ -82,16 +81,20 @@ def compare(
     settings = baseline_settings(names, orientation)
     chosen: Selection = {"imu": imu, "skeleton": skeleton, "side": side, "body": body}
     source = ArmInput(calibration, chosen, mirror, swap, negate, camera_frame, clock_offset, clock_sigma)
-    inputs = [recording_file, truth, calibration, markers, config_file]
-    check_outputs(force, [report, json_file], inputs)
+    check_outputs(force, [report, json_file], [recording_file, truth, calibration, markers, config_file])
+    if truth is None and (markers is not None or align):
+        raise typer.BadParameter("--markers and --align are for a truth named with --truth")
     config = read_config(config_file, processes)
     arms = source.load(recording_file)
-    recordings = [recording for recording, _ in arms]
-    for recording in recordings:
-        _check_truth(recording_file, recording, truth, markers, align, several=len(arms) > 1)
-    recovered: dict[int, Recovery] = {}
+    if truth is not None:
+        refuse_several([recording for recording, _ in arms], truth)
+    elif any(recording.truth is None or not len(recording.truth) for recording, _ in arms):
+        raise UnoccludeError(
+            f"{recording_file} has no truth: name one with --truth, or hide visible stretches with"
+            " `unocclude gaps`"
+        )
 
-    def compare_arm(place: int) -> Comparison:
+    def compare_arm(place: int) -> tuple[Recovery, Comparison]:
         recording, given = arms[place]
         blind = replace(recording, truth=None)
         of_arm = part_of(progress, place, len(arms))
@@ -104,33 +107,39 @@ def compare(
             clock=source.clock(recording),
             latency_s=latency,
         )
-        graph = recovered[place] = running[GRAPH](blind)
-        own, alignment = truth_for(
-            recording, graph, truth, markers=markers, calibration=calibration, align=align
-        )
-        return compare(
+        graph = running[GRAPH](blind)
+        own, alignment = truth_for(recording, graph, truth, markers, calibration, align)
+        chosen_methods = {name: running[name] for name in names}
+        comparison = compare(
             blind,
             graph,
             own,
-            {name: running[name] for name in names},
+            chosen_methods,
             alignment,
             lambda part, name: of_arm((1 + part) / 2, name),
             config.windows.processes,
         )
+        return graph, comparison
 
     with progress_bar("comparing") as progress:
-        compared, left_out = each_arm(recordings, compare_arm)
+        answers, left_out = each_arm([recording for recording, _ in arms], compare_arm)
+    compared = [(recording, comparison) for recording, (_, comparison) in answers]
     if report is not None:
-        write_page(compared, report, force)
+        from ..report.method_comparison import comparison_page
+        from ..report.page import arms_comparison_page
+
+        recording, comparison = compared[0]
+        one = comparison_page(comparison, recording)
+        (arms_comparison_page(compared) if len(compared) > 1 else one).write(report, force)
     each, notes = [], []
-    for recording, comparison in compared:
-        notes.append([*recording.notes, *left_out, *comparison.notes])
-        estimates = recovered[next(k for k, one in enumerate(recordings) if one is recording)].estimates
-        figures = {"recording": recording.name, "side": recording.side, **comparison.to_dict()}
-        figures |= {"trusted": estimates.trusted, "verdict": estimates.verdict}
-        each.append(figures | {"notes": list(dict.fromkeys(notes[-1]))})
+    for recording, (graph, comparison) in answers:
+        notes.append(list(dict.fromkeys([*recording.notes, *left_out, *comparison.notes])))
+        each.append(
+            {"recording": recording.name, "side": recording.side, **comparison.to_dict()}
+            | {"trusted": graph.estimates.trusted, "verdict": graph.estimates.verdict, "notes": notes[-1]}
+        )
     write_json(json_file, arms_figures([recording for recording, _ in compared], each), force)
-    warn(list(recovered.values()))
+    warn([graph for _, (graph, _) in answers])
     for (recording, comparison), of_arm in zip(compared, notes, strict=True):
         say_arm(recording, len(compared))
         errors, joints, lags = comparison.tables
@@ -142,49 +151,10 @@ def compare(
     say_written(report, json_file)
 
 
-def write_page(compared: Sequence[tuple[Recording, Comparison]], path: Path, force: bool) -> None:
-    """The comparison of an arm, or of several on one page."""
-    from ..report.method_comparison import comparison_page
-    from ..report.page import arms_comparison_page
-
-    if len(compared) > 1:
-        arms_comparison_page(compared).write(path, force)
-    else:
-        ((recording, comparison),) = compared
-        comparison_page(comparison, recording).write(path, force)
-
-
-def _check_truth(
-    path: Path,
-    recording: Recording,
-    truth_file: Path | None,
-    markers: Path | None,
-    align: bool,
-    several: bool,
-) -> None:
-    """Refuse before anything is solved what cannot be compared in the end."""
-    if truth_file is not None:
-        if not truth_file.is_file():
-            raise UnoccludeError(f"{truth_file}: there is no such file")
-        if several and truth_file.suffix.lower() != ".mcap":
-            raise UnoccludeError(
-                f"{truth_file} is the truth of one arm, and {path} has IMUs on several; choose its arm with"
-                " --side or --body"
-            )
-        return
-    if markers is not None or align:
-        raise typer.BadParameter("--markers and --align are for a truth named with --truth")
-    if recording.truth is None or not len(recording.truth):
-        raise UnoccludeError(
-            f"{path} has no truth: name one with --truth, or hide visible stretches with `unocclude gaps`"
-        )
-
-
 def truth_for(
     recording: Recording,
     graph: Recovery,
     truth_file: Path | None,
-    *,
     markers: Path | None,
     calibration: Path | None,
     align: bool,
@@ -204,8 +174,7 @@ def truth_for(
     of_markers = truth_file.suffix.lower() in MARKER_FORMATS
     frame = None
     if calibration is not None and (of_markers or align):
-        holds = "camera_from_mocap" in read_calibration(calibration).tables
-        frame = calibration if holds else None
+        frame = calibration if "camera_from_mocap" in read_calibration(calibration).tables else None
     return read_reference(
         truth_file,
         graph,

@@ -6,13 +6,14 @@ import os
 import platform
 import sys
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from ..runtime.packages import OPEN3D, extra_module
-from ..table import Table
+from ..table import tabulated
 from . import options as o
 from .output import check_outputs, progress_bar, say, say_command, show, write_json
 
@@ -93,7 +94,7 @@ def _recording(folder: Path) -> Path:
 
 PACKAGES = (
     *("unocclude", "gtsam", "numpy", "scipy", "vqf", "mcap", "protobuf", "foxglove-schemas-protobuf"),
-    *("pydantic", "typer", "rich", "plotly", "opencv-python-headless"),
+    *("pydantic", "typer", "rich", "plotly", "opencv-python-headless", OPEN3D),
 )
 
 
@@ -102,39 +103,32 @@ def doctor(json_file: o.Json = None, force: o.Force = False) -> None:
 
     Example: unocclude doctor
     """
-    check_outputs(force, [json_file])
-    checks = [("python", True, f"{platform.python_version()} on {platform.platform()}")]
-    checks += [check_version(name) for name in (*PACKAGES, OPEN3D)]
-    checks.append(check("solver", solve_something))
-    checks.append(check("point clouds", use_open3d))
-    checks.append(("cores", True, str(os.cpu_count() or 1)))
-    checks.append(("memory", True, memory()))
-    figures = {name: {"ok": good, "found": text} for name, good, text in checks}
-    write_json(json_file, figures, force)
-    rows = [(name, "yes" if good else "NO", text) for name, good, text in checks]
-    show(Table("Installation", ("part", "ok", "found"), rows))
-    bad = [name for name, good, _ in checks if not good]
-    if bad:
-        print(f"unocclude: not usable: {', '.join(bad)}; run `make setup`, or install again", file=sys.stderr)
-        raise typer.Exit(1)
-
-
-def check_version(package: str) -> tuple[str, bool, str]:
-    """A package's version, and whether it is there."""
     from importlib import metadata  # slow to load, and every command loads this file
 
-    try:
-        return package, True, metadata.version(package)
-    except metadata.PackageNotFoundError:
-        return package, False, "not installed"
-
-
-def check(name: str, use: Callable[[], str]) -> tuple[str, bool, str]:
-    """Use a part; whatever it raises is what was found."""
-    try:
-        return name, True, use()
-    except Exception as error:  # a broken native library raises anything
-        return name, False, " ".join(f"{type(error).__name__}: {error}".split())
+    check_outputs(force, [json_file])
+    parts: dict[str, Callable[[], str]] = {
+        "python": lambda: f"{platform.python_version()} on {platform.platform()}",
+        **{name: partial(metadata.version, name) for name in PACKAGES},
+        "solver": solve_something,
+        "point clouds": use_open3d,
+        "cores": lambda: str(os.cpu_count() or 1),
+        "memory": memory,
+    }
+    figures: dict[str, dict[str, object]] = {}
+    for name, use in parts.items():
+        try:
+            figures[name] = {"ok": True, "found": use()}
+        except metadata.PackageNotFoundError:
+            figures[name] = {"ok": False, "found": "not installed"}
+        except Exception as error:  # a broken native library raises anything
+            found = " ".join(f"{type(error).__name__}: {error}".split())
+            figures[name] = {"ok": False, "found": found}
+    write_json(json_file, figures, force)
+    rows = [{"part": name, **found} for name, found in figures.items()]
+    show(tabulated("Installation", rows, "part ok found"))
+    if bad := [name for name, found in figures.items() if not found["ok"]]:
+        print(f"unocclude: not usable: {', '.join(bad)}; run `make setup`, or install again", file=sys.stderr)
+        raise typer.Exit(1)
 
 
 def solve_something() -> str:
@@ -142,11 +136,10 @@ def solve_something() -> str:
     import gtsam
     import numpy as np
 
-    graph = gtsam.NonlinearFactorGraph()
+    graph, start = gtsam.NonlinearFactorGraph(), gtsam.Values()
     for measured in (0.0, 2.0):
         noise = gtsam.noiseModel.Isotropic.Sigma(3, 0.1)
         graph.add(gtsam.PriorFactorPoint3(1, np.array([measured, 0.0, 0.0]), noise))
-    start = gtsam.Values()
     start.insert(1, np.array([5.0, 5.0, 5.0]))
     answer = gtsam.LevenbergMarquardtOptimizer(graph, start).optimize().atPoint3(1)
     if not np.allclose(answer, [1.0, 0.0, 0.0], atol=1e-6):
@@ -171,10 +164,9 @@ def use_open3d() -> str:
 def memory() -> str:
     """Memory of this computer, if the system reports it."""
     try:
-        total = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+        return f"{os.sysconf('SC_PAGE_SIZE') * os.sysconf('SC_PHYS_PAGES') / 2**30:.1f} GiB"
     except (AttributeError, ValueError, OSError):
         return "not known on this system"
-    return f"{total / 2**30:.1f} GiB"
 
 
 def config(config_file: o.ConfigFile = None, json_file: o.Json = None, force: o.Force = False) -> None:

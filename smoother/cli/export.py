@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal, get_args
 
@@ -71,13 +72,9 @@ def export(
     from ..io.export.prepare import DEFAULT_FRAME, prepare_export
     from ..result.untrusted import untrusted_sentences
 
-    _check(format_name, output, frame, rate, origin)
-    if draws and format_name != "parquet":
-        raise typer.BadParameter(f"--draws is for parquet, not for {format_name}")
-    if format_name != "bids" and (subject or session or task or recording):
-        raise typer.BadParameter(
-            f"--subject, --session, --task and --recording are for bids, not for {format_name}"
-        )
+    only: dict[str, object] = {"--frame": frame, "--origin": origin, "--rate": rate, "--draws": draws or None}
+    only |= {"--subject": subject, "--session": session, "--task": task, "--recording": recording}
+    _check(format_name, output, rate, [option for option, value in only.items() if value is not None])
     recoveries = load_recoveries(result, side, body)
     if format_name == "bids":
         _bids(result, recoveries, output, (subject, session, task), recording, json_file, force)
@@ -159,28 +156,22 @@ def output_names(output: Path, recoveries: list[Recovery]) -> list[Path]:
     """One file per arm: the name as given, or with body, side (and a number) before its ending."""
     if len(recoveries) == 1:
         return [output]
-    sides = [
-        (f"body_{recovery.body}_" if recovery.body is not None else "") + (recovery.side or "arm")
-        for recovery in recoveries
-    ]
-    names = []
-    for place, side in enumerate(sides):
-        again = sides[:place].count(side)
-        mark = f"{side}{again + 1}" if again else side
-        names.append(output.with_name(f"{output.stem}_{mark}{output.suffix}"))
+    names: list[Path] = []
+    for recovery in recoveries:
+        mark = ("" if recovery.body is None else f"body_{recovery.body}_") + (recovery.side or "arm")
+        marks = (mark, *(f"{mark}{number}" for number in range(2, len(recoveries) + 1)))
+        each = (output.with_name(f"{output.stem}_{mark}{output.suffix}") for mark in marks)
+        names.append(next(name for name in each if name not in names))
     return names
 
 
-def _check(format_name: str, output: Path, frame: str | None, rate: float | None, origin: str | None) -> None:
+def _check(format_name: str, output: Path, rate: float | None, given: Iterable[str]) -> None:
     """Refuse what cannot be meant, before any work is done for it."""
     from ..io.export.prepare import WITH_FRAME, WITH_RATE
 
-    for option, value, formats in (
-        ("--frame", frame, WITH_FRAME),
-        ("--origin", origin, WITH_FRAME),
-        ("--rate", rate, WITH_RATE),
-    ):
-        if value is not None and format_name not in formats:
+    of_format = {"--frame": WITH_FRAME, "--origin": WITH_FRAME, "--rate": WITH_RATE, "--draws": ("parquet",)}
+    for option in given:
+        if format_name not in (formats := of_format.get(option, ("bids",))):
             raise typer.BadParameter(f"{option} is for {', '.join(formats)}, not for {format_name}")
     if rate is not None and not 1 <= rate <= 10_000:
         raise typer.BadParameter(f"--rate is between 1 and 10000 Hz, not {rate:g}")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -12,21 +12,12 @@ import typer
 
 from ..errors import CalibrationError
 from ..evaluation.methods import GRAPH, LIVE_METHODS, METHODS, make_methods
-from ..table import Table, tabulated
+from ..table import tabulated
 from . import options as o
 from .arm_output import each_arm
 from .load import ArmInput, refuse_twice
 from .methods import baseline_settings, choose
-from .output import (
-    check_outputs,
-    part_of,
-    print_notes,
-    progress_bar,
-    say,
-    say_written,
-    show,
-    write_json,
-)
+from .output import check_outputs, part_of, print_notes, progress_bar, say, say_written, show, write_json
 
 if TYPE_CHECKING:
     from calib.sigma_factor import LengthFactor
@@ -35,21 +26,6 @@ if TYPE_CHECKING:
     from ..evaluation.gaps import GapTable
     from ..io.recording.choose import Selection
     from ..recording import Recording
-
-
-def factor_table(factors: Sequence[LengthFactor]) -> Table:
-    """The sigma correction factors by length of gap."""
-    return tabulated(
-        "Sigma correction factor",
-        factors,
-        {
-            "gap, s": "length_s",
-            "for 50 %": lambda row: f"{row.factor_50:.2f}",
-            "for 95 %": lambda row: f"{row.factor_95:.2f}",
-            "to be applied": lambda row: f"{row.factor:.2f}",
-            "hidden gaps": lambda row: f"{row.count} of all lengths" if row.pooled else f"{row.count}",
-        },
-    )
 
 
 def gaps(
@@ -116,50 +92,39 @@ def gaps(
     config = read_config(config_file, processes)
     side_by_side = config.windows.processes or os.cpu_count() or 1
     inner = with_processes(config, max(side_by_side // (len(lengths_s) * repetitions), 1))
+    given: list[ArmCalibration | None] = []
     recordings: list[Recording] = []
-    tables: list[GapTable] = []
-    notes: list[str] = []
     several = False
+    for arms in map(source.load, recording_files):
+        several = several or len(arms) > 1
+        for recording, known in arms:
+            name = f"{recording.name}, {recording.arm_label}" if len(arms) > 1 else recording.name
+            while name in [each.name for each in recordings]:
+                name += " (again)"
+            recordings.append(replace(recording, name=name))
+            # what is measured anew is not applied before
+            given.append(replace(known, sigma_factors=None) if keep_in and known is not None else known)
+
+    def hide_and_recover(place: int) -> GapTable:
+        clock = source.clock(recordings[place])
+        return evaluate_gaps(
+            recordings[place],
+            lengths_s,
+            make_methods(names, given[place], inner, settings, clock=clock, latency_s=latency),
+            seed=seed,
+            repetitions=repetitions,
+            gaps_per_run=gaps_per_run,
+            progress=part_of(progress, place, len(recordings)),
+            processes=side_by_side,
+        )
+
     with progress_bar("hiding and recovering") as progress:
-        for number, path in enumerate(recording_files):
-            arms = source.load(path)
-            here: list[Recording] = []
-            for recording, _ in arms:
-                label = f"{recording.name}, {recording.arm_label}" if len(arms) > 1 else recording.name
-                others = [each.name for each in (*recordings, *here)]
-                here.append(replace(recording, name=_unlike(label, others)))
-            file_progress = part_of(progress, number, len(recording_files))
-
-            def hide_and_recover(
-                place: int,
-                arms: Sequence[tuple[Recording, ArmCalibration | None]] = arms,
-                here: Sequence[Recording] = here,
-                file_progress: Callable[[float, str], None] = file_progress,
-            ) -> GapTable:
-                recording, given = here[place], arms[place][1]
-                clock = source.clock(recording)
-                if keep_in is not None and given is not None:  # what is measured anew is not applied before
-                    given = replace(given, sigma_factors=None)
-                return evaluate_gaps(
-                    recording,
-                    lengths_s,
-                    make_methods(names, given, inner, settings, clock=clock, latency_s=latency),
-                    seed=seed,
-                    repetitions=repetitions,
-                    gaps_per_run=gaps_per_run,
-                    progress=part_of(file_progress, place, len(here)),
-                    processes=side_by_side,
-                )
-
-            evaluated, left_out = each_arm(here, hide_and_recover)
-            several = several or len(arms) > 1
-            notes += left_out
-            recordings += [recording for recording, _ in evaluated]
-            tables += [table for _, table in evaluated]
+        evaluated, left_out = each_arm(recordings, hide_and_recover)
+    recordings, tables = [recording for recording, _ in evaluated], [own for _, own in evaluated]
     table = pooled(tables)
     real = compare_real_gaps(recordings, table)
     factors = table.sigma_factors(GRAPH)
-    notes = [*notes, *(note for recording in recordings for note in recording.notes), *table.notes]
+    notes = [*left_out, *(note for recording in recordings for note in recording.notes), *table.notes]
     sentences = [*factor_sentences(factors), real["sentence"]]
     if report is not None:
         from ..report.method_comparison import gap_curves_page
@@ -171,9 +136,9 @@ def gaps(
     if live:
         figures["since_last_frame"] = since
     by_arm: dict[tuple[str, int | None], list[GapTable]] = {}  # of all recordings together
-    for recording, one in zip(recordings, tables, strict=True):
-        by_arm.setdefault((recording.side, recording.body), []).append(one)
-    each = {arm: pooled(by_arm[arm]) for arm in sorted(by_arm, key=str)} if several else {}
+    for recording, own in evaluated if several else ():
+        by_arm.setdefault((recording.side, recording.body), []).append(own)
+    each = {arm: pooled(by_arm[arm]) for arm in sorted(by_arm, key=str)}
     if each:
         figures["arms"] = [{"side": arm[0], "body": arm[1], **own.to_dict()} for arm, own in each.items()]
     write_json(json_file, figures, force)
@@ -181,23 +146,17 @@ def gaps(
         show(own.table(f" ({arm_words(*arm)})"))
     show(table.table(" (all arms together)" if each else ""))
     show(since_table(since))
-    show(factor_table(factors))
+    keys = "length_s=gap_s factor_50 factor_95 factor=applied count=hidden_gaps pooled=of_all_lengths"
+    show(tabulated("Sigma correction factor", factors, keys))
     for sentence in sentences:
         say(f"{sentence[0].upper()}{sentence[1:]}.")
     print_notes(notes)
     if keep_in is not None:
-        keep(factors, table, recordings, keep_in)
+        keep(factors, table.reference, [recording.name for recording in recordings], keep_in)
     say_written(report, json_file, keep_in)
 
 
-def _unlike(name: str, others: Sequence[str]) -> str:
-    """A name that no other recording has."""
-    return name if name not in others else _unlike(f"{name} (again)", others)
-
-
-def keep(
-    factors: Sequence[LengthFactor], table: GapTable, recordings: Sequence[Recording], path: Path
-) -> None:
+def keep(factors: Sequence[LengthFactor], reference: str, names: list[str], path: Path) -> None:
     """Add the factors of sigma to a calibration file."""
     from calib.file import CalibrationFile, with_sigma_table, write_calibration
     from calib.sigma_factor import LARGEST_FACTOR
@@ -209,13 +168,11 @@ def keep(
             f"{path} was not written: sigma has to be multiplied by {worst:.0f}, so it is not sigma"
             " that is wrong; check clock, axes and mounting"
         )
-    digits = ("factor", "factor_50", "factor_95", "level")
     rows = [
-        {name: round(value, 4) if name in digits else value for name, value in row.to_dict().items()}
+        {name: value if isinstance(value, int) else round(value, 4) for name, value in row.to_dict().items()}
         for row in factors
     ]
-    names = [recording.name for recording in recordings]
-    write_calibration(path, with_sigma_table(CalibrationFile(), rows, table.reference, names))
+    write_calibration(path, with_sigma_table(CalibrationFile(), rows, reference, names))
 
 
 def parse_lengths(text: str) -> list[float]:

@@ -7,12 +7,12 @@ from collections.abc import Sequence
 from dataclasses import asdict
 from difflib import get_close_matches
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from ..errors import RecordingError, UnoccludeError
-from ..table import Table
+from ..table import tabulated
 from . import options as o
 from .load import load_arm
 from .output import (
@@ -29,7 +29,6 @@ from .output import (
 if TYPE_CHECKING:
     from ..io import RecordingFile
     from ..io.files import FileReport, ImuFiles
-    from ..io.rig.strap import StrapFound
     from ..io.tables.describe import DescribedFile
     from ..recording import Recording
 
@@ -82,9 +81,8 @@ def csv(
     from ..io import open_csv
     from ..io.tables.recording_toml import read_templates
 
-    check_mcap(output)
     inputs = [path for path in folder.glob("*") if path.is_file()]
-    check_outputs(force, [output, json_file], [*inputs, *(template or [])])
+    _check(output, json_file, force, *inputs, *(template or []))
     templates = read_templates(template or [])
     write_imported(open_csv(folder, outside=outside, templates=templates), output, json_file, force)
 
@@ -104,8 +102,7 @@ def broad(
     """
     from ..io import import_broad
 
-    check_mcap(output)
-    check_outputs(force, [output, json_file], [mat])
+    _check(output, json_file, force, mat)
     made = import_broad(mat, rate_hz=rate_hz, noise_m=noise_m, seed=seed)
     write_imported(made, output, json_file, force)
 
@@ -126,8 +123,7 @@ def utd_mhad(
     from ..io import import_utd_mhad
 
     skeleton = skeleton or _skeleton_beside(inertial)
-    check_mcap(output)
-    check_outputs(force, [output, json_file], [inertial, skeleton])
+    _check(output, json_file, force, inertial, skeleton)
     write_imported(import_utd_mhad(inertial, skeleton), output, json_file, force)
 
 
@@ -192,12 +188,9 @@ def files(
     reader = FileReader(imu_format, skeleton_format, read_templates(template or []))
     named_skeletons = sorted((skeleton_file(text) for text in skeleton or []), key=lambda each: bool(each[0]))
     skeletons, imus = [path for _, path in named_skeletons], [imu_files(text) for text in imu or []]
-    check_mcap(output)
     named = [*skeletons, *(p for files in imus for p in files.paths), truth, intrinsics, *(paths or [])]
-    beside = [
-        path for folder in paths or [] if folder.is_dir() for path in folder.glob("*") if path.is_file()
-    ]
-    check_outputs(force, [output, json_file], [*named, *beside])
+    beside = (path for folder in paths or [] if folder.is_dir() for path in folder.glob("*"))
+    _check(output, json_file, force, *named, *filter(Path.is_file, beside))
     more_skeletons, more_imus, passed_over = sort_files(paths or [], reader, output)
     file, reports = import_files(
         skeletons + more_skeletons,
@@ -251,9 +244,8 @@ def video(
 
     if turn not in TURNS:
         raise typer.BadParameter("--turn is 90, 180 or 270")
-    check_mcap(output)
     imus = [imu_files(text) for text in imu or []]
-    check_outputs(force, [output, json_file], [file, model, *(p for files in imus for p in files.paths)])
+    _check(output, json_file, force, file, model, *(p for files in imus for p in files.paths))
     with progress_bar("opening the video") as progress:
         camera = pose_video(model, people, mirrored, turn, progress)
         reader = FileReader(templates=[camera, *read_templates(template or [])])
@@ -265,6 +257,12 @@ def video(
             [file], imus, imu_starts_at_s=imu_starts_at, reader=reader, one_session=one_session
         )
     write_imported(recording, output, json_file, force, reports)
+
+
+def _check(output: Path, json_file: Path | None, force: bool, *inputs: Path | None) -> None:
+    """Refuse outputs that could not be written in the end."""
+    check_mcap(output)
+    check_outputs(force, [output, json_file], inputs)
 
 
 def write_imported(
@@ -289,14 +287,20 @@ def write_imported(
     print_notes([*recording.notes, *passed_over], imported=reports is None)
 
 
+def named_file(option: str, text: str, example: str, marks: str = "/\\,") -> tuple[str, str]:
+    """The name, "" without one, and the rest of `[NAME=]FILE`."""
+    text = text.strip()
+    if Path(text).exists() or "=" not in text:
+        return "", text
+    name, _, rest = (part.strip() for part in text.partition("="))
+    if not name or not rest or any(mark in name for mark in marks):
+        raise UnoccludeError(f"{option} {text}: give NAME=FILE, as in {option} {example}")
+    return name, rest
+
+
 def skeleton_file(text: str) -> tuple[str, Path]:
     """The camera's name, "" without one, and the file that `--skeleton [NAME=]FILE` names."""
-    name, mark, rest = text.strip().partition("=")
-    if Path(text.strip()).exists() or not mark:
-        return "", Path(text.strip())
-    name, rest = name.strip(), rest.strip()
-    if not name or not rest or any(mark in name for mark in "/\\, "):
-        raise UnoccludeError(f"--skeleton {text}: give NAME=FILE, as in --skeleton left=left.csv")
+    name, rest = named_file("--skeleton", text, "left=left.csv", marks="/\\, ")
     return name, Path(rest)
 
 
@@ -323,12 +327,9 @@ def imu_files(text: str) -> ImuFiles:
     """What `--imu [NAME=]FILE[,FILE]` or `FILE#SENSOR[,#SENSOR]` names."""
     from ..io.files import ImuFiles
 
-    name, sensor, rest = "", "", text.strip()
-    if not Path(rest).exists() and "=" in rest:
-        name, _, rest = (part.strip() for part in rest.partition("="))
-        if not name or any(mark in name for mark in "/\\,"):
-            raise UnoccludeError(f"--imu {text}: give NAME=FILE, as in --imu forearm_right=imu.csv")
-        _check_role(name)
+    name, rest = named_file("--imu", text, "forearm_right=imu.csv")
+    _check_role(name)
+    sensor = ""
     marks = [at for at, mark in enumerate(rest) if mark == "#"]
     if not Path(rest).exists() and marks:
         at = next((at for at in marks if Path(rest[:at]).exists()), marks[-1])
@@ -352,8 +353,7 @@ def formats(json_file: o.Json = None, force: o.Force = False) -> None:
         for each in importers()
     ]
     write_json(json_file, {"formats": figures}, force)
-    columns = ("format", "what it is", "holds", "recognised by")
-    show(Table("Formats of device files", columns, [tuple(each.values()) for each in figures]))
+    show(tabulated("Formats of device files", figures, "format title=what_it_is kind=holds recognised_by"))
 
 
 def describe(
@@ -405,17 +405,16 @@ def describe(
 
 def _print_streams(found: list[DescribedFile]) -> None:
     """Print one row per stream, then what is wrong with files and what was decided of them."""
-    rows: list[tuple[object, ...]] = []
+    rows: list[dict[str, object]] = []
     for each in found:
-        about = (Path(each.file).name, each.title or "-")
+        about: dict[str, object] = {"file": Path(each.file).name, "format": each.title or None}
         for stream in each.streams:
             holds = ", ".join(stream.holds) + (f" ({stream.name})" if stream.name else "")
-            length = f"{stream.duration_s:.1f}"
-            rows.append((*about, holds, stream.rate_hz, stream.count, length, stream.units))
+            rows.append(about | vars(stream) | {"holds": holds})
         if not each.streams:
-            rows.append((*about, "-", None, "-", "-", "-"))
-    columns = ("file", "what it is", "holds", "rate, Hz", "samples", "length, s", "units")
-    show(Table(f"{len(found)} files", columns, rows))
+            rows.append(about)
+    keys = "file format holds rate_hz count=samples duration_s=length_s units"
+    show(tabulated(f"{len(found)} files", rows, keys))
     print_notes(f"{Path(each.file).name}: {note}" for each in found for note in each.notes)
     print_notes(each.error for each in found if each.error)
 
@@ -449,6 +448,8 @@ def strap(
 
     Example: unocclude import strap session.mcap -o with_strap.mcap
     """
+    import numpy as np
+
     from calib.file import read_calibration
     from calib.strap import held_radius, mounted_on
 
@@ -459,8 +460,7 @@ def strap(
     from ..strap_search.search import import_strap
     from .config import read_config
 
-    check_mcap(output)
-    check_outputs(force, [output, json_file], [recording_file, calibration, config_file])
+    _check(output, json_file, force, recording_file, calibration, config_file)
     config = read_config(config_file, processes)
     recording, known = load_arm(recording_file, calibration, imu=imu, skeleton=skeleton, side=side, body=body)
     check_images(recording_file, colour_topic, depth_topic)
@@ -483,28 +483,21 @@ def strap(
     )
     sentences = strap_verdict(found)
     notes = [*recording.notes, *found.notes]
-    write_json(json_file, {**_figures(found), "verdict": sentences, "notes": notes}, force)
-    total = len(found.reasons)
-    rows = [(what, n, f"{100 * n / max(total, 1):.0f}") for what, n in sorted(found.counts.items())]
-    show(Table(f"The strap in {total} images", ("", "images", "%"), rows))
-    for sentence in sentences:
-        say(sentence)
-    print_notes(notes)
-    say_written(output, json_file)
-
-
-def _figures(found: StrapFound) -> dict[str, Any]:
-    """What was found, as plain values for `--json`."""
-    import numpy as np
-
     good = [not reason for reason in found.reasons]
-    sigma = found.sigma_m[good]
-    return {
+    figures = {
         "images": len(found.reasons),
-        "found": int(sum(good)),
+        "found": sum(good),
         "reasons": found.counts,
-        "sigma_m": np.median(sigma, axis=0) if len(sigma) else None,
+        "sigma_m": np.median(found.sigma_m[good], axis=0) if any(good) else None,
         "along": float(np.median(found.along[good])) if any(good) else None,
         "colour_topic": found.topics[0],
         "depth_topic": found.topics[1],
     }
+    write_json(json_file, {**figures, "verdict": sentences, "notes": notes}, force)
+    total = len(found.reasons)
+    rows = [{"what": what, "images": n, "share": n / total} for what, n in sorted(found.counts.items())]
+    show(tabulated(f"The strap in {total} images", rows, "what images share"))
+    for sentence in sentences:
+        say(sentence)
+    print_notes(notes)
+    say_written(output, json_file)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from math import isfinite
 from pathlib import Path
@@ -71,6 +71,18 @@ def refuse_twice(paths: Iterable[Path], option: str = "") -> None:
         if path in seen:
             raise typer.BadParameter(f"{option}{path} is named twice; it would count twice")
         seen.add(path)
+
+
+def refuse_several(arms: Sequence[Recording | Recovery], truth: Path) -> None:
+    """Refuse a truth that is not there, or one of one arm for several."""
+    if not truth.is_file():
+        raise UnoccludeError(f"{truth}: there is no such file")
+    if len(arms) > 1 and truth.suffix.lower() != ".mcap":
+        labels = ", ".join(arm.arm_label for arm in arms)
+        raise UnoccludeError(
+            f"{truth} is the truth of one arm, and here are several ({labels}); choose its arm with --side"
+            " or --body"
+        )
 
 
 def damage(notes: Iterable[str]) -> list[str]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator, Sequence
 from dataclasses import fields
 from pathlib import Path
@@ -29,29 +28,8 @@ if TYPE_CHECKING:
     from ..result import Recovery
 
 
-def print_session(one: Measures) -> None:
-    """The session's measures; zones of angles are left to `--csv` and `--json`."""
-    rows = [_cells(row) for row in one.session if "_zone_" not in row.key and row.is_known]
-    columns = ("measure", "value", "95 % interval", "recovered")
-    show(Table(f"{one.name}, {one.arm_label}: the session", columns, rows))
-    reasons: dict[str, list[str]] = {}
-    for row in one.session:
-        if not row.is_known and row.note:
-            reasons.setdefault(row.note, []).append(row.name.partition(",")[0])
-    for reason, names in reasons.items():
-        say(f"not measured: {', '.join(dict.fromkeys(names))}. {reason}")
-
-
-def symmetry_table(both: BothArms) -> Table:
-    """The symmetry indices of a person's two arms."""
-    rows = [_cells(row) for row in both.rows if row.is_known]
-    of = "" if both.left.body is None else f" of body {both.left.body}"
-    columns = ("symmetry", "value", "95 % interval", "recovered")
-    return Table(f"Right arm{of} against left: 0 = alike, above it the right has more", columns, rows)
-
-
 def csv_rows(rows: Sequence[Measures], pairs: Sequence[BothArms]) -> Iterator[Sequence[object]]:
-    """One row per measure: recording, side, body, then the fields of a measure; empty where there is none."""
+    """One row per measure: recording, side, body, then the fields of a measure."""
     from ..measures import Measure
 
     names = [each.name for each in fields(Measure)]
@@ -59,39 +37,33 @@ def csv_rows(rows: Sequence[Measures], pairs: Sequence[BothArms]) -> Iterator[Se
     sources = [(one.name, one.side, one.body, one.rows) for one in rows]
     sources += [(both.left.name, "both", both.left.body, both.rows) for both in pairs]
     for name, side, body, own in sources:
-        for row in own:
-            yield [name, side, *map(_csv_cell, (body, *(getattr(row, each) for each in names)))]
+        yield from ([name, side, body, *(getattr(row, each) for each in names)] for row in own)
 
 
-def _cells(row: Measure) -> tuple[str, ...]:
-    rests = percent(row.recovered_share) or "-"
-    if row.is_known and row.note:
-        rests += f" ({percent(row.untrusted_share)} not trusted)"
-    return row.name, _text(row, row.value), _interval_text(row) or "-", rests
+def _table(title: str, first: str, rows: Sequence[Measure]) -> Table:
+    """Measures that are known, with their intervals, as pages write them."""
+    from ..evaluation.progress import worded
+
+    cells = []
+    for row in rows:
+        if not row.is_known:
+            continue
+        recovered = percent(row.recovered_share) or "-"
+        if row.note:
+            recovered += f" ({percent(row.untrusted_share)} not trusted)"
+        cells.append((row.name, worded(row.key, row.value, row.unit), _interval(row), recovered))
+    return Table(title, (first, "value", "95 % interval", "recovered"), cells)
 
 
-def _interval_text(row: Measure) -> str:
-    from ..evaluation.progress import interval
+def _interval(row: Measure) -> str:
+    from ..evaluation.progress import interval, worded
 
     if not row.has_interval:
-        return ""
-    low, high = _text(row, row.low), _text(row, row.high)
+        return "-"
+    low, high = (worded(row.key, end, row.unit) for end in (row.low, row.high))
     if low == high:
         return low
     return f"{low} to {high}" if row.key.endswith("_reached") else interval(row.low, row.high, row.unit)
-
-
-def _text(row: Measure, value: float) -> str:
-    """As pages write it, with the unit; yes or no for what is reached."""
-    from ..evaluation.progress import worded
-
-    return worded(row.key, value, row.unit)
-
-
-def _csv_cell(value: object) -> object:
-    if value is None or (isinstance(value, float) and not math.isfinite(value)):
-        return ""
-    return repr(round(value, 9)) if isinstance(value, float) else value
 
 
 def measures(
@@ -136,7 +108,9 @@ def measures(
         say_arm(recovery, len(recoveries))
         print_arm(one, damage(recovery.notes))
     for both in pairs:
-        show(symmetry_table(both))
+        of = "" if both.left.body is None else f" of body {both.left.body}"
+        title = f"Right arm{of} against left: 0 = alike, above it the right has more"
+        show(_table(title, "symmetry", both.rows))
     say_written(csv, report, json_file)
 
 
@@ -163,9 +137,19 @@ def measured(
 
 
 def print_arm(one: Measures, damaged: list[str]) -> None:
-    """An arm's verdict, tables and notes; what is not to be trusted is said first."""
+    """An arm's verdict, table and notes; what is not to be trusted is said first.
+
+    Zones of angles are left to `--csv` and `--json`.
+    """
     if one.trusted is False:
         say(f"{one.verdict} The measures below are those of an answer that is not to be trusted.")
-    print_session(one)
+    shown = [row for row in one.session if "_zone_" not in row.key]
+    show(_table(f"{one.name}, {one.arm_label}: the session", "measure", shown))
+    reasons: dict[str, dict[str, None]] = {}
+    for row in one.session:
+        if not row.is_known and row.note:
+            reasons.setdefault(row.note, {})[row.name.partition(",")[0]] = None
+    for reason, names in reasons.items():
+        say(f"not measured: {', '.join(names)}. {reason}")
     say(f"{len(one.movements)} movements, {len(one.repetitions)} repetitions: --csv, --json and the report")
     print_notes([*damaged, *one.notes])

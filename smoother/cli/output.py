@@ -167,7 +167,13 @@ def write_csv(path: Path | None, rows: Iterable[Sequence[object]], force: bool) 
         writing(path, force) as temporary,
         open(temporary, "w", encoding="utf-8", errors="backslashreplace", newline="") as file,
     ):
-        write_rows(file, rows)
+        write_rows(file, (map(_csv_cell, row) for row in rows))
+
+
+def _csv_cell(value: object) -> object:
+    if isinstance(value, float):
+        return repr(round(value, 9)) if math.isfinite(value) else ""
+    return "" if value is None else value
 
 
 def _is_number(text: str) -> bool:

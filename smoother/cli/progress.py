@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 from ..errors import UnoccludeError
 from ..table import Table, percent
@@ -63,7 +63,7 @@ def progress(
     Example: unocclude progress recovered --person p12 --report p12.html
     """
     from ..evaluation.measure_agreement import read_detectable
-    from ..evaluation.progress import reliability_of
+    from ..evaluation.progress import FEWEST_PERSONS, reliability_of, reliability_table
     from ..report.progress import progress_page
     from ..study.progress import progress_of, read_rows, sessions_of
 
@@ -93,6 +93,10 @@ def progress(
             raise UnoccludeError(f"a page is of one person; choose one with --person: {names}")
         progress_page(persons[0]).write(report, force)
     repeated = reliability_of(persons) if reliability else []
+    if reliability and not repeated:
+        raise UnoccludeError(
+            f"--reliability needs {FEWEST_PERSONS} persons with two sessions each; no measure has them"
+        )
     figures: dict[str, object] = {"persons": [each.to_dict() for each in persons], "left_out": left_out}
     if reliability:
         figures["reliability"] = repeated
@@ -101,7 +105,7 @@ def progress(
     for each in persons:
         _print(each)
     if reliability:
-        _print_reliability(repeated)
+        show(reliability_table(repeated))
     print_notes(left_out)
     say(NO_DIAGNOSIS)
     say_written(report, json_file, csv)
@@ -119,17 +123,6 @@ def _print(progress: PersonProgress) -> None:
     elif progress.sessions:
         say("One session only: nothing can be compared.")
     print_notes([*progress.notes, *_limits(progress), *progress.left_out])
-
-
-def _print_reliability(repeated: Sequence[Mapping[str, Any]]) -> None:
-    """Print the table over all persons."""
-    from ..evaluation.progress import FEWEST_PERSONS, reliability_table
-
-    if not repeated:
-        raise UnoccludeError(
-            f"--reliability needs {FEWEST_PERSONS} persons with two sessions each; no measure has them"
-        )
-    show(reliability_table(repeated))
 
 
 def _cells(series: Series) -> tuple[object, ...]:
@@ -167,31 +160,15 @@ def _limits(progress: PersonProgress) -> list[str]:
     return [f"{sentence} ({count} measure{'s' * (count != 1)})" for sentence, count in counts.items()]
 
 
-_COLUMNS = (
-    *("person", "side", "task", "key", "name", "unit", "session", "day", "value", "low", "high", "sigma"),
-    *("recovered_share", "draws", "change", "change_low", "change_high", "p", "p_together", "mdc95", "word"),
-    "limits",
-)
-
-
 def _csv_rows(persons: Sequence[PersonProgress]) -> Iterator[Sequence[object]]:
     """One row per person, measure and session, with the change since the first."""
-    yield _COLUMNS
+    about = ("person", "side", "task", "key", "name", "unit")
+    own = ("session", "day", "value", "low", "high", "sigma", "recovered_share")
+    since = ("difference", "low", "high", "p", "p_together", "mdc95", "word")
+    changed = ("change", "change_low", "change_high", "p", "p_together", "mdc95", "word", "limits")
+    yield (*about, *own, "draws", *changed)
     for series in (one for each in persons for one in each.series):
-        about = (series.person, series.side, series.task, series.key, series.name, series.unit)
         for value, change in zip(series.values, (None, *series.changes), strict=True):
-            own = (value.value, value.low, value.high, value.sigma, value.recovered_share)
-            since: tuple[object, ...] = ("",) * 8
-            if change is not None:
-                since = (
-                    *(change.difference, change.low, change.high, change.p, change.p_together, change.mdc95),
-                    *(change.word, "; ".join(change.limits)),
-                )
-            yield [_cell(cell) for cell in (*about, value.session, value.day, *own, value.n_draws, *since)]
-
-
-def _cell(value: object) -> object:
-    """A cell; empty where the value is missing."""
-    if isinstance(value, float):
-        return "" if value != value else f"{value:.6g}"
-    return value
+            cells = [*(getattr(series, name) for name in about), *(getattr(value, name) for name in own)]
+            cells += [value.n_draws, *(getattr(change, name, None) for name in since)]
+            yield [*cells, None if change is None else "; ".join(change.limits)]

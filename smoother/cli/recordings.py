@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from ..table import Table
+from ..table import Table, tabulated
 from . import options as o
 from .arm_output import arms_figures, say_arm
 from .load import ArmInput
@@ -33,7 +33,6 @@ if TYPE_CHECKING:
     from ..config import Config
     from ..io.info import RecordingInfo
     from ..io.recording.choose import Selection
-    from ..matching import ImuMatch
     from ..measurements.clock import Clock
     from ..recording import Recording
 
@@ -60,53 +59,45 @@ def info(
     about = describe(recording_file, imu=imu, skeleton=skeleton, side=side, body=body)
     write_json(json_file, about.to_dict(), force)
     show(topic_table(about))
-    show(stream_table(about))
+    show(Table("Streams", ("what", "found"), list(_streams(about))))
     print_missing(about)
     print_notes(about.notes, imported=True)
 
 
 def topic_table(about: RecordingInfo) -> Table:
     """The topics of a recording."""
-    rows = [
-        (topic.name, topic.schema, topic.count, topic.rate_hz, f"{topic.duration_s:.1f}")
-        for topic in about.topics
-    ]
-    columns = ("topic", "schema", "messages", "rate, Hz", "length, s")
-    return Table(f"{about.path}, {about.size_bytes / 1e6:.1f} MB", columns, rows)
+    title = f"{about.path}, {about.size_bytes / 1e6:.1f} MB"
+    return tabulated(
+        title, map(vars, about.topics), "name=topic schema count=messages rate_hz duration_s=length_s"
+    )
 
 
-def stream_table(about: RecordingInfo) -> Table:
+def _streams(about: RecordingInfo) -> Iterator[tuple[str, object]]:
     """The streams found, and what would be taken of them."""
-    from ..body import FURTHER
-
-    rows: list[tuple[str, object]] = [("IMU found", text) for text in about.imus]
-    rows += [("skeleton found", text) for text in about.skeletons]
-    rows += [("truth found", text) for text in about.poses]
+    for what, texts in (("IMU", about.imus), ("skeleton", about.skeletons), ("truth", about.poses)):
+        yield from ((f"{what} found", text) for text in texts)
     for arm in about.arms:
         of = f"{arm.label}: " if len(about.arms) > 1 else ""
         body = "" if arm.body is None else f" (body {arm.body})"
-        rows += [
-            (f"{of}taken", f"{arm.imu}, {arm.side or 'no side'} arm of {arm.skeleton}{body}"),
-            *(
-                (f"{of}on the {segment.label}", name)
-                for segment in FURTHER
-                if (name := getattr(arm, f"{segment.prefix}_imu"))
-            ),
-            *([(f"{of}on the trunk", arm.trunk_imu)] if arm.trunk_imu else []),
-            *((f"{of}further camera", text) for text in arm.cameras),
-            (f"{of}joints", ", ".join(arm.joints) or "none tracked"),
-            (f"{of}both recorded, s", arm.duration_s),
-            (f"{of}gaps", arm.gaps),
-            (f"{of}occluded, s", arm.gap_total_s),
-            (f"{of}longest gap, s", arm.gap_longest_s),
-        ]
+        found = {
+            "taken": f"{arm.imu}, {arm.side or 'no side'} arm of {arm.skeleton}{body}",
+            "on the upper arm": arm.upper_imu,
+            "on the hand": arm.hand_imu,
+            "on the trunk": arm.trunk_imu,
+            "further cameras": "\n".join(arm.cameras),
+            "joints": ", ".join(arm.joints) or "none tracked",
+            "both recorded, s": arm.duration_s,
+            "gaps": arm.gaps,
+            "occluded, s": arm.gap_total_s,
+            "longest gap, s": arm.gap_longest_s,
+        }
+        yield from ((of + what, value) for what, value in found.items() if value != "")
     if about.arms:
-        rows.append(("camera frame", about.camera_frame or "not stated"))
+        yield "camera frame", about.camera_frame or "not stated"
     for topic, clock in about.clocks.items():
         behind = clock.get("log_time_behind_s")
         lag = "" if behind is None else f", logged {1000 * behind:.1f} ms later"
-        rows.append((f"clock of {topic}", f"{clock['first_s']:.3f} to {clock['last_s']:.3f} s{lag}"))
-    return Table("Streams", ("what", "found"), rows)
+        yield f"clock of {topic}", f"{clock['first_s']:.3f} to {clock['last_s']:.3f} s{lag}"
 
 
 def print_missing(about: RecordingInfo) -> None:
@@ -162,24 +153,14 @@ def match(
     check_outputs(force, [json_file], [recording_file])
     file = open_recording(recording_file, truth=False)
     matches, notes = match_file(file, method, clocks_apart_s, skeleton=skeleton)
-    show(match_table(str(recording_file), matches))
+    rows = [one.to_dict() | {"else": [f"{where} {p:.2f}" for where, p in one.others[:3]]} for one in matches]
+    show(tabulated(str(recording_file), rows, "imu body joint probability clock_offset_s else"))
     sure = sum(one.is_sure for one in matches)
     are = "is" if sure == 1 else "are"
     say(f"{sure} of {len(matches)} IMUs {are} matched with a probability above 0.95")
     print_notes([*file.notes, *notes])
     figures = {"matches": [one.to_dict() for one in matches], "method": method}
     write_json(json_file, figures, force)
-
-
-def match_table(title: str, matches: list[ImuMatch]) -> Table:
-    """What was decided, one row per IMU."""
-    rows = []
-    for one in matches:
-        body = "-" if one.limb is None else str(one.limb.body)
-        others = ", ".join(f"{where} {p:.2f}" for where, p in one.others[:3])
-        clock = None if one.limb is None else f"{one.clock_offset_s:+.2f}"
-        rows.append((one.imu, body, one.joint, f"{one.probability:.3f}", clock, others or "-"))
-    return Table(title, ("IMU", "body", "joint", "probability", "IMU - camera, s", "else"), rows)
 
 
 def repair(
@@ -202,23 +183,25 @@ def repair(
     check_outputs(force, [output, json_file], [broken_file])
     report = repair_container(broken_file, output, force)
     rows = [
-        (plain_name(name), report.messages.get(name, 0), report.missing.get(name, 0))
+        {
+            "topic": plain_name(name),
+            "written": report.messages.get(name, 0),
+            "missing": report.missing.get(name, 0),
+        }
         for name in sorted({*report.messages, *report.missing})
     ]
-    show(Table(f"{report.source}: messages", ("topic", "written", "missing by its own count"), rows))
+    show(tabulated(f"{report.source}: messages", rows, "topic written missing"))
     if not report.losses:
         say("no message before the end is lost" if report.notes else "nothing damaged was met")
     start = min((loss.first_ns for loss in report.losses if loss.first_ns is not None), default=0)
     lines = [
-        (
-            f"{loss.start_byte} .. {loss.stop_byte}",
-            *(None if at is None else f"{(at - start) / 1e9:.3f}" for at in (loss.first_ns, loss.last_ns)),
-            loss.what,
-        )
+        {"bytes": f"{loss.start_byte} .. {loss.stop_byte}", "what": loss.what}
+        | {"from_s": loss.first_ns and (loss.first_ns - start) / 1e9}
+        | {"to_s": loss.last_ns and (loss.last_ns - start) / 1e9}
         for loss in report.losses
     ]
-    columns = ("bytes", "from, s", "to, s", "what")
-    show(Table("What is damaged (s after the first damage)", columns, lines), MOST_ROWS)
+    title = "What is damaged (s after the first damage)"
+    show(tabulated(title, lines, "bytes from_s to_s what"), MOST_ROWS)
     write_json(json_file, report.to_dict(), force)
     print_notes(report.notes)
     if report.attachments_left_out:
@@ -282,18 +265,8 @@ def cut(
     chosen: Selection = {"imu": imu, "skeleton": skeleton, "side": side, "body": body}
     written, notes = cut_file(recording_file, parts, force=force, **chosen)
     write_json(json_file, {"parts": written, "notes": notes}, force)
-    rows = [
-        (
-            about["name"],
-            f"{part.from_s:.2f}",
-            "the end" if part.to_s == math.inf else f"{part.to_s:.2f}",
-            sum(about["messages"].values()),  # type: ignore[attr-defined]
-            about["file"],
-        )
-        for part, about in zip(parts, written, strict=True)
-    ]
-    columns = ("name", "from, s", "to, s", "messages", "file")
-    show(Table(f"Parts of {recording_file}", columns, rows), MOST_ROWS)
+    rows = [each | {"messages": sum(each["messages"].values())} for each in written]  # type: ignore[attr-defined]
+    show(tabulated(f"Parts of {recording_file}", rows, "name from_s to_s messages file"), MOST_ROWS)
     print_notes(notes)
 
 
@@ -386,16 +359,13 @@ def checked(
             found = found_in(recovery, excerpt)
             left_open = () if found is None else found.not_determined
             blind = replace(excerpt, truth=None)
-
-            def trying(part: float, text: str) -> None:
-                progress(0.3 + 0.7 * part, text)
-
+            trying = lambda part, text: progress(0.3 + 0.7 * part, text)  # noqa: E731
             allowed = allowed_gaps(blind, recover, left_open, trying, config.windows.processes)
     except (SolveError, CalibrationError) as error:  # what cannot be recovered is the finding
         sentence = str(error)
         figures = {"trusted": False, "verdict": f"Cannot be recovered: {sentence.rstrip('.')}."}
-        figures |= {"reasons": [sentence], "cautions": [], "cause": None, "remedies": []}
-        figures |= {"signs": [], "findings": []}
+        figures |= {"reasons": [sentence], "cause": None}
+        figures |= {name: [] for name in ("cautions", "remedies", "signs", "findings")}
     return {"recording": recording.name, "side": recording.side, **figures, "allows": allowed}
 
 

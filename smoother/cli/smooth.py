@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
@@ -13,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from ..evaluation.methods import METHODS
-from ..table import Table
+from ..table import tabulated
 from . import options as o
 from .arm_output import arms_figures, end_strictly, say_arm
 from .load import ArmInput, damage
@@ -32,7 +31,6 @@ from .output import (
 
 if TYPE_CHECKING:
     from ..config import Config
-    from ..evaluation.summary import GapSummary
     from ..io.recording.choose import Selection
     from ..recording import Recording
     from ..result import Recovery
@@ -131,7 +129,9 @@ def smooth(
         answers = [recovery for _, recovery in results]
         write_recovery(answers, output, source=recording_file, force=force)
         if report is not None:
-            write_page(results, report, force)
+            from ..report import write_arms_report
+
+            write_arms_report(results, report, force=force)
         if json_file is not None:
             figures = [smooth_figures(recording, recovery) for recording, recovery in results]
             together = arms_figures(answers, figures)
@@ -164,17 +164,6 @@ def of_session(
         return source
     write_arms(folder / "session.toml", found.arms[own])
     return replace(source, calibration_file=folder / "session.toml")
-
-
-def write_page(results: Sequence[tuple[Recording, Recovery]], path: Path, force: bool) -> None:
-    """The report of an arm, or of several on one page."""
-    from ..report import write_arms_report, write_report
-
-    if len(results) > 1:
-        write_arms_report(results, path, force=force)
-    else:
-        ((recording, recovery),) = results
-        write_report(recovery, path, recording=recording, force=force)
 
 
 def smooth_figures(recording: Recording, recovery: Recovery) -> dict[str, Any]:
@@ -223,22 +212,34 @@ def print_recovery(recording: Recording, recovery: Recovery, verbose: bool = Fal
         say(sentence)
     most = MOST_ROWS if verbose else FEW_GAPS
     # of many the doubtful and the least certain; in the order of time
-    shown = sorted(gaps, key=lambda gap: _doubt(gap[1]))[:most]
-    if rows := [_gap_row(number, gap) for number, gap in sorted(shown, key=lambda gap: gap[0])]:
-        which = "Gaps" if len(rows) == len(gaps) else f"The {len(rows)} least certain of {len(gaps)} gaps"
-        title = f"{which}: errors that 95 of 100 stay below"
-        columns = ("gap", "starts, s", "length, s", "trusted", "position, cm", "elbow, deg", "seen from")
-        show(Table(title, columns, rows))
+    shown = sorted(gaps, key=lambda gap: (gap[1].trusted is not False, -(gap[1].error_95_m or math.inf)))
+    rows = [
+        {
+            "gap": number,
+            "start_s": gap.gap.start_s,
+            "length_s": gap.gap.length_s,
+            "trusted": gap.trusted,
+            "position_m": gap.error_95_m,
+            "elbow_deg": gap.sigma_max_flexion_deg and SIGMAS_95 * gap.sigma_max_flexion_deg,
+            "seen_from": "one side" if gap.one_sided else "both sides",
+        }
+        for number, gap in sorted(shown[:most], key=lambda gap: gap[0])
+    ]
+    which = "Gaps" if len(rows) == len(gaps) else f"The {len(rows)} least certain of {len(gaps)} gaps"
+    keys = "gap start_s length_s trusted position_m elbow_deg seen_from"
+    show(tabulated(f"{which}: errors that 95 of 100 stay below", rows, keys))
     found = found_in(recovery, recording)
     if verbose:
-        say_more(len(gaps), most, "gaps more; --json and the report have them all")
-        if found is not None:
-            from calib.protocol import tables_of
+        from calib.protocol import tables_of
 
-            known = ("lever_arms", "lengths") if found.all_given else ()
-            for table in tables_of({key: value for key, value in found.figures.items() if key not in known}):
-                show(table)
-        show(rejected_table(recovery))
+        from ..report.tables import rejections
+
+        say_more(len(gaps), most, "gaps more; --json and the report have them all")
+        known = ("lever_arms", "lengths") if found is not None and found.all_given else ()
+        figures = {} if found is None else found.figures
+        for table in tables_of({key: value for key, value in figures.items() if key not in known}):
+            show(table)
+        show(rejections(recovery))
     notes = dict.fromkeys((*recording.notes, *recovery.notes))
     damaged = damage(notes)
     remarks = [
@@ -252,45 +253,6 @@ def print_recovery(recording: Recording, recovery: Recovery, verbose: bool = Fal
         say(remark)
     how = "" if verbose else "--verbose prints them, "
     say_more(len(remarks), few, f"more remarks; {how}--json and the report have them")
-
-
-def _doubt(gap: GapSummary) -> tuple[bool, float]:
-    """A key by which gaps are sorted: not to be trusted first, then the least certain."""
-    return gap.trusted is not False, -math.inf if gap.error_95_m is None else -gap.error_95_m
-
-
-def _gap_row(number: int, gap: GapSummary) -> tuple[object, ...]:
-    """A gap in a table: how far off position and elbow may be, as the 95 % of the error."""
-    flexion_deg = gap.sigma_max_flexion_deg
-    return (
-        number,
-        f"{gap.gap.start_s:.2f}",
-        f"{gap.gap.length_s:.2f}",
-        {True: "yes", False: "no", None: "-"}[gap.trusted],
-        "-" if gap.error_95_m is None else f"{100 * gap.error_95_m:.1f}",
-        "-" if flexion_deg is None else f"{SIGMAS_95 * flexion_deg:.1f}",
-        "one side" if gap.one_sided else "both sides",
-    )
-
-
-def rejected_table(recovery: Recovery) -> Table:
-    """What was rejected of the camera's samples, one row per reason."""
-    from ..evaluation.advice import rejected
-
-    rows = rejected(recovery)
-    reasons = {row.reason: row.why for row in rows}
-    table = []
-    for reason, why in reasons.items():
-        mine = [row for row in rows if row.reason == reason]
-        table.append(
-            (
-                f"{reason}: {why}" if why else reason,
-                ", ".join(f"{row.joint} {row.count} ({100 * row.share:.1f} %)" for row in mine),
-                f"{min(row.first_s for row in mine):.1f} .. {max(row.last_s for row in mine):.1f}",
-            )
-        )
-    columns = ("why", "samples (share of the joint's tracked ones)", "first .. last, s")
-    return Table("Tracked samples that were rejected", columns, table)
 
 
 #: A table longer than this is too long for a terminal: without --verbose this many gaps are shown.

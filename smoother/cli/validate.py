@@ -2,43 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-from ..errors import UnoccludeError
 from . import options as o
 from .arm_output import arms_figures, say_arm, warn
-from .load import camera_frame_of, damage, load_recoveries
+from .load import camera_frame_of, damage, load_recoveries, refuse_several
 from .output import check_outputs, print_notes, progress_bar, say, show, write_json
 
 if TYPE_CHECKING:
     from ..evaluation.validate import Validation
-    from ..recording import CameraFrame, Truth
     from ..result import Recovery
-
-
-def print_measures(validation: Validation, verbose: bool) -> None:
-    """Print the main measures of the session, and how well all that were compared agree.
-
-    Agreement is that of several recordings: of one it is left to `verbose`.
-    """
-    from ..evaluation.measure_agreement import agreement_table, pair_table
-    from ..evaluation.progress import first_of
-
-    comparison = validation.measures
-    if comparison is None:
-        return
-    found = [one for by_key in comparison.agreements.values() for one in by_key.values()]
-    several = max((one["recordings"] for one in found), default=0) > 1
-    first = first_of([pair.key for pair in comparison.pairs if pair.scope == "session"], FEW_MEASURES)
-    chosen = None if verbose else first
-    if verbose or not several:
-        show(pair_table(validation.title("Measures of the session"), comparison, chosen))
-    if verbose or several:
-        title = "Agreement of the measures (answer minus truth) over recordings and movements"
-        show(agreement_table(validation.title(title), comparison, chosen))
 
 
 #: More gaps than this are not printed, `--json` has them all; without --verbose this many notes and measures.
@@ -89,12 +64,7 @@ def validate(
     check_outputs(force, [report, json_file], [result, truth, markers, calibration, *(pool or ())])
     pooled = unique_pairs(pair for path in pool or () for pair in read_pairs(path))
     recoveries = load_recoveries(result, side, body)
-    if len(recoveries) > 1 and truth.suffix.lower() != ".mcap":
-        arms = ", ".join(recovery.arm_label for recovery in recoveries)
-        raise UnoccludeError(
-            f"{truth} is the truth of one arm, and the result has several ({arms}); choose the one that"
-            " it belongs to with --side or --body"
-        )
+    refuse_several(recoveries, truth)
     axes = camera_frame_of(result)
     frame = None if calibration is None else axes
     results = []
@@ -108,7 +78,9 @@ def validate(
             pooled = validation.measures.together
         results.append((recovery, validation, own))
     if report is not None:
-        write_page(results, report, force, axes)
+        from ..report import write_arms_report
+
+        write_arms_report([(None, *each) for each in results], report, camera_frame=axes, force=force)
     validations, figures = [], []
     for recovery, one, _ in results:
         damaged = [note for note in damage(recovery.notes) if note not in one.notes]
@@ -122,45 +94,31 @@ def validate(
         print_validation(recovery, validation, verbose)
 
 
-def write_page(
-    results: Sequence[tuple[Recovery, Validation, Truth]],
-    path: Path,
-    force: bool,
-    camera_frame: CameraFrame | None = None,
-) -> None:
-    """The report of an arm, or of several on one page."""
-    from ..report import write_arms_report, write_report
-
-    if len(results) == 1:
-        ((recovery, validation, truth),) = results
-        write_report(
-            recovery, path, validation=validation, truth=truth, camera_frame=camera_frame, force=force
-        )
-    else:
-        arms = [(None, recovery, validation, truth) for recovery, validation, truth in results]
-        write_arms_report(arms, path, camera_frame=camera_frame, force=force)
-
-
 def print_validation(recovery: Recovery, validation: Validation, verbose: bool = False) -> None:
     """Print the figures of a validation: what matters in 40 lines, or all of them."""
+    from ..evaluation.measure_agreement import agreement_table, pair_table
+    from ..evaluation.progress import first_of
+
     show(validation.errors(recovery))
-    if verbose and (bias := validation.all.position_bias_m) is not None:
-        say(f"bias of the position, x y z of the camera, cm: {' '.join(f'{100 * x:+.2f}' for x in bias)}")
     show(validation.joint_errors)
+    angles = validation.angle_errors
+    show(angles if verbose else replace(angles, rows=[row for row in angles.rows if row[1] != "visible"]))
     if verbose:
         show(validation.gap_errors, _MOST_GAPS)
-    table = validation.angle_errors
-    show(table if verbose else replace(table, rows=[row for row in table.rows if row[1] != "visible"]))
-    print_measures(validation, verbose)
-    if verbose and (lag_s := validation.lag_s) is not None:
-        say(f"lag of the answer behind the truth: {1000 * lag_s:+.1f} ms (peak of cross-correlation)")
-    if (
-        verbose
-        and (angles := validation.angles) is not None
-        and (carrying_deg := angles.carrying_truth_deg) is not None
-    ):
-        say(f"the truth's carrying angle: {carrying_deg:.1f} degrees (median; valgus < 0)")
-    few = len(validation.notes) if verbose else FEW_NOTES
-    print_notes(validation.notes[:few])
+        if (bias := validation.all.position_bias_m) is not None:
+            say(f"bias of the position, x y z of the camera, cm: {' '.join(f'{100 * x:+.2f}' for x in bias)}")
+        if (lag_s := validation.lag_s) is not None:
+            say(f"lag of the answer behind the truth: {1000 * lag_s:+.1f} ms (peak of cross-correlation)")
+    if (comparison := validation.measures) is not None:
+        found = [one for by_key in comparison.agreements.values() for one in by_key.values()]
+        several = any(one["recordings"] > 1 for one in found)
+        session = [pair.key for pair in comparison.pairs if pair.scope == "session"]
+        chosen = None if verbose else first_of(session, FEW_MEASURES)
+        if verbose or not several:
+            show(pair_table(validation.title("Measures of the session"), comparison, chosen))
+        if verbose or several:  # agreement is that of several recordings
+            title = "Agreement of the measures (answer minus truth) over recordings and movements"
+            show(agreement_table(validation.title(title), comparison, chosen))
+    print_notes(validation.notes if verbose else validation.notes[:FEW_NOTES])
     if not verbose:
         say("--verbose prints every gap, part, measure and note; --json has them all")

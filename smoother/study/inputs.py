@@ -208,36 +208,34 @@ def read_sessions(path: Path, recordings: Iterable[str]) -> dict[str, SessionEnt
     names, sessions = set(recordings), dict[str, SessionEntry]()
     for line, row in _rows(path):
         where = f"{path}, line {line}"
-        file, person = row.get("file", ""), row.get("person", "")
+        file, person, session, date, task = (row.get(name, "") for name in _HEADINGS)
         file = file if file.endswith(ENDING) or not file else f"{file}{ENDING}"
-        if not file or not person:
-            raise UnoccludeError(f"{where}: there is no {'person' if file else 'file'}; {_EXPECTED}")
-        if file not in names:
-            examples = ", ".join(sorted(names)[:3])
-            raise UnoccludeError(
-                f"{where}: {file} is not a recording of this study; its names are as {examples}"
-            )
-        if file in sessions:
-            raise UnoccludeError(f"{where}: {file} is there twice; a recording is of one session")
-        session, date = row.get("session", ""), row.get("date", "")
-        if not session and not date:
-            raise UnoccludeError(f"{where}: there is neither session nor date; {_EXPECTED}")
+        wrong = {
+            f"there is no {'person' if file else 'file'}; {_EXPECTED}": not file or not person,
+            f"{file} is not a recording of this study; its names are as {', '.join(sorted(names)[:3])}": (
+                file not in names
+            ),
+            f"{file} is there twice; a recording is of one session": file in sessions,
+            f"there is neither session nor date; {_EXPECTED}": not session and not date,
+        }
+        for sentence in (sentence for sentence, is_so in wrong.items() if is_so):
+            raise UnoccludeError(f"{where}: {sentence}")
         day = _day(date, where) if date else math.nan
-        sessions[file] = SessionEntry(file, person, session or date, row.get("task", ""), day)
+        sessions[file] = SessionEntry(file, person, session or date, task, day)
     if not sessions:
         raise UnoccludeError(f"{path} names no recording; {_EXPECTED}")
     return sessions
 
 
 def in_order(attendances: Iterable[SessionEntry]) -> list[list[SessionEntry]]:
-    """A person's sessions in the order of time, each with its recordings."""
+    """A person's sessions in the order of time, or by name where a day is not known; each with its rows."""
     sessions: dict[str, list[SessionEntry]] = {}
     for attendance in attendances:
         sessions.setdefault(attendance.session, []).append(attendance)
     days = {name: min(each.day for each in rows) for name, rows in sessions.items()}
-    if all(math.isfinite(day) for day in days.values()):
-        return [sessions[name] for name in sorted(sessions, key=lambda name: (days[name], _natural(name)))]
-    return [sessions[name] for name in sorted(sessions, key=_natural)]
+    known = all(math.isfinite(day) for day in days.values())
+    order = sorted(sessions, key=lambda name: (days[name] if known else 0.0, _natural(name)))
+    return [sessions[name] for name in order]
 
 
 def _rows(path: Path) -> Iterable[tuple[int, dict[str, str]]]:
@@ -248,18 +246,17 @@ def _rows(path: Path) -> Iterable[tuple[int, dict[str, str]]]:
         raise UnoccludeError(f"{path}: {error.strerror or error}; name a CSV table of sessions") from error
     except UnicodeDecodeError as error:
         raise UnoccludeError(f"{path} is not a table: it is not text in UTF-8; save it as CSV") from error
-    first = text.partition("\n")[0]
-    separator = max(",;\t", key=first.count)  # spreadsheets of some countries write semicolons
-    reader = csv.reader(io.StringIO(text), delimiter=separator)
+    # spreadsheets of some countries write semicolons
+    reader = csv.DictReader(io.StringIO(text), delimiter=max(",;\t", key=text.partition("\n")[0].count))
     try:
-        headings = [heading.strip().lower() for heading in next(reader, [])]
-        missing = [name for name in ("file", "person") if name not in headings]
-        if missing or not {"session", "date"} & set(headings):
+        headings = [heading.strip().lower() for heading in reader.fieldnames or ()]
+        if not {"file", "person"} <= set(headings) or not {"session", "date"} & set(headings):
             raise UnoccludeError(f"{path}: its columns are {', '.join(headings) or 'none'}; {_EXPECTED}")
-        for cells in reader:
-            if any(cell.strip() for cell in cells):
-                row = dict(zip(headings, (read_cell(cell.strip()) for cell in cells), strict=False))
-                yield reader.line_num, {name: row.get(name, "") for name in _HEADINGS}
+        reader.fieldnames = headings
+        for row in reader:
+            cells = {name: read_cell((row.get(name) or "").strip()) for name in _HEADINGS}
+            if any(cells.values()):
+                yield reader.line_num, cells
     except csv.Error as error:
         raise UnoccludeError(f"{path}, line {reader.line_num}: {error}; save it as plain CSV") from error
 
