@@ -25,7 +25,8 @@ from smoother.live.calibrations import InlineCalibrator
 from smoother.live.smoother import LiveSmoother
 from smoother.recording import JOINTS, ImuStream
 from smoother.simulation import ArmSimulation, SimulatedArm, simulate_arm
-from smoother.streams.arrivals import Arrivals, FrameRows, ImuRows, SourceInfo
+from smoother.streams.arrivals import Arrivals, FrameRows, ImuRows, SourceInfo, Step
+from smoother.streams.replay import Playback
 from smoother.streams.session import LiveSession
 from smoother.units import GRAVITY
 
@@ -38,7 +39,7 @@ LATENCY_S, OFFSET_S, STEP_S = 0.1, -0.02, 1 / 30
 TOGETHER = 3
 
 Rows = ImuRows | FrameRows
-#: Rows by stream: "imu", "frames", and IMUs beyond the forearm by segment.
+#: Rows by stream: IMUs by segment, the forearm's first, and "frames".
 Streams = dict[str, Rows]
 #: Rows of a stream, when each arrives after the fault began (s), random numbers: the damaged rows.
 Damage = Callable[[Any, np.ndarray, np.random.Generator], Rows]
@@ -224,7 +225,7 @@ def damaged(streams: Streams, kind: str, at_s: float, rng: np.random.Generator, 
     """Streams with a fault; one of the IMU may be of another segment's."""
     found = dict(streams)
     for name, damages in KINDS[kind].items():
-        at = segment if name == "imu" and segment in found else name
+        at = segment if name == "imu" else name
         for damage in damages:
             found[at] = damage(found[at], found[at].arrival_s - at_s, rng)
     return found
@@ -237,84 +238,45 @@ def imu_rows(imu: ImuStream) -> ImuRows:
     return ImuRows(t, np.array(imu.acc, float), np.array(imu.gyro, float), t[last] + 0.004)
 
 
-class Sound:
-    """A sound session until a moment; a source that never waits. Faults branch off, each in a process."""
+class Sound(Playback):
+    """A sound session until a moment; faults branch off, each in a process."""
 
-    speed = 0.0
-
-    def __init__(self, made: SimulatedArm, until_s: float):
+    def __init__(self, made: SimulatedArm, until_s: float) -> None:
         recording, self.made, self.until_s = made.recording, made, until_s
         arm, t_s = recording.arm, np.asarray(recording.arm.t_s, float)
-        frames = FrameRows(
-            t_s, np.array(arm.position, float), np.array(arm.state), t_s + OFFSET_S + LATENCY_S
-        )
+        frames = FrameRows(t_s, np.array(arm.position), np.array(arm.state), t_s + OFFSET_S + LATENCY_S)
         further = {segment: imu_rows(imu) for segment, imu in recording.further_imus.items()}
-        self.streams: Streams = {"imu": imu_rows(recording.imu), "frames": frames, **further}
-        self.info = SourceInfo(
-            "imu",
-            "camera",
-            recording.side,
-            (),
-            0,
-            recording.camera_frame,
-            recording.gravity_hint,
-            further={segment: segment for segment in further},
-        )
+        self.streams: Streams = {FOREARM.name: imu_rows(recording.imu), **further, "frames": frames}
+        axes = recording.camera_frame
+        names = {FOREARM.name: "imu"} | {segment: segment for segment in further}
+        info = SourceInfo(names, "camera", recording.side, (), 0, axes, recording.gravity_hint)
+        super().__init__([info], [arrivals_of(self.streams)], speed=0.0, step_s=STEP_S)
         self.outputs: list[LiveOutput] = []
         self.events: list[tuple[float, str]] = []  # when, and what was said
-        self._now = min(float(rows.arrival_s[0]) for rows in self.streams.values())
-        self._go_on_with(self.streams)
-        self._next = dict.fromkeys(self.streams, 0)
-        engine = LiveSmoother(
-            recording.side,
-            camera_frame=recording.camera_frame,
-            calibrator=InlineCalibrator(15),
-            further=list(further),
-        )
-        self._session = LiveSession(self, engine, receivers=[self._take])
-        self._session.run(lambda: self._now >= until_s - STEP_S, lambda view: None)
+        calibrator = InlineCalibrator(15)
+        engine = LiveSmoother(recording.side, camera_frame=axes, calibrator=calibrator, further=list(further))
+        self._session = LiveSession(self, [engine], receivers=[self])
+        self._session.run(lambda: self.now_s() >= until_s - STEP_S)
 
     def end_with(self, streams: Streams) -> None:
         """Go on with other streams, which are the same until now."""
-        self._go_on_with(streams)
-        self._session.run(lambda: False, lambda view: None)
+        self.play([arrivals_of(streams)])
+        self._session.run(lambda: False)
 
-    def _go_on_with(self, streams: Streams) -> None:
-        order = {name: np.argsort(rows.arrival_s, kind="stable") for name, rows in streams.items()}
-        self._streams = {name: rows.select(order[name]) for name, rows in streams.items()}
-        self._next = {name: self._reached(name) for name in streams}
-        self._last = max(float(rows.arrival_s[-1]) for rows in self._streams.values())
-
-    def _reached(self, name: str) -> int:
-        return int(np.searchsorted(self._streams[name].arrival_s, self._now, "right"))
-
-    def _take(self, output: LiveOutput, frames: FrameRows, gap: object, events: list[str]) -> None:
-        self.outputs.append(output)
-        self.events += [(output.now_s, text) for text in events]
-
-    @property
-    def ended(self) -> bool:
-        """Everything was played."""
-        return self._now >= self._last
-
-    def now_s(self) -> float:
-        """The session's time, s."""
-        return self._now
-
-    def wait(self, seconds: float) -> None:
-        """Nobody is waited for."""
-
-    def arrivals(self) -> Arrivals:
-        """What came since the last call."""
-        self._now += STEP_S
-        before, self._next = self._next, {name: self._reached(name) for name in self._streams}
-        new: Any = {
-            name: rows.select(slice(before[name], self._next[name])) for name, rows in self._streams.items()
-        }
-        return Arrivals(new.pop("imu"), new.pop("frames"), further=new)
+    def send(self, step: Step) -> None:
+        """Keep what was answered and said."""
+        self.outputs.append(step.output)
+        self.events += [(step.output.now_s, text) for text in step.events]
 
     def close(self) -> None:
         """Nothing to let go."""
+
+
+def arrivals_of(streams: Streams) -> Arrivals:
+    """The streams of an arm."""
+    imus: Any = {name: rows for name, rows in streams.items() if name != "frames"}
+    frames: Any = streams["frames"]
+    return Arrivals(imus, frames)
 
 
 sound: Sound  # of the seed at work; workers are forked with it

@@ -5,9 +5,8 @@ from __future__ import annotations
 import signal
 import sys
 import threading
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import ExitStack
-from functools import partial
 from pathlib import Path
 from types import FrameType
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -20,9 +19,8 @@ from .live_lines import Lines
 from .output import check_mcap, check_outputs, print_notes, say, say_command, say_written, write_json
 
 if TYPE_CHECKING:
-    from ..streams.arrivals import Source, SourceInfo
-    from ..streams.lsl_source import LslSource
-    from ..streams.session import Receiver, SessionCalibration
+    from ..streams.arrivals import Receiver, Source, SourceInfo
+    from ..streams.session import SessionCalibration
 
 
 class StopRequest:
@@ -54,31 +52,32 @@ class StopRequest:
 
 
 def streams_of(given: Sequence[str], sides: Sequence[str | None]) -> dict[str | None, dict[str, str]]:
-    """Names of streams or topics by arm and segment ("" is the forearm), of `--imu [PLACE=]STREAM`."""
-    from ..body import FURTHER
+    """Names of streams or topics by arm and segment, of `--imu [PLACE=]STREAM`."""
+    from ..body import FOREARM, FURTHER
 
-    places = {
-        "-".join(filter(None, (side if len(sides) > 1 else None, segment.replace("_", "-")))): (side, segment)
-        for side in sides
-        for segment in ("", *(each.name for each in FURTHER))
-    }
+    places = {}
+    for side in sides:
+        for worn_on in (FOREARM, *FURTHER):
+            own = "" if worn_on is FOREARM else worn_on.name.replace("_", "-")
+            place = "-".join(filter(None, (side if len(sides) > 1 else None, own)))
+            places[place] = side, worn_on.name
     streams: dict[str | None, dict[str, str]] = {side: {} for side in sides}
     for text in given:
         key, mark, name = text.partition("=")
         if len(sides) == 1 and not mark:
             key, name = "", text
-        side, segment = places.get(key, (None, None))
-        if segment is None or not name or segment in streams[side]:
+        side, segment = places.get(key, (None, ""))
+        if not segment or not name or segment in streams[side]:
             known = ", ".join(filter(None, places))
             raise typer.BadParameter(f"--imu {text}: give PLACE=STREAM once for each place, of {known}")
         streams[side][segment] = name
     return streams
 
 
-def check_arms(infos: Sequence[SourceInfo], replay: Path | None) -> None:
-    """Refuse two arms of which one stream is to be both."""
+def check_arms(infos: Sequence[SourceInfo], replay: Path) -> None:
+    """Refuse two arms of which one topic is to be both."""
     names = [name for info in infos for name in info.imus.values()]
-    if replay is not None and len(set(names)) < len(names):
+    if len(set(names)) < len(names):
         raise UnoccludeError(
             f"{replay}: which IMU is on which arm does not show by the topics' names; give --imu right=TOPIC"
             " --imu left=TOPIC"
@@ -86,36 +85,25 @@ def check_arms(infos: Sequence[SourceInfo], replay: Path | None) -> None:
 
 
 def receivers_of(
-    infos: Sequence[SourceInfo],
-    foxglove: int | None,
-    lsl_out: str | None,
-    lsl_network: bool,
-    stack: ExitStack,
-) -> list[list[Receiver]]:
-    """Who is sent the answers of each arm, and where they are found."""
-    info, *others = infos
-    receivers: list[list[Receiver]] = [[] for _ in infos]
+    infos: Sequence[SourceInfo], foxglove: int | None, lsl_out: str | None, lsl_network: bool
+) -> Iterator[Receiver]:
+    """Who is sent the answers, and where they are found."""
     if foxglove is not None:
         from ..streams.foxglove import FoxgloveServer
 
-        server = FoxgloveServer(info, foxglove, others)
-        stack.callback(server.close)
+        server = FoxgloveServer(infos, foxglove)
         say(f"Foxglove: open connection, Foxglove WebSocket, {server.address}; layout:"
             " docs/unocclude.foxglove-layout.json")  # fmt: skip
-        for number, of_arm in enumerate(receivers):
-            of_arm.append(partial(server.send, number=number))
+        yield server
     if lsl_out is not None:
-        from ..streams.lsl import LslOutlet
-        from ..streams.lsl_local import LocalLslOutlet
+        from ..streams.lsl import LslSender
 
-        for of_arm, each in zip(receivers, infos, strict=True):
-            name = f"{lsl_out}_{each.side}" if others else lsl_out
-            outlet = (LslOutlet if lsl_network else LocalLslOutlet)(name, each)
-            stack.callback(outlet.close)
-            of_arm.append(outlet.send)
-            who = "all computers of this network" if lsl_network else "this computer"
+        names = [f"{lsl_out}_{each.side}" if len(infos) > 1 else lsl_out for each in infos]
+        sender = LslSender(names, infos, lsl_network)
+        who = "all computers of this network" if lsl_network else "this computer"
+        for name in names:
             say(f"LSL: streams {name} and {name}_settled, for {who}")
-    return receivers
+        yield sender
 
 
 def print_source(info: SourceInfo, calibration: SessionCalibration) -> None:
@@ -123,8 +111,9 @@ def print_source(info: SourceInfo, calibration: SessionCalibration) -> None:
     from ..body import SEGMENTS
 
     arm = f"{info.side} arm" if info.side else "arm"
-    say(f"IMU {info.imu}, {arm} of {info.skeleton} ({', '.join(info.joints)})")
-    for segment, name in info.further.items():
+    forearm, *further = info.imus.items()
+    say(f"IMU {forearm[1]}, {arm} of {info.skeleton} ({', '.join(info.joints)})")
+    for segment, name in further:
         say(f"IMU {name} on the {SEGMENTS[segment].label}")
     print_notes([*info.notes, *calibration.notes])
 
@@ -173,9 +162,6 @@ def live(
     skeleton: Annotated[
         str | None, o.option("The skeleton's LSL stream; a topic with --replay.", metavar="STREAM")
     ] = None,
-    gyro: Annotated[
-        str | None, o.option("The gyroscope's LSL stream, if it has one of its own.", metavar="STREAM")
-    ] = None,
     side: Annotated[Literal["left", "right"] | None, o.option("The arm that wears the IMU.")] = None,
     arms: Annotated[Literal["one", "both"], o.option("Both arms of a person, each with its IMU.")] = "one",
     body: Annotated[str | None, o.option("Which of the skeleton's bodies.", metavar="N")] = None,
@@ -195,8 +181,7 @@ def live(
     force: o.Force = False,
     config_file: o.ConfigFile = None,
     latency: Annotated[
-        float | None,
-        o.rare("Of a replay's camera.  [default: the recording's, else 0.1 s]", metavar="S", min=0, max=2),
+        float | None, o.rare("Of a replay's camera.  [default: 0.1 s]", metavar="S", min=0, max=2)
     ] = None,
     lsl_out: Annotated[
         str | None, o.rare("Send the arm as LSL streams NAME and NAME_settled.", metavar="NAME")
@@ -213,8 +198,6 @@ def live(
 
     Example: unocclude live --imu wrist --skeleton kinect --side right --record session.mcap --foxglove
     """
-    if arms == "both" and gyro is not None:
-        raise typer.BadParameter("--gyro is of one arm; with --arms both send each IMU in one stream")
     both: list[str | None] = ["left", "right"] if side == "left" else ["right", "left"]
     sides = [side] if arms == "one" else both
     imus = streams_of(imu or (), sides)
@@ -225,8 +208,8 @@ def live(
     for option, given in (("--speed", speed != 1.0), ("--latency", latency is not None)):
         if given and replay is None:
             raise typer.BadParameter(f"{option} is of a replay; give --replay as well")
-    further = any(set(streams) - {""} for streams in imus.values())
-    for option, named in (("--body", body), ("--gyro", gyro), ("a further --imu", further)):
+    further = any(set(streams) - {"forearm"} for streams in imus.values())
+    for option, named in (("--body", body), ("a further --imu", further)):
         if named and replay is not None:
             raise typer.BadParameter(f"{option} is of a stream; a replay takes --imu and --skeleton")
     recovered = None
@@ -235,19 +218,15 @@ def live(
         recovered = record.with_name(f"{record.stem}_recovered.mcap")
     outputs = [record, recovered if then_smooth else None, json_file]
     check_outputs(force, outputs, [calibration, config_file, replay])
+    from calib.file import read_calibration
+
     from ..live.calibrations import InlineCalibrator
     from ..live.smoother import LiveSmoother
     from ..streams.foxglove import foxglove_module
     from ..streams.lsl import lsl_module
     from ..streams.lsl_source import LslSource
-    from ..streams.replay import Replay
-    from ..streams.session import (
-        LiveSession,
-        SessionCalibration,
-        prefer_side,
-        read_calibration_file,
-        run_together,
-    )
+    from ..streams.replay import CAMERA_LATENCY_S, Replay
+    from ..streams.session import LiveSession, SessionCalibration
     from ..streams.session_recording import SessionRecording, check_recording
     from .config import read_config
 
@@ -257,56 +236,49 @@ def live(
         lsl_module()
     if foxglove is not None:
         foxglove_module()
-    config, file = read_config(config_file), read_calibration_file(calibration)
-    prefer = prefer_side(file)
+    config = read_config(config_file)
+    file = None if calibration is None else read_calibration(calibration)
+    known_sides = [] if file is None else [name for name in file.arms if name != "any"]
+    prefer = known_sides[0] if len(known_sides) == 1 else None
     with StopRequest() as stop_request, ExitStack() as stack:
-        sources: list[Source] = []
-        played: Replay | None = None
-        received: LslSource | None = None
-        for each in sides:
-            if replay is not None:
-                played = Replay(replay, imus[each].get(""), skeleton, each, prefer, speed, latency, played)
-                sources.append(played)
-                continue
-            forearm = imus[each].pop("", None)
-            received = LslSource(forearm, skeleton, each, prefer, body, gyro, imus[each], received)
+        source: Source
+        if replay is not None:
+            topics = {each: own.get("forearm") for each, own in imus.items()}
+            source = Replay(
+                replay, topics, skeleton, prefer, speed, CAMERA_LATENCY_S if latency is None else latency
+            )
+            check_arms(source.infos, replay)
+        else:
+            source = received = LslSource(imus, skeleton, prefer, body)
             stack.callback(received.close)
-            if not sources:
-                say(f"looking for the streams, at most {wait:g} s")
+            say(f"looking for the streams, at most {wait:g} s")
             if not received.open(wait, stop_request, say):
                 say("ended before the streams were there; nothing was recorded")
                 return
-            sources.append(received)
-        infos = [source.info for source in sources]
-        check_arms(infos, replay)
+        infos = source.infos
         calibrations = [SessionCalibration.of(file, info) for info in infos]
         for info, of_arm in zip(infos, calibrations, strict=True):
             print_source(info, of_arm)
-        receivers = receivers_of(infos, foxglove, lsl_out, lsl_network, stack)
+        receivers = []
+        for receiver in receivers_of(infos, foxglove, lsl_out, lsl_network):
+            stack.callback(receiver.close)
+            receivers.append(receiver)
         recording = None
         if record is not None:
-            patient = not sources[0].speed
-            recording = SessionRecording(record, infos[0], force, infos[1:], patient)
+            recording = SessionRecording(record, infos, force, patient=not source.speed)
             stack.callback(recording.close)  # whatever ends the sessions, their recording is whole
-        sessions = []
-        for number, (source, known) in enumerate(zip(sources, calibrations, strict=True)):
-            info = source.info
-            engine = LiveSmoother(
-                info.side,
-                known.arm,
-                known.config(config),
-                lag,
-                info.gravity_hint,
-                info.camera_frame,
-                None if source.speed else InlineCalibrator(),  # the background may be waited for too
-                list(info.further),
-            )
-            stack.enter_context(engine)
-            sessions.append(LiveSession(source, engine, known, recording, receivers[number], number))
+        engines = []
+        for info, known in zip(infos, calibrations, strict=True):
+            # as fast as possible, the background may be waited for too
+            calibrator = None if source.speed else InlineCalibrator()
+            about = known.arm, known.config(config), lag, info.gravity_hint, info.camera_frame, calibrator
+            engines.append(stack.enter_context(LiveSmoother(info.side, *about, list(info.imus)[1:])))
+        session = LiveSession(source, engines, calibrations, recording, receivers)
         if sys.stdout.isatty():
             say("Ctrl-C ends")
         with Lines() as lines:
-            figures = [each.figures() for each in run_together(sessions, stop_request, lines.show)]
+            session.run(stop_request, lines.show)
+        figures = [each.figures() for each in session.figures]
     arm_figures = [{"side": info.side, **own} for info, own in zip(infos, figures, strict=True)]
     several = {**arm_figures[0], "arms": arm_figures}
     write_json(json_file, several if len(figures) > 1 else figures[0], force)

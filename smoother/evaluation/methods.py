@@ -18,9 +18,9 @@ if TYPE_CHECKING:
     from ..calibration import ArmCalibration
     from ..config import Config
     from ..live.answers import LiveEstimate
-    from ..live.buffers import ImuBatch, SkeletonFrame
+    from ..live.buffers import SkeletonFrame
     from ..measurements.clock import Clock
-    from ..recording import Recording
+    from ..recording import ImuStream, Recording
     from ..result import Recovery
     from ..runtime.pool import Progress
 
@@ -151,8 +151,7 @@ def play(
     given = (recording.gravity_hint, recording.camera_frame, calibrator)
     with LiveSmoother(recording.side, calibration, config, lag_s, *given) as live:
         for now_s, imu, frames in arrivals(recording, graph(recording).clock_offset_s, latency_s):
-            for batch in imu:
-                live.add_imu(batch)
+            live.add_imu(imu)
             for frame in frames:
                 live.add_frame(frame)
             output = live.step(now_s)
@@ -164,25 +163,23 @@ def play(
 
 def arrivals(
     recording: Recording, offset_s: float, latency_s: float
-) -> Iterator[tuple[float, list[ImuBatch], list[SkeletonFrame]]]:
-    """Step by step what has arrived since the last one: the time, IMU batches, frames."""
+) -> Iterator[tuple[float, ImuStream, list[SkeletonFrame]]]:
+    """Step by step what has arrived since the last one: the time, samples, frames."""
     import numpy as np
 
-    from ..live.buffers import ImuBatch, SkeletonFrame
+    from ..live.buffers import SkeletonFrame
 
     imu, arm = recording.imu, recording.arm
     arrival_s = np.asarray(arm.t_s) + offset_s + latency_s
     first = frame = 0
     for now_s in np.arange(float(imu.t_s[0]), float(imu.t_s[-1]), 1.0 / RATE_HZ).tolist():
         last = int(np.searchsorted(imu.t_s, now_s, side="right"))
-        rows = slice(first, last)
-        batch = ImuBatch(np.array(imu.t_s[rows]), np.array(imu.acc[rows]), np.array(imu.gyro[rows]))
         until = int(np.searchsorted(arrival_s, now_s, side="right"))
         frames = [
             SkeletonFrame(float(arm.t_s[k]), float(arrival_s[k]), np.array(arm.position[k]), arm.state[k])
             for k in range(frame, until)
         ]
-        yield now_s, [batch] if last > first else [], frames
+        yield now_s, imu.select(slice(first, last)), frames
         first, frame = last, until
 
 

@@ -38,6 +38,8 @@ class LiveEstimate:
 
     def widened(self, factor: float) -> LiveEstimate:
         """The same with sigmas times a factor."""
+        if factor == 1.0:
+            return self
         joints = {joint: factor**2 * covariance for joint, covariance in self.joint_covariance.items()}
         return replace(self, pose_covariance=factor**2 * self.pose_covariance, joint_covariance=joints)
 

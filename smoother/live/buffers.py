@@ -25,18 +25,6 @@ class SkeletonFrame:
     state: NDArray[np.int8]  # int (5,): `JointState` values
 
 
-@dataclass(frozen=True)
-class ImuBatch:
-    """Some samples of the forearm IMU, as they arrived together."""
-
-    t_s: FloatArray  # (n,) s: centre of the interval that a sample averages, on the IMU's clock
-    acc: FloatArray  # (n, 3) m/s^2: specific force in {A}: at rest about +9.81 upwards
-    gyro: FloatArray  # (n, 3) rad/s: angular velocity in {A}
-
-    def __len__(self) -> int:
-        return len(self.t_s)
-
-
 #: Samples older than this against the newest are not sorted in, s.
 LATE_S = 0.5
 #: So much more than its capacity is held before the oldest go (share).
@@ -67,7 +55,7 @@ class ImuBuffer:
         """Time of the newest sample, s; -inf without any."""
         return float(self._rows[self._count - 1, 0]) if self._count else -np.inf
 
-    def add(self, batch: ImuBatch) -> float | None:
+    def add(self, batch: ImuStream) -> float | None:
         """Sort samples in."""
         rows = np.column_stack([batch.t_s, batch.acc, batch.gyro, np.zeros((len(batch), 2))]).astype(float)
         finite = np.isfinite(rows).all(axis=1)

@@ -19,7 +19,7 @@ from ..selfcal.self_calibration import SelfCalibration
 from ..window.prepare import prepare_further
 from ..window.problem import States
 from ..window.solution import NodeState
-from .buffers import FrameBuffer, ImuBatch, ImuBuffer
+from .buffers import FrameBuffer, ImuBuffer
 from .imu_check import AGAIN_S
 from .signal import BEFORE_S, LiveSignal, increments_between, propagated
 
@@ -59,7 +59,7 @@ class LiveFurtherImu:
         self._has_stopped = False
         self._doubt_s, self._contradicted_s = DOUBT_S, -np.inf
 
-    def add(self, batch: ImuBatch) -> None:
+    def add(self, batch: ImuStream) -> None:
         """Take samples in."""
         self._changed(self.buffer.add(batch))
 

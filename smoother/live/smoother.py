@@ -9,20 +9,19 @@ from types import TracebackType
 import numpy as np
 
 from ..array_types import FloatArray
-from ..body import SEGMENTS
+from ..body import FOREARM, SEGMENTS
 from ..calibration import ArmCalibration
 from ..config import Config
 from ..errors import UnoccludeError
-from ..recording import CameraFrame
+from ..recording import CameraFrame, ImuStream
 from .answers import LiveEstimate, LiveOutput, LiveState
-from .buffers import FrameBuffer, ImuBatch, ImuBuffer, SkeletonFrame
+from .buffers import FrameBuffer, ImuBuffer, SkeletonFrame
 from .calibrations import JUMP_SIGMA_S, BackgroundCalibrator, Calibrations, InlineCalibrator
 from .camera_clock import USUAL_LATENCY_S, CameraClock, Shift, ShiftCause
 from .display import Display, predicted
-from .further_imus import LiveFurtherImu
+from .further_imus import LiveFurtherImu, SegmentFollower
 from .monitor import Culprit
-from .tracker import LONGEST_PAUSE_S, Tracker
-from .tracker_handover import TrackerHandover
+from .tracker import AROUND_S, LENGTH_S, LONGEST_PAUSE_S, Tracker, first_state
 
 #: Samples are held for this long: what a self-calibration may read, s.
 BUFFER_S = 120.0
@@ -32,6 +31,15 @@ MOST_FRAMES = 12
 EMPTY_S = 0.1
 #: No sample of the IMU for this long: it is lost, s.
 LOST_S = 0.5
+#: A first tracker begins this long before the present, s, and catches up by this many frames a step: ten take
+#: 13 to 17 ms of processor time, so that a step stays within 20 ms.
+CATCH_UP_S, CATCH_UP_FRAMES = 5.0, 10
+#: A successor catches up beside the one at work by this many frames a step.
+SUCCESSOR_FRAMES = 2
+#: After a pause of the IMU this much is needed to begin anew, s.
+FRESH_S = 1.0
+#: The camera must not have contradicted a first tracker for this long, s.
+PROVED_S = 0.8
 
 
 class LiveSmoother:
@@ -50,17 +58,17 @@ class LiveSmoother:
     ) -> None:
         if not 0.0 <= lag_s <= 2.0:
             raise UnoccludeError(f"The lag is {lag_s:g} s; give one from 0 to 2 s.")
-        self._lag_s = lag_s
+        self._lag_s, self._config = lag_s, config or Config()
         self._imu, self._frames, self._camera = ImuBuffer(BUFFER_S), FrameBuffer(BUFFER_S), CameraClock()
-        given, config = calibration or ArmCalibration(side=side), config or Config()
-        self._calibrations = Calibrations(
-            calibrator or BackgroundCalibrator(), side, given, config, gravity_hint, camera_frame
-        )
+        given, calibrator = calibration or ArmCalibration(side=side), calibrator or BackgroundCalibrator()
+        self._calibrations = Calibrations(calibrator, side, given, self._config, gravity_hint, camera_frame)
         self._worn = {name: LiveFurtherImu(SEGMENTS[name], BUFFER_S) for name in further}
-        self._handover = TrackerHandover(
-            self._calibrations, config, self._imu, self._frames, lag_s, self._worn
-        )
         self._display = Display(lag_s)
+        # who follows the arm, and who catches up beside with a newer calibration and takes its place
+        self._tracker: Tracker | None = None
+        self._successor: Tracker | None = None
+        self._waits_for_sight = self._has_followed = False
+        self._not_before_s = -np.inf
         self._changed_s: float | None = None
         self._late: list[SkeletonFrame] = []
         self._backlog = 0
@@ -74,15 +82,14 @@ class LiveSmoother:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        self.finish()
+        self._calibrations.close()
 
-    def add_imu(self, batch: ImuBatch) -> None:
+    def add_imu(self, samples: ImuStream, segment: str = FOREARM.name) -> None:
         """Take samples in, in any order; those older than half a second before the newest are dropped."""
-        self._imu_changed(self._imu.add(batch))
-
-    def add_further_imu(self, segment: str, batch: ImuBatch) -> None:
-        """Take samples of the IMU on a segment beyond the forearm in, as `add_imu`."""
-        self._worn[segment].add(batch)
+        if segment == FOREARM.name:
+            self._imu_changed(self._imu.add(samples))
+        else:
+            self._worn[segment].add(samples)
 
     def _imu_changed(self, since_s: float | None) -> None:
         """Samples from some time on are others now."""
@@ -95,8 +102,8 @@ class LiveSmoother:
         if jump is not None:
             self._jumped(jump)
         for each in frames:
-            is_new, tracker = self._frames.add(each), self._handover.tracker
-            if is_new and tracker is not None and each.t_s <= tracker.cursor_s:
+            is_new = self._frames.add(each)
+            if is_new and self._tracker is not None and each.t_s <= self._tracker.cursor_s:
                 self._late.append(each)
 
     def _jumped(self, jump: Shift) -> None:
@@ -111,17 +118,21 @@ class LiveSmoother:
     def step(self, now_s: float) -> LiveOutput:
         """Work in what has arrived, and answer for the present."""
         began = time.thread_time()
-        self._notes, notes = [], self._notes
         self._check_imu()
         for worn in self._worn.values():
             self._notes += worn.check(now_s)
         # 1. The calibration, in the background; who follows with it catches up, and takes over.
-        self._calibrate(now_s)
+        if self._calibrations.fetch():
+            self._waits_for_sight = self._tracker is not None
+            self._successor = None if self._waits_for_sight else self._fresh()
+            self._notes += self._calibrations.left_out()
+        self._calibrations.ask(self._imu, self._frames, self._camera, self._worn)
+        self._hand_over(now_s)
         # 2. What has arrived, into the window; the past is corrected.
         self._follow(now_s)
         # 3. The answers.
         now, settled = self._answers(now_s)
-        self._notes, notes = [], [*notes, *self._notes]
+        notes, self._notes = self._notes, []
         return LiveOutput(
             now_s=now_s,
             state=self._state,
@@ -144,10 +155,6 @@ class LiveSmoother:
             doubt=self._doubt,
         )
 
-    def finish(self) -> None:
-        """End the background's work."""
-        self._calibrations.close()
-
     def _check_imu(self) -> None:
         """Look at what came of the IMU; say once what is wrong with it, and when it is plausible again."""
         self._imu_changed(self._imu.check() if len(self._imu) else None)
@@ -159,33 +166,113 @@ class LiveSmoother:
             self._notes.append("the IMU is plausible again")
         self._because = because
 
-    # 1. The calibration
+    # 1. Who follows the arm
 
-    def _calibrate(self, now_s: float) -> None:
-        """Fetch a calibration that is ready, ask for the next when it is time, let a successor catch up."""
-        if self._calibrations.fetch():
-            self._handover.calibrated()
-            self._notes += self._calibrations.left_out()
-        self._calibrations.ask(self._imu, self._frames, self._camera, self._worn)
-        before = self._handover.advance(now_s)
-        tracker = self._handover.tracker
-        if before is not None and before.solution is not None and tracker is not None:
-            self._display.spread(predicted(before, before.solution, now_s), tracker, now_s)
+    def _hand_over(self, now_s: float) -> None:
+        """Let the successor catch up, and take the place of the one at work."""
+        before = self._tracker
+        if self._waits_for_sight and before is not None and before.history.sees_all(before.window.t):
+            # in a gap there is nothing that a successor could begin with
+            self._waits_for_sight, self._successor = False, self._fresh()
+            if self._successor is not None:
+                self._successor.start(before.window.state(0))
+        successor = self._successor
+        if successor is None:
+            return
+        if not successor.started:
+            self._start(successor, now_s)  # work enough for a step
+            return
+        if successor.pause_s() > LONGEST_PAUSE_S or not self._catch_up(successor, now_s):
+            self._successor = self._fresh() if before is None else None
+            return
+        # a first one has nothing to go on by where the camera is wrong
+        is_left_alone = before is None and successor.monitor.since_s is not None
+        if is_left_alone or any(finding.cause is Culprit.TRACKER for finding in successor.findings):
+            if before is None:
+                self._not_before_s = max(self._not_before_s, now_s - FRESH_S)
+            self._successor = self._fresh() if before is None else None
+            return
+        if successor.solution is None or self._due(successor) or not self._is_proved(successor):
+            return
+        self._tracker, self._successor, self._has_followed = successor, None, True
+        if before is not None and before.solution is not None:
+            self._display.spread(predicted(before, before.solution, now_s), successor, now_s)
+
+    def _due(self, tracker: Tracker) -> list[SkeletonFrame]:
+        """Frames that a tracker has not seen and the IMU reaches."""
+        frames = self._frames.since(np.nextafter(tracker.cursor_s, np.inf))
+        reach_s = self._imu.end_s - tracker.offset_s
+        return [frame for frame in frames if frame.t_s <= reach_s]
+
+    def _is_proved(self, successor: Tracker) -> bool:
+        """Whether the camera has not contradicted it for some time; after a pause none is needed."""
+        if self._tracker is not None or (self._has_followed and not np.isfinite(self._not_before_s)):
+            return successor.monitor.since_s is None
+        return successor.t_s - successor.monitor.sound_since_s >= PROVED_S
+
+    def _start(self, successor: Tracker, now_s: float) -> None:
+        """Begin some seconds ago, where the streams suffice."""
+        since_s = self._imu.since_pause_s(LONGEST_PAUSE_S, CATCH_UP_S + AROUND_S)
+        since_s = max(since_s, self._not_before_s)
+        if self._imu.end_s - since_s < FRESH_S:
+            return
+        offset_s = self._calibrations.offset_s
+        state = first_state(
+            self._imu.stream(since_s),
+            self._frames.tracks(since_s - offset_s),
+            successor.model,
+            offset_s,
+            self._calibrations.needed,
+            max(now_s - CATCH_UP_S, since_s + 0.5 * FRESH_S),
+        )
+        if state is not None:
+            successor.start(state)
+
+    def _catch_up(self, successor: Tracker, now_s: float) -> bool:
+        """Feed some frames; False where these did not determine the motion."""
+        ready = self._due(successor)[: CATCH_UP_FRAMES if self._tracker is None else SUCCESSOR_FRAMES]
+        if ready:
+            successor.feed(ready)
+        return not ready or self._solved(successor, now_s)
+
+    def _solved(self, tracker: Tracker, now_s: float) -> bool:
+        """Solve a window; False where the last moments did not determine the motion."""
+        try:
+            tracker.solve(now_s - self._lag_s)
+        except (np.linalg.LinAlgError, RuntimeError):
+            return False
+        return True
+
+    def _fresh(self) -> Tracker | None:
+        """A tracker with the last calibration, not yet begun; what the active one has learnt counts."""
+        calibration = self._calibrations.last
+        if calibration is None or calibration.model is None:
+            return None
+        model, offset_s = calibration.model, self._calibrations.offset_s
+        further = [
+            SegmentFollower(self._worn[place.segment], place, model, self._frames, offset_s)
+            for place in calibration.further
+        ]
+        length_s = max(LENGTH_S, self._lag_s + 0.3)
+        needed, before = self._calibrations.needed, self._tracker
+        return Tracker(model, offset_s, needed, self._config, self._imu, length_s, before, further)
 
     # 2. The window
 
     def _follow(self, now_s: float) -> None:
         """Feed the window with what has arrived, and solve it."""
-        tracker = self._handover.tracker
+        tracker = self._tracker
         if tracker is None:
             self._late, self._changed_s = [], None
             return
         if tracker.pause_s() > LONGEST_PAUSE_S:
             self._lose("the IMU's samples paused: the smoother restarts")
             return
-        solved, changed = tracker.solution, self._mend(tracker)
-        ready = self._ready(tracker)
-        ended_s = tracker.feed(ready) if ready else None
+        solved, changed, ready = tracker.solution, self._mend(tracker), self._due(tracker)
+        if len(ready) > MOST_FRAMES:
+            self._backlog += len(ready) - MOST_FRAMES
+            self._notes.append(f"behind by {len(ready)} frames: dropped all but the newest {MOST_FRAMES}")
+        ended_s = tracker.feed(ready[-MOST_FRAMES:]) if ready else None
         if not self._heed(tracker, now_s):
             return
         empty_s = self._imu.end_s - self._usual_delay_s - EMPTY_S
@@ -194,12 +281,9 @@ class LiveSmoother:
             changed = True
         if not ready and not changed:
             return
-        try:
-            tracker.solve(now_s - self._lag_s)
-        except (np.linalg.LinAlgError, RuntimeError):
+        if not self._solved(tracker, now_s):
             self._lose("the last moments did not determine the motion: the smoother restarts")
-            return
-        if ended_s is not None and solved is not None:
+        elif ended_s is not None and solved is not None:
             self._display.spread(predicted(tracker, solved, now_s), tracker, now_s)
 
     def _heed(self, tracker: Tracker, now_s: float) -> bool:
@@ -219,8 +303,7 @@ class LiveSmoother:
                 if finding.again:
                     self._calibrations.clock_doubted()
             elif finding.cause is Culprit.CAMERA:
-                since_s = finding.retract_s - tracker.offset_s
-                self._frames.leave_out(since_s, np.inf)
+                self._frames.leave_out(finding.retract_s - tracker.offset_s, np.inf)
             else:
                 self._frames.confirm()
         return True
@@ -243,34 +326,27 @@ class LiveSmoother:
         self._late = []
         return changed
 
-    def _ready(self, tracker: Tracker) -> list[SkeletonFrame]:
-        """Frames that are due, at most this many: of a backlog the newest."""
-        ready = self._handover.ready(tracker)
-        if len(ready) > MOST_FRAMES:
-            self._backlog += len(ready) - MOST_FRAMES
-            self._notes.append(f"behind by {len(ready)} frames: dropped all but the newest {MOST_FRAMES}")
-        return ready[-MOST_FRAMES:]
-
     def _lose(self, why: str, not_before_s: float = -np.inf) -> None:
         """Begin anew with the calibration that is there, with nothing from before a time."""
         self._notes.append(why)
         self._late = []
         self._display.forget()
-        self._handover.begin_anew(not_before_s)
+        self._not_before_s = not_before_s
+        self._tracker, self._waits_for_sight = None, False
+        self._successor = self._fresh()
 
     @property
     def _reason(self) -> str:
         """How the calibration stands, in words."""
-        is_catching_up = self._calibrations.last is not None and self._handover.tracker is None
+        is_catching_up = self._calibrations.last is not None and self._tracker is None
         return self._calibrations.reason + ("; catching up with the present" if is_catching_up else "")
 
     @property
     def _doubt(self) -> str:
         """Why the answer is to be taken with care."""
-        tracker = self._handover.tracker
-        if tracker is None:
+        if self._tracker is None:
             return ""
-        if tracker.monitor.since_s is not None:
+        if self._tracker.monitor.since_s is not None:
             return "the camera is left out: it contradicts the IMU"
         if self._imu.is_doubted:
             return "; ".join(self._because) or "the IMU contradicts the camera"
@@ -288,18 +364,15 @@ class LiveSmoother:
     # 3. The answers
 
     def _answers(self, now_s: float) -> tuple[LiveEstimate | None, LiveEstimate | None]:
-        tracker = self._handover.tracker
+        tracker = self._tracker
         if tracker is None or tracker.solution is None:
-            self._state = LiveState.LOST if self._handover.has_followed else LiveState.CALIBRATING
+            self._state = LiveState.LOST if self._has_followed else LiveState.CALIBRATING
             return None, None
         if now_s - self._imu.end_s > LOST_S:
             self._state = LiveState.LOST
             return None, None
-        clock_sigma_s = self._calibrations.clock_sigma_s
+        clock_sigma_s, factor = self._calibrations.clock_sigma_s, self._calibrations.sigma_factor
         now = self._display.now(tracker, tracker.solution, now_s, clock_sigma_s, self._usual_delay_s)
-        self._state = now.state
         settled = self._display.settled(tracker, tracker.solution, now_s, clock_sigma_s)
-        factor = self._calibrations.sigma_factor
-        if factor != 1.0:
-            return now.widened(factor), None if settled is None else settled.widened(factor)
-        return now, settled
+        self._state = now.state
+        return now.widened(factor), None if settled is None else settled.widened(factor)

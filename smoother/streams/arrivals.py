@@ -15,10 +15,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..array_types import FloatArray, IntArray
-from ..body import FOREARM
+from ..live.answers import LiveOutput
+from ..measurements.visibility import Gap
 from ..recording import JOINTS, CameraFrame
 
 Rows = TypeVar("Rows", bound="StreamRows")
+
+
+class RowChange(Protocol):
+    """Makes rows of a stream's rows."""
+
+    def __call__(self, rows: Rows, /) -> Rows:
+        """Of one stream."""
 
 
 class StreamRows:
@@ -78,26 +86,24 @@ class FrameRows(StreamRows):
 
 @dataclass(frozen=True)
 class Arrivals:
-    """What came since the last look."""
+    """What came of an arm since the last look."""
 
-    imu: ImuRows = field(default_factory=ImuRows)
+    imus: Mapping[str, ImuRows] = field(default_factory=dict)  # By segment, the forearm's first
     frames: FrameRows = field(default_factory=FrameRows)
     events: tuple[str, ...] = ()  # What was done to their stamps, a sentence each
-    # Of IMUs on segments beyond the forearm, by the segment's name
-    further: Mapping[str, ImuRows] = field(default_factory=dict)
 
-    @property
-    def imus(self) -> dict[str, ImuRows]:
-        """Of every IMU by the segment's name, the forearm's first."""
-        return {FOREARM.name: self.imu, **self.further}
+    def by_row(self, change: RowChange) -> Arrivals:
+        """The same with every stream's rows changed."""
+        imus = {name: change(imu) for name, imu in self.imus.items()}
+        return Arrivals(imus, change(self.frames), self.events)
 
 
 @dataclass(frozen=True)
 class SourceInfo:
-    """What a session is made of."""
+    """What a session of an arm is made of."""
 
-    imu: str  # Names of the streams
-    skeleton: str  # Names of the streams
+    imus: Mapping[str, str]  # Names of the IMUs' streams by segment, the forearm's first
+    skeleton: str  # Name of the stream
     side: str  # "left", "right" or ""
     joints: tuple[str, ...]  # Joints that the skeleton has
     origin_ns: int  # What the session's times count from
@@ -106,13 +112,6 @@ class SourceInfo:
     name: str = "session"  # Of the session
     lsl_start_s: float | None = None  # The same on this computer's LSL clock, where that is the session's
     notes: tuple[str, ...] = ()  # How it was decided, and what is assumed, one sentence each
-    # Names of the streams of IMUs on segments beyond the forearm, by the segment's name
-    further: Mapping[str, str] = field(default_factory=dict)
-
-    @property
-    def imus(self) -> dict[str, str]:
-        """Names of the IMUs' streams by the segment's name, the forearm's first."""
-        return {FOREARM.name: self.imu, **self.further}
 
     @property
     def down(self) -> FloatArray | None:
@@ -126,8 +125,8 @@ class Source(Protocol):
     """Where a session's samples and frames come from: streams of the network, or a recording."""
 
     @property
-    def info(self) -> SourceInfo:
-        """What the session is made of."""
+    def infos(self) -> Sequence[SourceInfo]:
+        """What the session of each arm is made of."""
 
     @property
     def speed(self) -> float:
@@ -143,11 +142,30 @@ class Source(Protocol):
     def wait(self, seconds: float) -> None:
         """Until something comes, at most this long."""
 
-    def arrivals(self) -> Arrivals:
-        """What came since the last call."""
+    def arrivals(self) -> list[Arrivals]:
+        """What came of each arm since the last call."""
+
+
+@dataclass(frozen=True)
+class Step:
+    """A step of an arm, as everything that shows, sends or keeps it gets it."""
+
+    arm: int  # Which of the session's
+    arrivals: Arrivals  # What came before it, on the clocks that the streams began with
+    frames: FrameRows  # The same frames on the clock that the camera has now, as the smoother got them
+    output: LiveOutput  # What was answered
+    gap: Gap | None  # That it ended
+    events: Sequence[str]  # What happened
+
+
+class Receiver(Protocol):
+    """Is sent every step."""
+
+    def send(self, step: Step) -> None:
+        """Take a step in; never waits for long."""
 
     def close(self) -> None:
-        """Let the streams go."""
+        """Let all that listen go."""
 
 
 #: A sample may come this much later than its neighbours, s: more than the 0.5 s that streams are allowed.

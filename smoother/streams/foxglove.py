@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 import secrets
-from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from types import ModuleType
 from typing import Any, NamedTuple
 
@@ -18,44 +18,23 @@ from ..io.recording.write import CAMERA
 from ..io.result.messages import gap_messages
 from ..io.result.streams import recovery_streams
 from ..io.wire.schemas import message_class, schema_data
-from ..live.answers import LiveEstimate, LiveOutput, LiveState
+from ..live.answers import LiveEstimate, LiveState
 from ..measurements.visibility import Gap
 from ..recording import JOINTS, JointTracks
 from ..result import Recovery
 from ..runtime.packages import extra_module
-from .arrivals import FrameRows, SourceInfo
+from .arrivals import FrameRows, SourceInfo, Step
 from .origin_gate import LOOPBACK, OriginGate
 
-#: Topics of the present, of the settled answer (only those with numbers), of the camera's frames, of gaps.
-_NOW = {
-    "skeleton": "unocclude.Skeleton",
-    "forearm": "foxglove.Odometry",
-    "arm": "foxglove.SceneUpdate",
-    "beads": "foxglove.PointCloud",
-    "tf": "foxglove.FrameTransforms",
-    "joints": "foxglove.JointStates",
-}
-_SETTLED = {name: _NOW[name] for name in ("skeleton", "forearm")}
-_FRAMES = {"camera": "unocclude.Skeleton", "arm_camera": "foxglove.SceneUpdate"}
-_GAPS = {"gaps": "foxglove.Event", "log": "foxglove.Log"}
-
-
-def topics_of(suffix: str) -> dict[str, str]:
-    """Every topic of an arm, and the full name of its schema; gaps and log are of both arms."""
-    of_arm = {f"{RESULT_PREFIX}{name}{suffix}": schema for name, schema in (_NOW | _FRAMES).items()}
-    settled = {f"{RESULT_PREFIX}{name}{suffix}/settled": schema for name, schema in _SETTLED.items()}
-    return of_arm | settled | {f"{RESULT_PREFIX}{name}": schema for name, schema in _GAPS.items()}
-
-
-#: Of a session with one arm.
-TOPICS = topics_of("")
+#: Of a settled answer, the topics with numbers.
+_SETTLED = tuple(f"{RESULT_PREFIX}{name}" for name in ("skeleton", "forearm"))
 
 
 class LiveMessage(NamedTuple):
     """One message to be sent."""
 
-    topic: str  # Where, and the full name of what it is
-    schema: str  # Where, and the full name of what it is
+    topic: str  # Where
+    schema: str  # Full name of what it is
     stamp_ns: int
     data: bytes  # Its wire form, protobuf
 
@@ -74,24 +53,27 @@ class _Channels(Output):
 class LiveMessages:
     """Makes messages of what a session answers."""
 
-    def __init__(self, info: SourceInfo, suffix: str = ""):
+    def __init__(self, info: SourceInfo, suffix: str = "") -> None:
         self._info, self._suffix = info, suffix
-        self._down = info.down
 
-    def estimate(self, estimate: LiveEstimate, wanted: Collection[str] = TOPICS) -> Iterator[LiveMessage]:
+    def estimate(self, estimate: LiveEstimate, wanted: Callable[[str], bool]) -> Iterator[LiveMessage]:
         """The arm at a moment, on those of its topics that are wanted."""
-        names, suffix = (_NOW, "") if estimate.kind == "now" else (_SETTLED, "/settled")
-        none = FrameRows()
+        none, settled = FrameRows(), estimate.kind == "settled"
         here = JointTracks(self._info.skeleton, none.t_s, none.position, none.state)
-        yield from self._encoded(estimate, here, self._suffix + suffix, names, wanted)
+        suffix = self._suffix + ("/settled" if settled else "")
+
+        def is_due(topic: str) -> bool:
+            return wanted(topic) and (not settled or topic.startswith(_SETTLED))
+
+        yield from self._encoded([estimate], here, suffix, is_due)
 
     def frames(
-        self, frames: FrameRows, offset_s: float, wanted: Collection[str] = TOPICS
+        self, frames: FrameRows, offset_s: float, wanted: Callable[[str], bool]
     ) -> Iterator[LiveMessage]:
         """The camera's joints as they came, on the IMU's clock."""
         t_s = frames.t_s + (offset_s if np.isfinite(offset_s) else 0.0)
         tracks = JointTracks(self._info.skeleton, t_s, frames.position, frames.state)
-        yield from self._encoded(None, tracks, self._suffix, _FRAMES, wanted)
+        yield from self._encoded([], tracks, self._suffix, wanted)
 
     def gap(self, gap: Gap) -> Iterator[LiveMessage]:
         """A gap that is over, as an event and a line of the log."""
@@ -110,50 +92,38 @@ class LiveMessages:
         return LiveMessage(f"{RESULT_PREFIX}log", "foxglove.Log", stamp, data)
 
     def _encoded(
-        self,
-        estimate: LiveEstimate | None,
-        arm: JointTracks,
-        suffix: str,
-        names: Collection[str],
-        wanted: Collection[str],
+        self, estimates: list[LiveEstimate], arm: JointTracks, suffix: str, wanted: Callable[[str], bool]
     ) -> Iterator[LiveMessage]:
-        """Messages of an estimate and of frames, on those of some topics that are wanted."""
-        topics = {f"{RESULT_PREFIX}{name}{suffix}" for name in names} & set(wanted)
-        if not topics:
-            return
-        channels, recovery = _Channels(), self._recovery(estimate, arm)
+        """Messages of an estimate or none and of frames, on those topics that are wanted."""
+        channels, recovery = _Channels(), self._recovery(estimates, arm)
         joints = [JOINTS.index(joint) for joint in self._info.joints]
-        for stream in recovery_streams(channels, recovery, suffix, CAMERA, 0, self._down, joints):
+        for stream in recovery_streams(channels, recovery, suffix, CAMERA, 0, self._info.down, joints):
             topic, schema = channels.names[stream.channel]
-            if topic not in topics:
-                continue
-            encoded = stream.encode(slice(0, len(stream.time_ns)))
-            for stamp, row in zip(stream.time_ns.tolist(), encoded, strict=True):
-                data = row if isinstance(row, bytes) else row.tobytes()
-                yield LiveMessage(topic, schema, stamp, data)
+            if len(stream.time_ns) and wanted(topic):
+                encoded = stream.encode(slice(0, len(stream.time_ns)))
+                for stamp, row in zip(stream.time_ns.tolist(), encoded, strict=True):
+                    yield LiveMessage(topic, schema, stamp, row if isinstance(row, bytes) else row.tobytes())
 
-    def _recovery(self, estimate: LiveEstimate | None, arm: JointTracks) -> Recovery:
-        """An estimate as a recovery of one sample; of none where there is no estimate."""
-        count = 0 if estimate is None else 1
+    def _recovery(self, estimates: list[LiveEstimate], arm: JointTracks) -> Recovery:
+        """An estimate or none as a recovery of one sample or none."""
+        joints = [joint for joint in JOINTS if all(joint in each.joints for each in estimates)]
+        count = len(estimates)
 
-        def column(value: Callable[[LiveEstimate], FloatArray], *shape: int) -> FloatArray:
-            return np.empty((0, *shape)) if estimate is None else np.array([value(estimate)], float)
+        def column(values: list[FloatArray], *shape: int) -> FloatArray:
+            return np.array(values, float).reshape(count, *shape)
 
-        joints = () if estimate is None else [joint for joint in JOINTS if joint in estimate.joints]
-        is_gap = estimate is not None and estimate.state is not LiveState.VISIBLE
         return Recovery(
             method="live",
-            t_s=column(lambda e: np.array(e.t_s)),
-            occluded=np.full(count, is_gap),
-            position=column(lambda e: e.position, 3),
-            quaternion=column(lambda e: e.quaternion, 4),
-            velocity=column(lambda e: e.velocity, 3),
-            pose_covariance=column(lambda e: e.pose_covariance, 6, 6),
+            t_s=np.array([each.t_s for each in estimates], float),
+            occluded=np.array([each.state is not LiveState.VISIBLE for each in estimates], bool),
+            position=column([each.position for each in estimates], 3),
+            quaternion=column([each.quaternion for each in estimates], 4),
+            velocity=column([each.velocity for each in estimates], 3),
+            pose_covariance=column([each.pose_covariance for each in estimates], 6, 6),
             velocity_covariance=np.full((count, 3, 3), np.nan),
-            joints={joint: column(lambda e, j=joint: e.joints[j], 3) for joint in joints},  # type: ignore[misc]
+            joints={joint: column([each.joints[joint] for each in estimates], 3) for joint in joints},
             joint_covariance={
-                joint: column(lambda e, j=joint: e.joint_covariance[j], 3, 3)  # type: ignore[misc]
-                for joint in joints
+                joint: column([each.joint_covariance[joint] for each in estimates], 3, 3) for joint in joints
             },
             gaps=(),
             calibration=None,
@@ -180,18 +150,15 @@ def foxglove_module() -> ModuleType:
 class FoxgloveServer:
     """Sends messages to whoever is connected; a slow client misses some and does not delay the others."""
 
-    def __init__(self, info: SourceInfo, port: int = FOXGLOVE_PORT, others: Sequence[SourceInfo] = ()):
-        infos = (info, *others)
-        suffixes = [f"/{each.side}" if others else "" for each in infos]
-        self._messages = [LiveMessages(each, suffix) for each, suffix in zip(infos, suffixes, strict=True)]
+    def __init__(self, infos: Sequence[SourceInfo], port: int = FOXGLOVE_PORT) -> None:
+        several = len(infos) > 1
+        self._messages = [LiveMessages(info, f"/{info.side}" if several else "") for info in infos]
         self._drawn_s = [float("-inf")] * len(infos)
-        topics = {topic: schema for suffix in suffixes for topic, schema in topics_of(suffix).items()}
         self._foxglove = foxglove_module()
         logging.getLogger("foxglove").setLevel(logging.ERROR)
         self._context = self._foxglove.Context()
-        self._channels: dict[str, Any] = {
-            topic: self._channel(topic, schema) for topic, schema in topics.items()
-        }
+        self._channels: dict[str, Any] = {}
+        self._is_announced = False  # every topic but those of gaps and events
         self._host, self._server = self._hidden_server()
         try:
             self._gate = OriginGate(port, (self._host, self._server.port))
@@ -207,39 +174,37 @@ class FoxgloveServer:
         """What is entered in Foxglove under Open connection."""
         return f"ws://{LOOPBACK}:{self._gate.port}"
 
-    def send(
-        self,
-        output: LiveOutput,
-        frames: FrameRows,
-        gap: Gap | None,
-        events: Sequence[str],
-        number: int = 0,
-    ) -> None:
+    def send(self, step: Step) -> None:
         """Send what a step answered of an arm, that at most some 30 times per second."""
-        messages = self._messages[number]
-        wanted = {topic for topic, channel in self._channels.items() if channel.has_sinks()}
-        if not wanted:
+        messages, output = self._messages[step.arm], step.output
+        if self._is_announced and not any(channel.has_sinks() for channel in self._channels.values()):
             return
-        if len(frames):
-            self.log(messages.frames(frames, output.clock_offset_s, wanted))
-        if not abs(output.now_s - self._drawn_s[number]) < _DRAWN_EACH_S:
-            self._drawn_s[number] = output.now_s
+        self._is_announced |= output.settled is not None and len(step.frames) > 0
+        if len(step.frames):
+            self._log(messages.frames(step.frames, output.clock_offset_s, self._is_wanted))
+        if not abs(output.now_s - self._drawn_s[step.arm]) < _DRAWN_EACH_S:
+            self._drawn_s[step.arm] = output.now_s
             for estimate in (output.now, output.settled):
                 if estimate is not None:
-                    self.log(messages.estimate(estimate, wanted))
-        if gap is not None:
-            self.log(messages.gap(gap))
-        self.log(messages.line(text, output.now_s) for text in events)
-
-    def log(self, messages: Iterable[LiveMessage]) -> None:
-        """Send messages to whoever subscribed to their topics."""
-        for message in messages:
-            self._channels[message.topic].log(message.data, log_time=max(message.stamp_ns, 0))
+                    self._log(messages.estimate(estimate, self._is_wanted))
+        if step.gap is not None:
+            self._log(messages.gap(step.gap))
+        self._log(messages.line(text, output.now_s) for text in step.events)
 
     def close(self) -> None:
         """Let all connections go."""
         self._gate.close()
         self._server.stop()
+
+    def _is_wanted(self, topic: str) -> bool:
+        """Whether somebody looks at a topic, or it has to be announced first."""
+        return topic not in self._channels or bool(self._channels[topic].has_sinks())
+
+    def _log(self, messages: Iterable[LiveMessage]) -> None:
+        for message in messages:
+            if message.topic not in self._channels:
+                self._channels[message.topic] = self._channel(message.topic, message.schema)
+            self._channels[message.topic].log(message.data, log_time=max(message.stamp_ns, 0))
 
     def _hidden_server(self) -> tuple[str, Any]:
         """The server behind the gate, on a loopback address that no page guesses, where there are several."""

@@ -1,129 +1,244 @@
-"""A session's source: streams of the Lab Streaming Layer."""
+"""A session's source: streams of the Lab Streaming Layer, each received by a thread, again after a loss."""
 
 from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable, Mapping
-from typing import Any
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
+from queue import SimpleQueue
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
-from ..body import SEGMENTS
+from ..array_types import FloatArray
+from ..body import FOREARM, SEGMENTS
 from ..errors import UnoccludeError
 from ..io.recording.names import named_side
 from ..runtime.printable import printable
-from .arrivals import STEP_OF_IMU_S, Arrivals, FrameRows, ImuRows, SourceInfo, StampSteps
-from .channels import ImuChannels, SkeletonChannels, StreamLabels, belongs, half_of
-from .lsl import LslInlet, LslSamples, listed, lsl_module
+from .arrivals import Arrivals, FrameRows, ImuRows, SourceInfo
+from .channels import ImuChannels, SkeletonChannels, StreamLabels
+from .lsl import lsl_module
+
+
+def listed(streams: Sequence[Any]) -> str:
+    """Names and types of streams, for a sentence."""
+    names = sorted({f"{stream.name()} (type {stream.type() or 'none'})" for stream in streams})
+    shown = [printable(name[:80]) for name in names[:8]]
+    more = [f"and {len(names) - 8} more"] if len(names) > 8 else []
+    return ", ".join([*shown, *more]) or "none"
+
+
+#: Samples that are received together at most, and for how long the library holds them, s.
+_MOST, _BUFFER_S = 512, 120
+#: Waits of the thread: for streams to answer, for samples, for the first estimate of the clocks, s.
+_RESOLVE_S, _PULL_S, _CLOCK_S = 1.0, 0.2, 3.0
+
+
+class LslSamples(NamedTuple):
+    """Samples that came together."""
+
+    t_s: FloatArray  # (n,) s: stamps on this computer's LSL clock: as sent, and the library's time correction
+    values: NDArray  # (n, channels)
+    arrival_s: FloatArray  # (n,) s: when they came, on the same clock
+
+
+class LslInlet:
+    """Receives a stream, also after it was lost."""
+
+    def __init__(
+        self, option: str, wanted: str | None, types: tuple[str, ...], wake: Callable[[], None]
+    ) -> None:
+        self._option = option
+        self.stream: Any = None
+        self.others: list[Any] = []
+        self.correction_s = float("nan")
+        self._wanted, self._types, self._wake = wanted, types, wake
+        self._samples: SimpleQueue[LslSamples] = SimpleQueue()
+        self._events: SimpleQueue[str] = SimpleQueue()
+        self._labels: StreamLabels | None = None
+        self._failure: UnoccludeError | None = None
+        self._closing = threading.Event()
+        self._thread = threading.Thread(target=self._work, name="lsl-inlet", daemon=True)
+
+    @property
+    def name(self) -> str:
+        """What the stream that was found is called."""
+        return printable(self.stream.name())
+
+    @property
+    def described(self) -> str:
+        """Which stream is looked for, by its option."""
+        if self._wanted is not None:
+            return f"{self._option}{self._wanted}"
+        return f"{self._option.strip(' -')} of type {self._types[0]}"
+
+    def start(self) -> None:
+        """Look for the stream, and receive it."""
+        self._thread.start()
+
+    def samples(self) -> list[LslSamples]:
+        """What came since the last call."""
+        self.check()
+        return [self._samples.get_nowait() for _ in range(self._samples.qsize())]
+
+    def events(self) -> list[str]:
+        """What happened to the stream since the last call, a sentence each."""
+        return [self._events.get_nowait() for _ in range(self._events.qsize())]
+
+    def check(self) -> None:
+        """Raise what the thread failed by."""
+        if self._failure is not None:
+            raise self._failure
+
+    def close(self) -> None:
+        """Stop receiving."""
+        self._closing.set()
+        if self._thread.is_alive():
+            self._thread.join(3 * _RESOLVE_S)
+
+    def _work(self) -> None:
+        while not self._closing.is_set():
+            try:
+                inlet = self._connected()
+                while inlet is not None and not self._closing.is_set():
+                    self._receive(inlet)
+            except UnoccludeError as failure:
+                self._failure = failure
+                self._wake()
+                return
+            except RuntimeError:  # the library's: lost, or no answer in time
+                continue  # look for it again
+
+    def _connected(self) -> Any:
+        """An inlet of the stream once it is there; None where this ends before."""
+        lsl = lsl_module()
+        while not self._closing.is_set():
+            self.others = list(lsl.resolve_streams(_RESOLVE_S))
+            found = self._matching()
+            if found is None:
+                continue
+            # the library itself would wait for the same source_id for ever
+            inlet = lsl.StreamInlet(found, max_buflen=_BUFFER_S, recover=False)
+            stream = inlet.info(_CLOCK_S)
+            labels = StreamLabels.of(stream)
+            if self._labels is not None:
+                self._compare(self._labels, labels, stream)
+            self._labels = labels
+            self.correction_s = inlet.time_correction(_CLOCK_S)
+            inlet.open_stream(_CLOCK_S)  # last: what waits inside has no arrival of its own
+            self.stream = stream
+            self._wake()
+            return inlet
+        return None
+
+    def _compare(self, before: StreamLabels, now: StreamLabels, stream: Any) -> None:
+        """Refuse a stream that came back as another one; warn of other changes."""
+        difference = before.difference(now)
+        if difference:
+            raise UnoccludeError(
+                f"the stream {printable(now.name)} came back with {printable(difference)};"
+                " begin a new session"
+            )
+        if stream.source_id() != self.stream.source_id():
+            self._events.put(f"{printable(now.name)}: found again by its name, its source_id is another")
+        rates = [float(each.nominal_srate()) for each in (self.stream, stream)]
+        if rates[0] != rates[1]:
+            self._events.put(f"{printable(now.name)}: states {rates[1]:g} /s instead of {rates[0]:g} /s")
+
+    def _matching(self) -> Any:
+        """The stream that is meant among those that answered; None where it is not there."""
+        if self.stream is not None:
+            return self._again()
+        part = (self._wanted or "").lower()
+        exact = [s for s in self.others if self._wanted in (s.name(), s.source_id())]
+        fitting = exact or [s for s in self.others if part in s.name().lower()]
+        # some devices give all of their streams one name
+        of_type = [stream for stream in fitting if stream.type().lower() in self._types]
+        fitting = of_type if self._wanted is None else of_type or fitting
+        if len({stream.uid() for stream in fitting}) <= 1:
+            return fitting[0] if fitting else None
+        raise UnoccludeError(
+            f"several streams are meant by {self.described}: {listed(fitting)}; give the whole name or the"
+            " source_id"
+        )
+
+    def _again(self) -> Any:
+        """The stream that was received before: the same source_id, or the only one of its name and type."""
+        meant = (self.stream.name(), self.stream.type())
+        named = [stream for stream in self.others if (stream.name(), stream.type()) == meant]
+        same = [stream for stream in named if stream.source_id() == self.stream.source_id()]
+        for fitting in (same, named):
+            if len({stream.uid() for stream in fitting}) == 1:
+                return fitting[0]
+        return None
+
+    def _receive(self, inlet: Any) -> None:
+        values, stamps = inlet.pull_chunk(timeout=_PULL_S, max_samples=_MOST, min_samples=1, as_numpy=True)
+        if not len(stamps):
+            return
+        arrival = lsl_module().local_clock()
+        with suppress(lsl_module().util.TimeoutError):  # the one before holds until there is a new one
+            self.correction_s = inlet.time_correction(0.0)
+        t_s = np.asarray(stamps, float) + self.correction_s
+        self._samples.put(LslSamples(t_s, np.asarray(values), np.full(len(t_s), arrival)))
+        self._wake()
+
 
 #: Content types by which streams are found that were not named.
 _IMU_TYPES, _SKELETON_TYPES = ("imu", "accelerometer", "acc"), ("mocap", "skeleton")
-_GYRO_TYPES = ("gyroscope", "gyro", "gyr")
-
-#: Between samples of the accelerometer farther apart than this nothing is interpolated, s.
-MOST_APART_S = 0.2
-#: A sample waits for the other half no longer than this, s.
-LONGEST_WAIT_S = 2.0
 
 
-class ImuHalves:
-    """Joins samples of both halves at the gyroscope's stamps, the accelerometer interpolated to them."""
+class _Arm:
+    """The streams of one arm: its IMUs by segment; the skeleton's is of all arms."""
 
-    def __init__(self, acc_name: str, gyro_name: str) -> None:
-        self._steps = {
-            kind: StampSteps[ImuRows](name, STEP_OF_IMU_S, STEP_OF_IMU_S)
-            for kind, name in (("acc", acc_name), ("gyro", gyro_name))
-        }
-        self._acc, self._gyro = ImuRows(), ImuRows()
-
-    def joined(self, acc: ImuRows, gyro: ImuRows) -> tuple[ImuRows, tuple[str, ...]]:
-        """What both halves reach, and what was done to stamps."""
-        acc, said_acc = self._steps["acc"].corrected(acc)
-        gyro, said_gyro = self._steps["gyro"].corrected(gyro)
-        self._acc = _in_order(ImuRows.joined([self._acc, acc]))
-        self._gyro = _in_order(ImuRows.joined([self._gyro, gyro]))
-        events = (*said_acc, *said_gyro)
-        if not len(self._acc) or not len(self._gyro):
-            self._forget()
-            return ImuRows(), events
-        t = self._acc.t_s
-        stop = int(np.searchsorted(self._gyro.t_s, t[-1], "right"))
-        due, self._gyro = self._gyro.select(slice(0, stop)), self._gyro.select(slice(stop, None))
-        after = np.clip(np.searchsorted(t, due.t_s), 0, len(t) - 1)
-        before = np.maximum(np.where(t[after] > due.t_s, after - 1, after), 0)
-        held = (t[before] <= due.t_s) & (due.t_s <= t[after]) & (t[after] - t[before] <= MOST_APART_S)
-        force = np.stack([np.interp(due.t_s, t, self._acc.acc[:, axis]) for axis in range(3)], axis=1)
-        # the sample is complete when the later half has come
-        arrival_s = np.maximum(due.arrival_s, self._acc.arrival_s[after])
-        rows = ImuRows(due.t_s, force, due.gyro, arrival_s).select(np.flatnonzero(held))
-        self._forget()
-        return rows, events
-
-    def _forget(self) -> None:
-        """Drop what nothing can be joined with any more."""
-        self._acc, self._gyro = (
-            rows.select(np.flatnonzero(rows.t_s > rows.t_s.max(initial=-np.inf) - LONGEST_WAIT_S))
-            for rows in (self._acc, self._gyro)
-        )
-
-
-def _in_order(rows: ImuRows) -> ImuRows:
-    """Rows in order of their stamps, each stamp once."""
-    if (np.diff(rows.t_s) > 0.0).all():
-        return rows
-    _, first = np.unique(rows.t_s, return_index=True)
-    return rows.select(first)
+    def __init__(self, side: str | None, imus: dict[str, LslInlet]) -> None:
+        self.side, self.imus = side, imus
+        self.channels: dict[str, ImuChannels] = {}
+        self.skeleton: SkeletonChannels | None = None
 
 
 class LslSource:
     """Streams of the lab's network as one source; times count from the session's beginning."""
 
     speed = 1.0
+    ended = False  # streams that are lost may come back
 
     def __init__(
         self,
-        imu: str | None,
-        skeleton: str | None,
-        side: str | None = None,
+        arms: Mapping[str | None, Mapping[str, str]],  # Streams of IMUs by side and segment, as far as named
+        skeleton: str | None = None,
         prefer_side: str | None = None,
         body: str | None = None,
-        gyro: str | None = None,
-        further: Mapping[str, str] | None = None,
-        beside: LslSource | None = None,
-    ):
+    ) -> None:
         lsl = lsl_module()
-        self._something, self._beside = threading.Event(), beside
-        self._skeleton: LslInlet = (
-            self._inlet(skeleton, _SKELETON_TYPES) if beside is None else beside._skeleton
-        )
-        self._imus = [self._inlet(imu, _IMU_TYPES)]  # the forearm's, and its gyroscope where that is apart
-        if gyro is not None:
-            self._imus.append(self._inlet(gyro, _GYRO_TYPES))
-        self._further = {name: self._inlet(stream, _IMU_TYPES) for name, stream in (further or {}).items()}
-        self._imu_channels: list[ImuChannels] = []
-        self._further_channels: dict[str, ImuChannels] = {}
-        self._skeleton_channels: SkeletonChannels | None = None
-        self._halves: ImuHalves | None = None
-        self._frame_batches: list[LslSamples] = []
-        self._side, self._prefer_side, self._body = side, prefer_side, body
+        self._something = threading.Event()
+        self._skeleton = LslInlet("--skeleton ", skeleton, _SKELETON_TYPES, self._something.set)
+        self._arms = [self._of_arm(side, named) for side, named in arms.items()]
+        self._inlets = [inlet for arm in self._arms for inlet in arm.imus.values()]
+        self._inlets.insert(1, self._skeleton)
+        self._prefer_side, self._body = prefer_side, body
         self._start_s = float(np.floor(lsl.local_clock()))
         self._origin_ns = time.time_ns() - int((lsl.local_clock() - self._start_s) * 1e9)
-        if beside is not None:
-            self._start_s, self._origin_ns = beside._start_s, beside._origin_ns
-        self._info: SourceInfo | None = None
+        self.infos: list[SourceInfo] = []
 
-    def _inlet(self, wanted: str | None, types: tuple[str, ...]) -> LslInlet:
-        return LslInlet(wanted, types, self._something.set)
+    def _of_arm(self, side: str | None, named: Mapping[str, str]) -> _Arm:
+        streams: dict[str, str | None] = {FOREARM.name: None, **named}
+        inlets = {}
+        for segment, wanted in streams.items():
+            option = "--imu " if segment == FOREARM.name else f"--imu {segment.replace('_', '-')}="
+            inlets[segment] = LslInlet(option, wanted, _IMU_TYPES, self._something.set)
+        return _Arm(side, inlets)
 
     def open(
         self,
-        seconds: float,  # s
+        seconds: float,
         stopped: Callable[[], bool] = lambda: False,
         say: Callable[[str], None] = lambda _: None,
     ) -> bool:
-        """Wait until both streams are there; what the first one sends meanwhile is not lost."""
-        for inlet in self._own_inlets:
+        """Wait until all streams are there; what the first one sends meanwhile is not lost."""
+        for inlet in self._inlets:
             inlet.start()
         until = time.monotonic() + seconds
         while not self._all_there(say):
@@ -133,73 +248,28 @@ class LslSource:
                 raise UnoccludeError(self._missing(seconds))
             self._something.wait(0.1)
             self._something.clear()
-        assert self._skeleton_channels is not None
-        self._info = self._described(self._skeleton_channels)
+        self.infos = [self._described(arm) for arm in self._arms]
         return True
 
     def _all_there(self, say: Callable[[str], None]) -> bool:
         """Take down the streams that have come; whether none is missing."""
-        for inlet in self._all_inlets:
+        for inlet in self._inlets:
             inlet.check()
-        for segment, inlet in self._further.items():
-            if segment not in self._further_channels and inlet.stream is not None:
-                self._further_channels[segment] = ImuChannels.of(StreamLabels.of(inlet.stream))
-                say(f"IMU stream {inlet.stream.name()} of the {SEGMENTS[segment].label} is there")
-        imu, skeleton = self._imus[0].stream, self._skeleton.stream
-        if not self._imu_channels and imu is not None:
-            self._imu_channels = self._imu_there(imu, say)
-        if self._skeleton_channels is None and skeleton is not None:
-            side = self._side or named_side("" if imu is None else imu.name())
-            labels = StreamLabels.of(skeleton)
-            self._skeleton_channels = SkeletonChannels.of(labels, side or None, self._prefer_side, self._body)
-            if self._beside is None:
-                say(f"skeleton stream {skeleton.name()} is there")
-        is_there = bool(self._imu_channels) and self._skeleton_channels is not None
-        return is_there and len(self._further_channels) == len(self._further)
-
-    def _imu_there(self, stream: Any, say: Callable[[str], None]) -> list[ImuChannels]:
-        """What the forearm's IMU is made of; nothing while its second stream is not there."""
-        labels = StreamLabels.of(stream)
-        if len(self._imus) == 1 and half_of(labels) == "acc":
-            self._look_for_gyro(stream)
-        if len(self._imus) == 1:
-            say(f"IMU stream {stream.name()} is there")
-            return [ImuChannels.of(labels)]
-        gyro = self._imus[1].stream
-        if gyro is None:
-            return []
-        channels = [ImuChannels.of(labels, "acc"), ImuChannels.of(StreamLabels.of(gyro), "gyro")]
-        say(f"accelerometer stream {stream.name()} and gyroscope stream {gyro.name()} are there")
-        self._halves = ImuHalves(stream.name(), gyro.name())
-        return channels
-
-    def _look_for_gyro(self, stream: Any) -> None:
-        """Receive the one stream that is the gyroscope beside an accelerometer's, by name and type."""
-        beside = [each for each in self._imus[0].others if each.uid() != stream.uid()]
-        found = [each for each in beside if belongs(each.name(), each.type(), stream.name())]
-        if len(found) == 1:
-            self._imus.append(self._inlet(found[0].name(), (found[0].type().lower(),)))
-            self._imus[1].start()
-
-    @property
-    def _all_inlets(self) -> list[LslInlet]:
-        return [self._imus[0], self._skeleton, *self._imus[1:], *self._further.values()]
-
-    @property
-    def _own_inlets(self) -> list[LslInlet]:
-        """Without the skeleton's, where that is the other arm's as well."""
-        return [each for each in self._all_inlets if self._beside is None or each is not self._skeleton]
-
-    @property
-    def info(self) -> SourceInfo:
-        """What the session is made of."""
-        assert self._info is not None
-        return self._info
-
-    @property
-    def ended(self) -> bool:
-        """Streams that are lost may come back: never."""
-        return False
+        skeleton = self._skeleton.stream
+        for arm in self._arms:
+            for segment, inlet in arm.imus.items():
+                if segment not in arm.channels and inlet.stream is not None:
+                    arm.channels[segment] = ImuChannels.of(StreamLabels.of(inlet.stream))
+                    where = "" if segment == FOREARM.name else f" of the {SEGMENTS[segment].label}"
+                    say(f"IMU stream {inlet.stream.name()}{where} is there")
+            imu = arm.imus[FOREARM.name].stream
+            if arm.skeleton is None and skeleton is not None:
+                side = arm.side or named_side("" if imu is None else imu.name())
+                labels = StreamLabels.of(skeleton)
+                arm.skeleton = SkeletonChannels.of(labels, side or None, self._prefer_side, self._body)
+                if arm is self._arms[0]:
+                    say(f"skeleton stream {skeleton.name()} is there")
+        return skeleton is not None and all(len(arm.channels) == len(arm.imus) for arm in self._arms)
 
     def now_s(self) -> float:
         """The LSL clock of this computer, after the session's beginning."""
@@ -210,79 +280,59 @@ class LslSource:
         self._something.wait(seconds)
         self._something.clear()
 
-    def arrivals(self) -> Arrivals:
-        """What came since the last call."""
-        assert self._skeleton_channels is not None
-        halves = zip(self._imu_channels, self._imus, strict=True)
-        rows = [self._imu_rows(channels, inlet) for channels, inlet in halves]
-        if self._beside is None:
-            self._frame_batches = self._skeleton.samples()
-        frames = []
-        for batch in (self._beside or self)._frame_batches:
-            position, state = self._skeleton_channels.values(batch.values)
-            arrival_s = batch.arrival_s - self._start_s
-            frames.append(FrameRows(batch.t_s - self._start_s, position, state, arrival_s))
-        further = {
-            segment: self._imu_rows(self._further_channels[segment], inlet)
-            for segment, inlet in self._further.items()
-        }
-        events = tuple(text for inlet in self._own_inlets for text in inlet.events())
-        imu, said = (rows[0], ()) if self._halves is None else self._halves.joined(*rows)
-        return Arrivals(imu, FrameRows.joined(frames), (*events, *said), further)
+    def arrivals(self) -> list[Arrivals]:
+        """What came since the last call; what happened to a stream is said with the first arm."""
+        frames, events = self._skeleton.samples(), [text for inlet in self._inlets for text in inlet.events()]
+        came: list[Arrivals] = []
+        for arm in self._arms:
+            imus = {name: self._imu_rows(arm.channels[name], inlet) for name, inlet in arm.imus.items()}
+            said = () if came else tuple(events)
+            came.append(Arrivals(imus, self._frame_rows(arm.skeleton, frames), said))
+        return came
 
     def _imu_rows(self, channels: ImuChannels, inlet: LslInlet) -> ImuRows:
-        """Samples of an IMU; those of a half stand in both places: the joiner takes what counts."""
         rows = []
         for batch in inlet.samples():
-            values = channels.values(batch.values)
-            half = next(iter(values.values()))
-            acc, gyro = values.get("acc", half), values.get("gyro", half)
             t_s, arrival_s = batch.t_s - self._start_s, batch.arrival_s - self._start_s
-            rows.append(ImuRows(t_s, acc, gyro, arrival_s, values.get("mag")))
+            rows.append(ImuRows(t_s=t_s, arrival_s=arrival_s, **channels.values(batch.values)))
         return ImuRows.joined(rows)
+
+    def _frame_rows(self, channels: SkeletonChannels | None, batches: Sequence[LslSamples]) -> FrameRows:
+        assert channels is not None  # since `open`
+        return FrameRows.joined(
+            [
+                FrameRows(
+                    batch.t_s - self._start_s,
+                    *channels.values(batch.values),
+                    batch.arrival_s - self._start_s,
+                )
+                for batch in batches
+            ]
+        )
 
     def close(self) -> None:
         """Let the streams go."""
-        for inlet in self._own_inlets:
+        for inlet in self._inlets:
             inlet.close()
 
-    def _described(self, skeleton: SkeletonChannels) -> SourceInfo:
-        names = [printable(inlet.stream.name()) for inlet in self._all_inlets]
-        corrections = [
-            f"{name} {1e3 * inlet.correction_s:+.1f} ms"
-            for name, inlet in zip(names, self._all_inlets, strict=True)
-        ]
-        notes = [f"LSL's time correction: {', '.join(corrections)}."]
-        if self._halves is not None:
-            notes.append(
-                f"Accelerometer {names[0]} and gyroscope {names[2]} are two streams: the accelerometer"
-                " is interpolated to the gyroscope's stamps."
-            )
+    def _described(self, arm: _Arm) -> SourceInfo:
+        assert arm.skeleton is not None
+        inlets = [*arm.imus.values(), self._skeleton]
+        corrections = [f"{each.name} {1e3 * each.correction_s:+.1f} ms" for each in inlets]
         return SourceInfo(
-            names[0],
-            names[1],
-            skeleton.side,
-            skeleton.joints,
+            {segment: inlet.name for segment, inlet in arm.imus.items()},
+            self._skeleton.name,
+            arm.skeleton.side,
+            arm.skeleton.joints,
             self._origin_ns,
-            skeleton.camera_frame,
+            arm.skeleton.camera_frame,
             lsl_start_s=self._start_s,
-            notes=tuple(notes),
-            further={segment: printable(inlet.stream.name()) for segment, inlet in self._further.items()},
+            notes=(f"LSL's time correction: {', '.join(corrections)}.",),
         )
 
     def _missing(self, seconds: float) -> str:
-        known = (("imu", _IMU_TYPES), ("skeleton", _SKELETON_TYPES), ("gyro", _GYRO_TYPES))
-        names = [
-            f"--{option} {inlet.wanted}" if inlet.wanted is not None else f"{option} of type {types[0]}"
-            for inlet, (option, types) in zip(self._all_inlets[: 1 + len(self._imus)], known, strict=False)
-            if inlet.stream is None
-        ]
-        names += [
-            f"{segment.replace('_', '-')}={inlet.wanted}"
-            for segment, inlet in self._further.items()
-            if inlet.stream is None
-        ]
-        there = listed([stream for inlet in self._all_inlets for stream in inlet.others])
+        names = [inlet.described for inlet in self._inlets if inlet.stream is None]
+        there = listed([stream for inlet in self._inlets for stream in inlet.others])
         return (
             f"no stream for {' and '.join(names)} arrived within {seconds:g} s; streams on the network:"
             f" {there}"

@@ -8,7 +8,8 @@ from smoother.live.answers import LiveEstimate, LiveOutput, LiveState
 from smoother.recording import CameraFrame
 from smoother.streams.arrivals import SourceInfo
 
-INFO = SourceInfo("wrist", "kinect", "right", ("shoulder", "elbow", "wrist"), 0, CameraFrame.OPTICAL)
+JOINTS = ("shoulder", "elbow", "wrist")
+INFO = SourceInfo({"forearm": "wrist"}, "kinect", "right", JOINTS, 0, CameraFrame.OPTICAL)
 
 
 def answer(t_s: float, bent_deg: float) -> LiveOutput:

@@ -12,31 +12,24 @@ class CameraEcho:
     """Calibrates for a second, then repeats the last frame; without a tracked wrist it is a gap."""
 
     def __init__(self, *_, **__):
-        self.imu, self.frames, self.steps, self.finished = [], [], 0, False
-        self.further = {}
+        self.imus, self.frames, self.steps = {}, [], 0
         self._since = None
 
     def __enter__(self):
         return self
 
     def __exit__(self, *_):
-        self.finish()
+        pass
 
-    def add_imu(self, batch):
-        self.imu.append(batch)
-
-    def add_further_imu(self, segment, batch):
-        self.further.setdefault(segment, []).append(batch)
+    def add_imu(self, samples, segment="forearm"):
+        self.imus.setdefault(segment, []).append(samples)
 
     def add_frame(self, frame):
         self.frames.append(frame)
 
-    def finish(self):
-        self.finished = True
-
-    @property
-    def imu_t(self):
-        return np.concatenate([batch.t_s for batch in self.imu])
+    def column(self, name, segment="forearm"):
+        """All that came of an IMU, in the order in which it came."""
+        return np.concatenate([getattr(samples, name) for samples in self.imus[segment]])
 
     def step(self, now_s):
         self.steps += 1

@@ -16,7 +16,7 @@ from contextlib import contextmanager
 from lsl_lab import imu_outlet
 
 from smoother.errors import UnoccludeError
-from smoother.streams.lsl import LslInlet
+from smoother.streams.lsl_source import LslInlet
 
 #: Nothing is waited for longer, s.
 PATIENCE_S = 25.0
@@ -53,7 +53,7 @@ def received(inlet: LslInlet) -> int:
 
 def main() -> None:
     said = {}
-    inlet = LslInlet("wrist", ("imu",), lambda: None)
+    inlet = LslInlet("--imu ", "wrist", ("imu",), lambda: None)
     inlet.start()
     try:
         with sent("first", "m/s^2"):

@@ -1,6 +1,6 @@
 """A lab's network on this computer, for tests: outlets that play a recording, and a reader, as programs.
 
-python lsl_lab.py play REC.mcap IMU SKELETON [--late S] [--bare | --halves | --both]
+python lsl_lab.py play REC.mcap IMU SKELETON [--late S] [--bare | --both]
 python lsl_lab.py read NAME SECONDS [--least SAMPLES]
 """
 
@@ -41,28 +41,6 @@ def imu_outlet(name: str, bare: bool = False, unit: str = "m/s^2", source_id: st
                 channel.append_child_value("label", f"{label}_{axis}")
                 channel.append_child_value("unit", axis_unit)
     return pylsl.StreamOutlet(info)
-
-
-class Halves:
-    """Accelerometer and gyroscope as a headband sends them: one name, two types, g and deg/s."""
-
-    def __init__(self, name: str):
-        import pylsl
-
-        self.outlets = []
-        for kind, what, unit in (("ACC", "accelerometer", "g"), ("GYRO", "gyroscope", "dps")):
-            info = pylsl.StreamInfo(name, kind, 3, 80, "double64", f"id-{name}")
-            channels = info.desc().append_child("channels")
-            for axis in "XYZ":
-                channel = channels.append_child("channel")
-                for key, text in (("label", axis), ("unit", unit), ("type", what)):
-                    channel.append_child_value(key, text)
-            self.outlets.append(pylsl.StreamOutlet(info))
-
-    def push_sample(self, row: list[float], stamp_s: float) -> None:
-        acc, gyro = self.outlets
-        acc.push_sample([value / 9.80665 for value in row[:3]], stamp_s - 0.005)
-        gyro.push_sample(np.degrees(row[3:]).tolist(), stamp_s)
 
 
 def skeleton_outlet(name: str, *sides: str, unit: str = "meters"):
@@ -113,7 +91,7 @@ def play(options: argparse.Namespace) -> None:
     sides = ("right", "left") if options.both else ()
     events = events_of(options.recording, options.late, sides)
     make = {
-        "imu": lambda: Halves(options.imu) if options.halves else imu_outlet(options.imu, options.bare),
+        "imu": lambda: imu_outlet(options.imu, options.bare),
         "skeleton": lambda: skeleton_outlet(options.skeleton, *sides),
     }
     if sides:
@@ -181,7 +159,6 @@ def main() -> None:
     player.add_argument("skeleton")
     player.add_argument("--late", type=float, default=0.1)
     player.add_argument("--bare", action="store_true")
-    player.add_argument("--halves", action="store_true")
     player.add_argument("--both", action="store_true")
     player.set_defaults(run=play)
     reader = commands.add_parser("read")

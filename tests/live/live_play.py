@@ -8,17 +8,18 @@ from typing import Literal
 import numpy as np
 
 from smoother.live.answers import LiveOutput
-from smoother.live.buffers import ImuBatch, SkeletonFrame
+from smoother.live.buffers import SkeletonFrame
 from smoother.live.calibrations import InlineCalibrator
 from smoother.live.smoother import LiveSmoother
+from smoother.recording import ImuStream
 from smoother.simulation import ArmSimulation, SimulatedArm, simulate_arm
 
 LATENCY_S = 0.1
 #: The realistic preset stamps frames late by so much: t_imu = t_camera - 0.02.
 OFFSET_S = -0.02
 
-#: What arrives when: samples, a frame, or samples of an IMU beyond the forearm with its segment.
-Event = tuple[float, ImuBatch | SkeletonFrame | tuple[str, ImuBatch]]
+#: What arrives when: a frame, or samples of the IMU on a segment.
+Event = tuple[float, SkeletonFrame | tuple[ImuStream, str]]
 
 
 def simulated(
@@ -41,17 +42,12 @@ def simulated(
 
 def events(simulation: SimulatedArm) -> list[Event]:
     """Arrivals in order of time: IMU samples by fives, frames after the camera's latency."""
-    imu, arm = simulation.recording.imu, simulation.recording.arm
+    recording, arm = simulation.recording, simulation.recording.arm
     arrivals: list[Event] = []
-    for first in range(0, len(imu), 5):
-        rows = slice(first, first + 5)
-        batch = ImuBatch(imu.t_s[rows], imu.acc[rows], imu.gyro[rows])
-        arrivals.append((float(batch.t_s[-1]), batch))
-    for segment, own in simulation.recording.further_imus.items():
-        for first in range(0, len(own), 5):
-            rows = slice(first, first + 5)
-            batch = ImuBatch(own.t_s[rows], own.acc[rows], own.gyro[rows])
-            arrivals.append((float(batch.t_s[-1]), (segment, batch)))
+    for segment, imu in {"forearm": recording.imu, **recording.further_imus}.items():
+        for first in range(0, len(imu), 5):
+            samples = imu.select(slice(first, first + 5))
+            arrivals.append((float(samples.t_s[-1]), (samples, segment)))
     for t, position, state in zip(arm.t_s, arm.position, arm.state, strict=True):
         arrival = float(t) + OFFSET_S + LATENCY_S
         arrivals.append((arrival, SkeletonFrame(float(t), arrival, position, state)))
@@ -69,10 +65,8 @@ def play(
             while at > next_s:
                 yield live.step(next_s)
                 next_s += step_s
-            if isinstance(event, ImuBatch):
-                live.add_imu(event)
-            elif isinstance(event, tuple):
-                live.add_further_imu(*event)
+            if isinstance(event, tuple):
+                live.add_imu(*event)
             else:
                 live.add_frame(event)
         yield live.step(next_s)

@@ -16,7 +16,7 @@ from pool_jobs import answer_half
 from smoother.calibration import ArmCalibration
 from smoother.config import Config
 from smoother.live import calibrations
-from smoother.live.buffers import FrameBuffer, ImuBatch, ImuBuffer, SkeletonFrame
+from smoother.live.buffers import FrameBuffer, ImuBuffer, SkeletonFrame
 from smoother.live.calibrations import (
     AGAIN_S,
     FIRST_S,
@@ -31,6 +31,7 @@ from smoother.live.calibrations import (
 )
 from smoother.live.camera_clock import USUAL_LATENCY_S, CameraClock
 from smoother.measurements.clock import constant_clock
+from smoother.recording import ImuStream
 
 WORKED: Any = object()  # a model that nobody looks into
 
@@ -74,7 +75,7 @@ class Session:
         asked = []
         while self.t_s < end_s:
             t = self.t_s + np.arange(0.0, 0.5, 0.02)
-            self.imu.add(ImuBatch(t, np.ones((25, 3)), np.zeros((25, 3))))
+            self.imu.add(ImuStream("", t, np.ones((25, 3)), np.zeros((25, 3))))
             for t_s in t[::2]:
                 frame = SkeletonFrame(t_s, t_s + 0.1, np.ones((5, 3)), np.full(5, 2, np.int8))
                 for each in self.camera.take(frame)[0]:

@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 from live_play import simulated
 
-from smoother.live.buffers import ImuBatch, ImuBuffer
+from smoother.live.buffers import ImuBuffer
 from smoother.live.imu_check import ImuCheck
+from smoother.recording import ImuStream
 
 RNG = np.random.default_rng(5)
 T = np.arange(100) / 100.0
@@ -32,7 +33,7 @@ def test_sound_samples_of_simulated_arms_are_not_doubted():
         buffer, doubted = ImuBuffer(60.0), 0
         for first in range(0, len(imu), 5):
             rows = slice(first, first + 5)
-            buffer.add(ImuBatch(imu.t_s[rows], imu.acc[rows], imu.gyro[rows]))
+            buffer.add(ImuStream("", imu.t_s[rows], imu.acc[rows], imu.gyro[rows]))
             buffer.check()
             doubted = int((buffer.doubt(-np.inf) > 0).any(axis=1).sum())
         assert doubted <= 0.002 * len(imu)  # an impact may look like a spike
@@ -84,7 +85,7 @@ def test_a_doubtful_stretch_is_replaced_and_left_to_no_calibration():
     buffer = ImuBuffer(60.0)
     for first in range(0, 100, 5):
         rows = slice(first, first + 5)
-        buffer.add(ImuBatch(T[rows], acc[rows], gyro[rows]))
+        buffer.add(ImuStream("", T[rows], acc[rows], gyro[rows]))
         buffer.check()
     assert np.abs(buffer.stream(-np.inf).gyro[45:75]).max() == 0.0
     assert len(buffer.sound_stream()) == 61

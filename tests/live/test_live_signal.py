@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from smoother.live.buffers import ImuBatch, ImuBuffer
+from smoother.live.buffers import ImuBuffer
 from smoother.live.signal import LiveSignal, increments_between, propagated
+from smoother.recording import ImuStream
 from smoother.units import GRAVITY
 from smoother.window.solution import NodeState
 
@@ -14,10 +15,10 @@ T = np.arange(0.0, 2.0, 0.01)
 NODE = NodeState(1.0, np.eye(3), np.array([0.1, 0.2, 1.0]), np.array([0.3, 0.0, -0.1]))
 
 
-def rows(t: np.ndarray) -> ImuBatch:
+def rows(t: np.ndarray) -> ImuStream:
     """A turning, accelerating arm."""
     acc = np.column_stack([np.sin(5.0 * t), np.cos(3.0 * t), GRAVITY + 0.5 * t])
-    return ImuBatch(t, acc, np.column_stack([1.5 * np.sin(2.0 * t), np.ones_like(t), 0.3 * t]))
+    return ImuStream("", t, acc, np.column_stack([1.5 * np.sin(2.0 * t), np.ones_like(t), 0.3 * t]))
 
 
 def buffer(t: np.ndarray = T) -> ImuBuffer:

@@ -9,16 +9,17 @@ import pytest
 from live_play import errors, events, play, rms, simulated
 
 from smoother.live.answers import LiveState
-from smoother.live.buffers import FrameBuffer, ImuBatch, ImuBuffer, SkeletonFrame
+from smoother.live.buffers import FrameBuffer, ImuBuffer, SkeletonFrame
 from smoother.live.camera_clock import CameraClock, ShiftCause
+from smoother.recording import ImuStream
 
 SIMULATION = simulated(2, 15.0, ())
 ARRIVALS = events(SIMULATION)
 
 
-def batch(*times: float) -> ImuBatch:
+def batch(*times: float) -> ImuStream:
     t = np.array(times)
-    return ImuBatch(t, np.outer(t, np.ones(3)), np.zeros((len(t), 3)))
+    return ImuStream("", t, np.outer(t, np.ones(3)), np.zeros((len(t), 3)))
 
 
 def frame(t: float, arrival: float | None = None) -> SkeletonFrame:
@@ -125,7 +126,7 @@ def rearranged() -> list:
     """Every fifth batch 0.3 s late, every seventh frame 0.25 s."""
     late = []
     for number, (at, event) in enumerate(ARRIVALS):
-        if isinstance(event, ImuBatch):
+        if isinstance(event, tuple):
             late.append((at + (0.3 if number % 5 == 0 else 0.0), event))
         else:
             late.append((at + (0.25 if number % 7 == 0 else 0.0), event))
@@ -136,7 +137,7 @@ def lost_and_back() -> list:
     """No IMU from 11 to 12 s, no camera from 13.5 to 14.1 s, then its frames in a burst."""
     left = []
     for at, event in ARRIVALS:
-        if isinstance(event, ImuBatch):
+        if isinstance(event, tuple):
             if not 11.0 < at < 12.0:
                 left.append((at, event))
         elif 13.5 < at < 14.1:

@@ -1,4 +1,4 @@
-"""Both arms in one program: one skeleton, a tracker an arm, one recording."""
+"""Both arms in one program: one skeleton, a smoother an arm, one recording."""
 
 from __future__ import annotations
 
@@ -13,57 +13,36 @@ import smoother.live.smoother
 from smoother.cli.run import run
 from smoother.io import read_recording
 from smoother.streams.replay import Replay
-from smoother.streams.session import LiveSession, run_together
+from smoother.streams.session import LiveSession
 
 SIDES = ("right", "left")
-WAIT_S = 20.0
 
 
 @pytest.fixture(scope="module")
 def both(tmp_path_factory) -> Path:
     path = tmp_path_factory.mktemp("both") / "both.mcap"
-    made = [
-        "--arms",
-        "both",
-        "--set",
-        "imus=wrist,upper-arm",
-        "--set",
-        "protocol=random",
-        "--set",
-        "duration_s=6",
-    ]
-    assert run(["simulate", "arm", "-o", str(path), "--seed", "3", *made]) == 0
+    made = [*("--arms", "both", "--set", "imus=wrist,upper-arm", "--set", "protocol=random")]
+    assert run(["simulate", "arm", "-o", str(path), "--seed", "3", *made, "--set", "duration_s=6"]) == 0
     return path
 
 
 @pytest.mark.slow
 def test_each_arm_gets_what_it_gets_alone(both):
-    right = Replay(both, side="right", speed=0.0)
-    sources = [right, Replay(both, side="left", speed=0.0, beside=right)]
-    assert sources[0].info.origin_ns == sources[1].info.origin_ns
     engines, steps = [CameraEcho(), CameraEcho()], []
-    sessions = [LiveSession(*pair, arm=k) for k, pair in enumerate(zip(sources, engines, strict=True))]
-    figures = run_together(
-        sessions, lambda: False, lambda *arms: steps.append([each.seconds for each in arms])
-    )
-    assert [own.side for own in figures] == list(SIDES)
+    session = LiveSession(Replay(both, dict.fromkeys(SIDES), speed=0.0), engines)
+    session.run(lambda: False, lambda *arms: steps.append([each.seconds for each in arms]))
+    assert [own.side for own in session.figures] == list(SIDES)
     assert all(abs(a - b) < 1e-9 for a, b in steps)
-    for side, engine, own in zip(SIDES, engines, figures, strict=True):
+    for side, engine, own in zip(SIDES, engines, session.figures, strict=True):
         alone = CameraEcho()
-        LiveSession(Replay(both, side=side, speed=0.0), alone).run(lambda: False, lambda _: None)
-        np.testing.assert_array_equal(engine.imu_t, alone.imu_t)
-        for one, other in (
-            (engine.imu, alone.imu),
-            (engine.further["upper_arm"], alone.further["upper_arm"]),
-        ):
-            stacked = [np.concatenate([batch.acc for batch in batches]) for batches in (one, other)]
-            np.testing.assert_array_equal(*stacked)
+        LiveSession(Replay(both, {side: None}, speed=0.0), [alone]).run(lambda: False)
+        for segment, name in (("forearm", "t_s"), ("forearm", "acc"), ("upper_arm", "acc")):
+            np.testing.assert_array_equal(engine.column(name, segment), alone.column(name, segment))
         pairs = list(zip(engine.frames, alone.frames, strict=True))
         assert len(pairs) > 100
         assert all(a.t_s == b.t_s and a.arrival_s == b.arrival_s for a, b in pairs)
-        np.testing.assert_array_equal(
-            *([each.position for each in pair] for pair in zip(*pairs, strict=True))
-        )
+        places = [np.array([each.position for each in pair]) for pair in zip(*pairs, strict=True)]
+        np.testing.assert_array_equal(*places)
         assert own.figures()["further"]["upper_arm"]["count"] == own.imu.count
     moved = [np.array([frame.position[2] for frame in engine.frames]) for engine in engines]
     assert np.nanmedian(np.linalg.norm(moved[0] - moved[1], axis=1)) > 0.1  # of two arms
@@ -82,23 +61,17 @@ def test_one_recording_one_file_of_figures_and_every_line_names_its_arm(both, tm
         assert f"s  {side} arm: calibrating" in said
         assert f"{side} arm, " in said
         played, kept = (read_recording(path, side=side) for path in (both, session))
-        np.testing.assert_array_equal(kept.imu.acc, played.imu.acc)
-        np.testing.assert_array_equal(kept.imu.t_s, played.imu.t_s)
-        np.testing.assert_array_equal(
-            kept.further_imus["upper_arm"].gyro, played.further_imus["upper_arm"].gyro
-        )
-        np.testing.assert_array_equal(kept.arm.t_s, played.arm.t_s)
-        np.testing.assert_array_equal(kept.arm.position, played.arm.position)
-        np.testing.assert_array_equal(kept.arm.state, played.arm.state)
+        upper = [each.further_imus["upper_arm"] for each in (kept, played)]
+        for own, names in (
+            ((kept.imu, played.imu), ("acc", "t_s")),
+            (upper, ("gyro",)),
+            ((kept.arm, played.arm), ("t_s", "position", "state")),
+        ):
+            for name in names:
+                np.testing.assert_array_equal(*(getattr(each, name) for each in own))
     arms = {each["side"]: each for each in json.loads(figures.read_text())["arms"]}
     assert list(arms) == list(SIDES)
     assert arms["left"]["skeleton"]["count"] == arms["right"]["skeleton"]["count"] > 100
-    # an arm alone has its figures as before
-    arguments = ["--side", "left", "--speed", "0", "--json", str(tmp_path / "left.json")]
-    assert run(["live", "--replay", str(both), *arguments]) == 0
-    alone = json.loads((tmp_path / "left.json").read_text())
-    same = ("steps", "imu", "skeleton", "further", "state_s", "gaps", "longest_gap_s")
-    assert {key: alone[key] for key in same} == {key: arms["left"][key] for key in same}
 
 
 def test_what_a_person_gets_wrong(both, capsys):
@@ -117,7 +90,6 @@ def test_what_a_person_gets_wrong(both, capsys):
     assert "once for each place, of upper-arm, hand" in sentence("--imu", "a", "--imu", "b")
     assert "once for each place" in sentence("--imu", "hand=a", "--imu", "hand=b")
     assert "of upper-arm, hand" in sentence("--imu", "leg=a")
-    assert "--gyro is of one arm" in sentence("--arms", "both", "--gyro", "g")
     assert "a further --imu is of a stream" in sentence(*played, "--imu", "hand=a")
     same = ("--imu", "right=/imu/forearm_left", "--imu", "left=/imu/forearm_left")
     said = sentence(*played, "--arms", "both", "--speed", "0", *same, code=1)

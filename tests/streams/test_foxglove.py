@@ -1,11 +1,14 @@
-"""The WebSocket that Foxglove connects to: the topics and schemas of a result, on this computer alone."""
+"""The WebSocket that Foxglove connects to: a result's topics and schemas, this computer's programs alone."""
 
 from __future__ import annotations
 
 import asyncio
 import json
 import re
+import socket
 import struct
+import threading
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -16,80 +19,79 @@ from made_recordings import make
 from smoother.errors import UnoccludeError
 from smoother.io import write_recording
 from smoother.io.wire.schemas import message_class
-from smoother.live.answers import LiveOutput
 from smoother.measurements.visibility import Gap
-from smoother.streams.arrivals import FrameRows
-from smoother.streams.foxglove import TOPICS, LiveMessages
+from smoother.streams.arrivals import Step
+from smoother.streams.foxglove import LiveMessages
+from smoother.streams.origin_gate import OriginGate, is_allowed
 from smoother.streams.replay import Replay
 from smoother.streams.session import LiveSession
 
 LAYOUT = Path(__file__).parents[2] / "docs" / "unocclude.foxglove-layout.json"
+SETTLED = ("skeleton", "forearm")
+NAMES = ("skeleton", "forearm", "arm", "beads", "tf", "joints", "camera", "arm_camera", "gaps", "log")
+TOPICS = {f"/unocclude/{name}" for name in NAMES} | {f"/unocclude/{name}/settled" for name in SETTLED}
+WAIT_S = 10.0
+
+
+class Kept(list):
+    send = list.append
 
 
 @pytest.fixture
-def source(tmp_path) -> Replay:
+def played(tmp_path) -> tuple[Replay, Step]:
+    """A source, and the last step of it: its frames, a gap that ended, and an event."""
     write_recording(make(6.0), tmp_path / "original.mcap")
-    return Replay(tmp_path / "original.mcap", speed=0.0)
+    source, kept = Replay(tmp_path / "original.mcap", speed=0.0), Kept()
+    session = LiveSession(source, [CameraEcho()], receivers=[kept])
+    session.run(lambda: source.now_s() > 2.5)
+    frames = source.arms[0].frames.select(slice(60, 62))
+    return source, replace(kept[-1], frames=frames, gap=Gap(1.0, 1.8), events=("the camera is back",))
 
 
-def last_output(source) -> tuple[LiveOutput, FrameRows]:
-    engine = CameraEcho()
-    session = LiveSession(source, engine)
-    session.run(lambda: source.now_s() > 2.5, lambda _: None)
-    frames = source._frames.select(slice(60, 62))
-    return engine.step(source.now_s()), frames
-
-
-def decoded(messages) -> dict:
-    return {m.topic: message_class(m.schema).FromString(m.data) for m in messages}
-
-
-def test_messages_are_those_of_a_result(source):
-    output, frames = last_output(source)
-    messages = LiveMessages(source.info)
+def test_messages_are_those_of_a_result(played):
+    source, step = played
+    messages, output = LiveMessages(source.infos[0]), step.output
     sent = [
-        *messages.estimate(output.now),
-        *messages.estimate(output.settled),
-        *messages.frames(frames, 0.012),
-        *messages.gap(Gap(1.0, 1.8)),
+        *messages.estimate(output.now, TOPICS.__contains__),
+        *messages.estimate(output.settled, TOPICS.__contains__),
+        *messages.frames(step.frames, 0.012, TOPICS.__contains__),
+        *messages.gap(step.gap),
         messages.line("the camera is back", 2.0),
     ]
-    assert {(m.topic, m.schema) for m in sent} == set(TOPICS.items())
-    by_topic = decoded(sent)
-    skeleton = by_topic["/unocclude/skeleton"]
+    by_topic = {m.topic: message_class(m.schema).FromString(m.data) for m in sent}
+    assert by_topic.keys() == TOPICS
+    skeleton, origin = by_topic["/unocclude/skeleton"], source.infos[0].origin_ns
     assert [joint.name for joint in skeleton.joints] == ["shoulder_right", "elbow_right", "wrist_right"]
-    wrist = skeleton.joints[2]
-    np.testing.assert_allclose(
-        [wrist.position.x, wrist.position.y, wrist.position.z], output.now.joints["wrist"]
-    )
-    assert wrist.position_covariance[0] == pytest.approx(1e-4)
-    stamp = round(output.now.t_s * 1e9) + source.info.origin_ns
+    wrist = skeleton.joints[2].position
+    np.testing.assert_allclose([wrist.x, wrist.y, wrist.z], output.now.joints["wrist"])
+    assert skeleton.joints[2].position_covariance[0] == pytest.approx(1e-4)
+    stamp = round(output.now.t_s * 1e9) + origin
     assert skeleton.timestamp.ToNanoseconds() == stamp
     settled = by_topic["/unocclude/skeleton/settled"].timestamp.ToNanoseconds()
     assert stamp - settled == pytest.approx(0.2e9, abs=2)
     camera = by_topic["/unocclude/camera"].timestamp.ToNanoseconds()
-    assert camera == pytest.approx(frames.t_s[-1] * 1e9 + 0.012e9 + source.info.origin_ns, abs=512)
+    assert camera == pytest.approx(step.frames.t_s[-1] * 1e9 + 0.012e9 + origin, abs=512)
     assert len(by_topic["/unocclude/arm"].entities) == 1
-    assert by_topic["/unocclude/gaps"].end_time.ToNanoseconds() - source.info.origin_ns == 1_800_000_000
+    assert by_topic["/unocclude/gaps"].end_time.ToNanoseconds() - origin == 1_800_000_000
     assert by_topic["/unocclude/tf"].transforms[1].parent_frame_id == "world"
 
 
 def test_the_layout_of_a_result_has_all_its_topics_live():
     shown = set(re.findall(r'"(/unocclude/\w+)', LAYOUT.read_text(encoding="utf-8")))
     assert len(shown) > 5
-    assert shown - {"/unocclude/residuals"} <= TOPICS.keys()
+    assert shown - {"/unocclude/residuals"} <= TOPICS
 
 
-async def received(address: str, send) -> tuple[dict, dict]:
+async def received(address: str, send) -> tuple[set[str], dict[str, bytes]]:
     """What the server advertises, and a message a topic, of a client as Foxglove is one."""
     from tornado.httpclient import HTTPRequest
     from tornado.websocket import websocket_connect
 
     client = await websocket_connect(HTTPRequest(address), subprotocols=["foxglove.sdk.v1"])
-    channels: dict[int, dict] = {}
+    channels: dict[int, str] = {}
     while len(channels) < len(TOPICS):
         said = json.loads(await asyncio.wait_for(client.read_message(), 5))
-        channels |= {c["id"]: c for c in said.get("channels", ())}
+        channels |= {c["id"]: c["topic"] for c in said.get("channels", ())}
     wanted = [{"id": 1000 + number, "channelId": number} for number in channels]
     await client.write_message(json.dumps({"op": "subscribe", "subscriptions": wanted}))
     messages: dict[str, bytes] = {}
@@ -101,46 +103,93 @@ async def received(address: str, send) -> tuple[dict, dict]:
                 data = await asyncio.wait_for(client.read_message(), 0.05)
                 if isinstance(data, bytes) and data[0] == 1:
                     number, _stamp = struct.unpack_from("<IQ", data, 1)
-                    messages[channels[number - 1000]["topic"]] = data[13:]
+                    messages[channels[number - 1000]] = data[13:]
         except TimeoutError:
             continue
         break
     client.close()
-    return {c["topic"]: c["schemaName"] for c in channels.values()}, messages
+    return set(channels.values()), messages
 
 
-def test_a_client_reads_the_arm(source):
+def test_a_client_reads_the_arm_and_nothing_is_made_where_nobody_looks(played, monkeypatch):
     pytest.importorskip("foxglove", reason="foxglove-sdk, of the extra `live`, is not installed")
     from smoother.streams.foxglove import FoxgloveServer
 
-    output, frames = last_output(source)
-    server = FoxgloveServer(source.info, 0)
+    source, step = played
+    server = FoxgloveServer(source.infos, 0)
     try:
         assert server.address.startswith("ws://127.0.0.1:")
+        server.send(step)  # announces all topics
+        with monkeypatch.context() as patched:
+            patched.setattr(LiveMessages, "estimate", lambda *_: pytest.fail("made for nobody"))
+            server._drawn_s = [-1.0]
+            server.send(step)
 
         def send() -> None:
-            server._drawn_s = -1.0
-            server.send(output, frames, None, ())
+            server._drawn_s = [-1.0]
+            server.send(step)
 
         topics, messages = asyncio.run(received(server.address, send))
+        port = int(server.address.rpartition(":")[2])
+        with pytest.raises(UnoccludeError, match=f"port {port} of 127.0.0.1 cannot be used"):
+            FoxgloveServer(source.infos, port)
     finally:
         server.close()
     assert topics == TOPICS
     skeleton = message_class("unocclude.Skeleton").FromString(messages["/unocclude/skeleton"])
-    assert skeleton.joints[2].position.x == pytest.approx(output.now.joints["wrist"][0])
+    assert skeleton.joints[2].position.x == pytest.approx(step.output.now.joints["wrist"][0])
 
 
-def test_nothing_is_made_where_nobody_looks(source, monkeypatch):
-    pytest.importorskip("foxglove", reason="foxglove-sdk, of the extra `live`, is not installed")
-    from smoother.streams.foxglove import FoxgloveServer
+# Which pages may connect
 
-    output, frames = last_output(source)
-    server = FoxgloveServer(source.info, 0)
-    monkeypatch.setattr(LiveMessages, "estimate", lambda *_: pytest.fail("made for nobody"))
-    try:
-        server.send(output, frames, None, ("an event",))
-        port = int(server.address.rpartition(":")[2])
-        with pytest.raises(UnoccludeError, match=f"port {port} of 127.0.0.1 cannot be used"):
-            FoxgloveServer(source.info, port)
-    finally:
-        server.close()
+
+def head(*lines: str) -> bytes:
+    return "\r\n".join(["GET / HTTP/1.1", *lines]).encode()
+
+
+@pytest.mark.parametrize(
+    "lines, allowed",
+    [
+        (("Host: 127.0.0.1:8765",), True),  # a program
+        (("Host: localhost:8765", "Origin: https://app.foxglove.dev"), True),
+        (("Host: localhost:8765", "Origin: file://"), True),
+        (("host: 127.0.0.1", "oRIGIN: http://localhost:3000"), True),
+        (("Host: 127.0.0.1:8765", "Origin: https://evil.example"), False),
+        (("Host: 127.0.0.1:8765", "Origin: https://app.foxglove.dev.evil.example"), False),
+        (("Host: 127.0.0.1:8765", "Origin: null"), False),
+        (("Host: 127.0.0.1", "Origin: https://app.foxglove.dev", "Origin: https://evil.example"), False),
+        (("Host: evil.example:8765",), False),  # a name that points at this computer
+        ((), False),
+    ],
+)
+def test_who_may_connect(lines, allowed):
+    assert is_allowed(head(*lines)) is allowed
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "origin, answer", [("https://app.foxglove.dev", b"GET /"), ("https://a.b", b"HTTP/1.1 403")]
+)
+def test_the_gate_passes_bytes_on_for_who_may(origin, answer):
+    echo = socket.create_server(("127.0.0.1", 0))
+    echo.settimeout(WAIT_S)
+
+    def serve():
+        try:
+            connection, _ = echo.accept()
+        except OSError:
+            return
+        with connection:
+            connection.settimeout(WAIT_S)
+            while chunk := connection.recv(4096):
+                connection.sendall(chunk)
+
+    thread = threading.Thread(target=serve, daemon=True)
+    thread.start()
+    gate = OriginGate(0, echo.getsockname())
+    with socket.create_connection(("127.0.0.1", gate.port), WAIT_S) as connection:
+        connection.sendall(head("Host: 127.0.0.1", f"Origin: {origin}") + b"\r\n\r\n")
+        assert connection.recv(4096).startswith(answer)
+    gate.close()
+    echo.close()
+    thread.join(WAIT_S)

@@ -10,6 +10,7 @@ import sys
 import threading
 import time
 import uuid
+from configparser import ConfigParser
 from pathlib import Path
 
 import numpy as np
@@ -18,6 +19,7 @@ from lsl_lab import JOINTS, config
 
 from smoother.cli.run import run
 from smoother.io import read_recording
+from smoother.streams.lsl import local_settings
 
 HELPERS = Path(__file__).parents[1] / "helpers"
 DEMO = Path(__file__).parents[2] / "data" / "demo.mcap"
@@ -177,45 +179,10 @@ def test_the_recording_survives_its_program(lab, tmp_path, ending):
 
 
 @pytest.mark.slow
-def test_accelerometer_and_gyroscope_in_two_streams(lab, tmp_path):
-    outlets = players(lab, "--halves")
-    arguments = ["--imu", "wrist", "--skeleton", "kinect", "--record", "session.mcap"]
-    live = lab.start("live_program.py", "--echo", "live", *arguments)
-    lines_until(live, "calibrating")
-    tell(outlets, "go")
-    lines_until(live, "  visible")
-    time.sleep(2.0)
-    live.send_signal(signal.SIGINT)
-    said, errors = live.communicate(timeout=20)
-    assert (live.returncode, errors) == (0, ""), said
-    recorded, original = read_recording(tmp_path / "session.mcap"), read_recording(DEMO)
-    assert len(recorded.imu.t_s) > 100
-    # by the gyroscope's values, which are only converted, each sample is found in what was sent ..
-    near = np.abs(original.imu.gyro[:, None] - recorded.imu.gyro[None]).sum(axis=2)
-    at = near.argmin(axis=0)
-    assert near.min(axis=0).max() < 1e-9
-    # .. and the accelerometer's stamps are 5 ms earlier: its value is between this sample and the next
-    t = original.imu.t_s
-    inside = at < len(t) - 1
-    expected = np.stack([np.interp(t[at] + 0.005, t, axis) for axis in original.imu.acc.T], axis=1)
-    np.testing.assert_allclose(
-        recorded.imu.acc[inside], expected[inside], atol=0.005
-    )  # LSL corrects each stream by itself
-
-
-@pytest.mark.slow
 def test_both_arms_and_imus_on_the_upper_arms(lab, tmp_path):
     both = tmp_path / "both.mcap"
-    made = [
-        "--arms",
-        "both",
-        "--set",
-        "imus=wrist,upper-arm",
-        "--set",
-        "protocol=random",
-        "--set",
-        "duration_s=8",
-    ]
+    made = ["--arms", "both", "--set", "imus=wrist,upper-arm", "--set", "protocol=random"]
+    made += ["--set", "duration_s=8"]
     assert run(["simulate", "arm", "-o", str(both), *made]) == 0
     outlets = lab.start("lsl_lab.py", "play", both, "imu", "kinect", "--both")
     lines_until(outlets, "ready")
@@ -286,3 +253,26 @@ def test_an_outlet_that_comes_back_is_known_by_its_name_and_refused_with_another
     assert answers["refused"] == (
         "the stream wrist came back with the unit g instead of m/s^2 for acc_x; begin a new session"
     )
+
+
+def read(text: str) -> ConfigParser:
+    parser = ConfigParser(interpolation=None)
+    parser.optionxform = str  # type: ignore[assignment,method-assign]
+    parser.read_string(text)
+    return parser
+
+
+def test_a_users_settings_stay_but_for_how_far_streams_are_announced(tmp_path):
+    file = tmp_path / "lsl_api.cfg"
+    file.write_text(
+        "[lab]\nSessionID = mine ; of the room\n[multicast]\nResolveScope = site\n[ports]\nBasePort = 17000\n"
+    )
+    parser = read(local_settings(file))
+    assert parser["lab"]["SessionID"] == "mine"
+    assert parser["ports"]["BasePort"] == "17000"
+    assert parser["multicast"]["ResolveScope"] == "machine"
+    assert parser["multicast"]["ListenAddress"] == "127.0.0.1"
+    assert parser["log"]["level"] == "-3"
+    (tmp_path / "damaged.cfg").write_text("no section")
+    for unread in (None, tmp_path / "missing.cfg", tmp_path / "damaged.cfg"):
+        assert read(local_settings(unread))["multicast"]["ResolveScope"] == "machine"

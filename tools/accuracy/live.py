@@ -19,7 +19,6 @@ import numpy as np
 from smoother.evaluation.methods import arrivals
 from smoother.evaluation.metrics import lag_s, squared_sigmas
 from smoother.live.answers import LiveOutput, LiveState
-from smoother.live.buffers import ImuBatch
 from smoother.live.calibrations import InlineCalibrator
 from smoother.live.smoother import LiveSmoother
 from smoother.simulation import ArmSimulation, SimulatedArm, simulate_arm
@@ -76,12 +75,10 @@ def play(simulation: SimulatedArm) -> list[LiveOutput]:
         calibrator=InlineCalibrator(15),
         further=list(further),
     ) as live:
-        for now_s, batches, frames in arrivals(recording, OFFSET_S, LATENCY_S):
-            for batch in batches:
-                live.add_imu(batch)
+        for now_s, samples, frames in arrivals(recording, OFFSET_S, LATENCY_S):
+            live.add_imu(samples)
             for segment, imu in further.items():
-                new = imu.select((imu.t_s > before_s) & (imu.t_s <= now_s))
-                live.add_further_imu(segment, ImuBatch(new.t_s, new.acc, new.gyro))
+                live.add_imu(imu.select((imu.t_s > before_s) & (imu.t_s <= now_s)), segment)
             before_s = now_s
             for frame in frames:
                 live.add_frame(frame)
@@ -97,9 +94,8 @@ def memory(simulation: SimulatedArm, hours: float) -> Iterator[str]:
         recording.side, camera_frame=recording.camera_frame, calibrator=InlineCalibrator(15)
     ) as live:
         while at_s < 3600.0 * hours:
-            for now_s, batches, frames in arrivals(recording, OFFSET_S, LATENCY_S):
-                for batch in batches:
-                    live.add_imu(ImuBatch(batch.t_s + at_s, batch.acc, batch.gyro))
+            for now_s, samples, frames in arrivals(recording, OFFSET_S, LATENCY_S):
+                live.add_imu(replace(samples, t_s=samples.t_s + at_s))
                 for frame in frames:
                     live.add_frame(replace(frame, t_s=frame.t_s + at_s, arrival_s=frame.arrival_s + at_s))
                 live.step(now_s + at_s)
