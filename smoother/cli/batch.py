@@ -54,35 +54,30 @@ def batch(
             " per line (optionally a tab and its calibration).",
         ),
     ],
-    output: Annotated[Path, o.option("Where results go.", "-o", "--output", metavar="FOLDER")],
+    output: Annotated[Path, o.value("FOLDER", "Where results go.", "-o", "--output")],
     calibration_file: o.Calibration = None,
     report: Annotated[
-        str | None, o.option("Also write a page about the study, in FOLDER if alone.", metavar="[OUT.html]")
+        str | None, o.value("[OUT.html]", "Also write the study's page, in FOLDER if alone.")
     ] = None,
     reports: Annotated[bool, o.option("Also write the report of each recording.", "--reports")] = False,
     measures: Annotated[bool, o.option("Also measure each arm, for `progress`.", "--measures")] = False,
     strict: o.Strict = False,
     json_file: o.Json = None,
-    force: Annotated[
-        bool, o.option("Use a folder that has other files; recompute everything.", "--force")
-    ] = False,
+    force: Annotated[bool, o.option("Use a folder with other files; recompute all.", "--force")] = False,
     imu: o.Imu = None,
     skeleton: o.Skeleton = None,
     side: o.Side = None,
     body: o.Body = None,
     config_file: o.ConfigFile = None,
     scheduler: Annotated[
-        str | None, o.rare("Use the workers of this Dask scheduler.", metavar="tcp://HOST:PORT")
+        str | None, o.rare_value("tcp://HOST:PORT", "The workers of this Dask scheduler.")
     ] = None,
     processes: o.Processes = None,
     retry_failed: Annotated[bool, o.rare("Retry failed recordings too.", "--retry-failed")] = False,
     time_limit: Annotated[
-        float, o.rare("Longer ones fail (on this machine); 0 = no limit.", metavar="MINUTES", min=0)
+        float, o.rare_value("MINUTES", "Longer ones fail here; 0 = no limit.", min=0)
     ] = TIME_LIMIT_MINUTES,
-    draws: Annotated[
-        int | None,
-        o.rare("With --measures: drawn motions (20 or more; 0 = none).  [default: 64]", min=0, max=1000),
-    ] = None,
+    draws: Annotated[o.Count, o.rare("Drawn motions for --measures.  [default: 64]", min=0, max=1000)] = None,
 ) -> None:
     """Recover many recordings; run again to continue.
 

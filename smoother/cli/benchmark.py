@@ -35,19 +35,12 @@ _MOST_NOTES = 6
 
 
 def benchmark(
-    output: Annotated[Path, o.option("Where results go.", "-o", "--output", metavar="FOLDER")],
-    data: Annotated[
-        Path | None,
-        o.option(f"Folder with one folder per data set.  [default: ${VARIABLE}]", metavar="FOLDER"),
-    ] = None,
-    method: Annotated[str, o.option(f"Methods, or all: {', '.join(METHODS)}.", metavar="M,M,..")] = "all",
-    datasets: Annotated[
-        str, o.option("Data sets by their folders' names, or all.", metavar="D,D,..")
-    ] = "all",
+    output: Annotated[Path, o.value("FOLDER", "Where results go.", "-o", "--output")],
+    data: Annotated[o.File, o.value("FOLDER", f"One folder per data set.  [default: ${VARIABLE}]")] = None,
+    method: Annotated[str, o.value("M,M,..", f"Methods, or all: {', '.join(METHODS)}.")] = "all",
+    datasets: Annotated[str, o.value("D,D,..", "Data sets by folder, or all.")] = "all",
     split: Annotated[Literal["development", "test", "all"], o.option("Which trials.")] = "all",
-    trials: Annotated[
-        int | None, o.option("At most this many trials per data set, to try the command.", min=1)
-    ] = None,
+    trials: Annotated[o.Count, o.option("At most this many trials per data set.", min=1)] = None,
     seed: Annotated[int, o.option("Seed of the gaps; 0 is the published benchmark.", min=0)] = 0,
     processes: o.Processes = None,
     json_file: o.Json = None,

@@ -35,16 +35,9 @@ if TYPE_CHECKING:
 
 def compare(
     recording_file: o.RecordingPath,
-    truth: Annotated[
-        Path | None,
-        o.option("As `validate` takes it; without it the recording's own truth.", metavar="TRUTH"),
-    ] = None,
-    methods: Annotated[
-        str, o.option(f"Methods to compare, or all: {', '.join(METHODS)}.", metavar="M,M,..")
-    ] = "all",
-    markers: Annotated[
-        Path | None, o.option("Which markers of the truth form a joint.", metavar="MAP.toml")
-    ] = None,
+    truth: Annotated[o.File, o.value("TRUTH", "As of `validate`; else the recording's own truth.")] = None,
+    methods: Annotated[str, o.value("M,M,..", f"Methods to compare, or all: {', '.join(METHODS)}.")] = "all",
+    markers: Annotated[o.File, o.value("MAP.toml", "Which markers of the truth form a joint.")] = None,
     align: o.Align = False,
     calibration: o.Calibration = None,
     report: o.Report = None,

@@ -24,7 +24,7 @@ SEED = 1
 def demo(
     folder: Annotated[
         Path,
-        o.option("Where to write; an earlier demo is replaced.", "-o", "--output", metavar="FOLDER"),
+        o.value("FOLDER", "Replaces an earlier one.", "-o", "--output"),
     ] = Path("out/demo"),
     processes: o.Processes = None,
     json_file: o.Json = None,
@@ -188,15 +188,10 @@ FOLDER = Path("unocclude")
 
 def app(
     port: Annotated[
-        int | None, o.rare("Port of the page.  [default: a free one]", min=0, max=65535, metavar="N")
+        int | None, o.rare_value("N", "Of the page.  [default: a free one]", min=0, max=65535)
     ] = None,
-    folder: Annotated[
-        Path | None,
-        o.option("Of recordings and results.  [default: unocclude, in your home folder]", metavar="DIR"),
-    ] = None,
-    no_browser: Annotated[
-        bool, o.option("Print the address only, without opening a browser.", "--no-browser")
-    ] = False,
+    folder: Annotated[o.File, o.value("DIR", "Of recordings.  [default: ~/unocclude]")] = None,
+    no_browser: Annotated[bool, o.option("Print the address only.", "--no-browser")] = False,
 ) -> None:
     """Open the local page: from files to report in the browser.
 

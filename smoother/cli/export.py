@@ -39,27 +39,15 @@ def export(
             " level towards the camera, origin in the camera."
         ),
     ] = None,
-    rate: Annotated[
-        float | None,
-        o.option("Rows per second of trc, mot and c3d.  [default: the IMU's]", metavar="HZ"),
-    ] = None,
-    origin: Annotated[
-        Literal["camera", "shoulder"] | None,
-        o.option("Of trc and c3d: the camera, or the shoulder's median position.  [default: camera]"),
-    ] = None,
-    draws: Annotated[
-        bool, o.option("For parquet: write the drawn motions instead of the result.", "--draws")
-    ] = False,
+    rate: Annotated[o.Number, o.value("HZ", "Rate of trc, mot and c3d.  [default: the IMU's]")] = None,
+    origin: Annotated[Literal["camera", "shoulder"] | None, o.option("Of trc and c3d.")] = None,
+    draws: Annotated[bool, o.option("For parquet: the drawn motions instead.", "--draws")] = False,
     json_file: o.Json = None,
     force: o.Force = False,
-    subject: Annotated[
-        str | None, o.rare("For bids: participant.  [default: the result's name]", metavar="LABEL")
-    ] = None,
-    session: Annotated[str | None, o.rare("For bids: session.", metavar="LABEL")] = None,
-    task: Annotated[str | None, o.rare("For bids: task.  [default: arm]", metavar="LABEL")] = None,
-    recording: Annotated[
-        Path | None, o.rare("For bids: what the result was made from, as raw data.", metavar="REC.mcap")
-    ] = None,
+    subject: Annotated[o.Text, o.rare_value("LABEL", "For bids.  [default: the result's name]")] = None,
+    session: Annotated[str | None, o.rare_value("LABEL", "For bids: session.")] = None,
+    task: Annotated[str | None, o.rare_value("LABEL", "For bids: task.  [default: arm]")] = None,
+    recording: Annotated[o.File, o.rare_value("REC.mcap", "For bids: what the result was made from.")] = None,
 ) -> None:
     """Write a result for OpenSim, MATLAB, R and others.
 
@@ -203,7 +191,7 @@ def methods(
     result: o.Result,
     output: Annotated[
         Path | None,
-        o.option("What to write (Markdown), instead of printing it.", "-o", "--output", metavar="FILE"),
+        o.value("FILE", "Write Markdown instead of printing.", "-o", "--output"),
     ] = None,
     side: o.Side = None,
     body: o.Body = None,

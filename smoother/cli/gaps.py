@@ -30,18 +30,13 @@ if TYPE_CHECKING:
 
 def gaps(
     recording_files: Annotated[list[Path], o.argument("REC.mcap", "The recording, or several of a study.")],
-    lengths: Annotated[str, o.option("Lengths of the gaps to hide, s.", metavar="S,S,..")] = "0.5,1,2,3",
-    methods: Annotated[
-        str, o.option(f"Methods to try, or all: {', '.join(METHODS)}.", metavar="M,M,..")
-    ] = "graph",
+    lengths: Annotated[str, o.value("S,S,..", "Lengths of the gaps to hide, s.")] = "0.5,1,2,3",
+    methods: Annotated[str, o.value("M,M,..", f"Methods to try, or all: {', '.join(METHODS)}.")] = "graph",
     seed: o.Seed = 0,
     repetitions: Annotated[int, o.option("Repetitions, each with other gaps.", min=1)] = 1,
     calibration: o.Calibration = None,
     report: o.Report = None,
-    keep_in: Annotated[
-        Path | None,
-        o.option("Save the sigma correction factors, for `smooth --calibration`.", metavar="CAL.toml"),
-    ] = None,
+    keep_in: Annotated[o.File, o.value("CAL.toml", "Save sigma correction factors, for `smooth`.")] = None,
     json_file: o.Json = None,
     force: o.Force = False,
     imu: o.Imu = None,

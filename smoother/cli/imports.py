@@ -36,21 +36,17 @@ if TYPE_CHECKING:
 #: More people make MediaPipe slower, and no room holds them.
 _MOST_PEOPLE = 10
 #: One session's files; which IMU; where its samples begin: shared by `files` and `video`.
-OneSession = Annotated[
-    bool, o.rare("Refuse files whose dates are a day apart or more, as in a FOLDER.", "--one-session")
-]
+OneSession = Annotated[bool, o.rare("Refuse files whose dates are a day apart.", "--one-session")]
 ImuFile = Annotated[
     list[str] | None,
-    o.option(
+    o.value(
+        "[NAME=]FILE[,FILE]",
         "An IMU's file, or its accelerometer's and gyroscope's; NAME as in recording.toml (forearm_right,"
         " upper_arm_left, ..), FILE#SENSOR for one of several.",
         "--imu",
-        metavar="[NAME=]FILE[,FILE]",
     ),
 ]
-ImuStarts = Annotated[
-    float | None, o.option("First IMU sample, seconds after the camera's first frame.", metavar="S")
-]
+ImuStarts = Annotated[o.Number, o.value("S", "First IMU sample, seconds after the camera's first frame.")]
 
 
 def csv(
@@ -59,9 +55,7 @@ def csv(
     template: o.Templates = None,
     json_file: o.Json = None,
     force: o.Force = False,
-    outside: Annotated[
-        bool, o.rare("Also read files outside FOLDER that recording.toml or a link names.", "--outside")
-    ] = False,
+    outside: Annotated[bool, o.rare("Also read files outside FOLDER.", "--outside")] = False,
 ) -> None:
     """Import recording.toml with skeleton and IMU tables.
 
@@ -110,9 +104,7 @@ def broad(
 def utd_mhad(
     inertial: Annotated[Path, o.argument("INERTIAL.mat", "aA_sS_tT_inertial.mat")],
     output: o.Output,
-    skeleton: Annotated[
-        Path | None, o.argument("[SKELETON.mat]", "aA_sS_tT_skeleton.mat; else found beside the first.")
-    ] = None,
+    skeleton: Annotated[o.File, o.argument("[SKELETON.mat]", "Else found beside the first.")] = None,
     json_file: o.Json = None,
     force: o.Force = False,
 ) -> None:
@@ -139,40 +131,30 @@ def _skeleton_beside(inertial: Path) -> Path:
 
 def files(
     output: o.Output,
-    paths: Annotated[
-        list[Path] | None,
-        o.argument("FOLDER", "A folder of device files (or the files), each recognised by what is in it."),
-    ] = None,
+    paths: Annotated[o.Files, o.argument("FOLDER", "Files of devices, or their folder.")] = None,
     skeleton: Annotated[
         list[str] | None,
-        o.option(
+        o.value(
+            "[NAME=]FILE",
             "A skeleton's file; of several cameras each with its NAME, results in the first one's frame.",
-            metavar="[NAME=]FILE",
         ),
     ] = None,
     imu: ImuFile = None,
-    truth: Annotated[
-        Path | None,
-        o.option(
-            "Poses of the forearm IMU in the camera frame (.csv with t_s,x,y,z,qw,qx,qy,qz); markers are for"
-            " `validate --truth`.",
-            metavar="FILE",
-        ),
-    ] = None,
+    truth: Annotated[o.File, o.value("FILE", "Poses of the forearm IMU in the camera frame (.csv).")] = None,
     imu_starts_at: ImuStarts = None,
     intrinsics: Annotated[
         Path | None,
-        o.option(
+        o.value(
+            "FILE",
             "Lenses, and places, of cameras with keypoints in images: OpenCV or ROS (YAML, JSON), Kalibr's"
             " camchain, Pose2Sim's Calib.toml; its names are the NAMEs of --skeleton.",
-            metavar="FILE",
         ),
     ] = None,
     template: o.Templates = None,
     json_file: o.Json = None,
     force: o.Force = False,
-    skeleton_format: Annotated[str | None, o.rare("Format, if recognised wrongly.", metavar="FORMAT")] = None,
-    imu_format: Annotated[str | None, o.rare("Format, if recognised wrongly.", metavar="FORMAT")] = None,
+    skeleton_format: Annotated[str | None, o.rare_value("FORMAT", "Format, if recognised wrongly.")] = None,
+    imu_format: Annotated[str | None, o.rare_value("FORMAT", "Format, if recognised wrongly.")] = None,
     one_session: OneSession = False,
 ) -> None:
     """Import files as exported by devices and camera programs.
@@ -209,21 +191,11 @@ def files(
 def video(
     file: Annotated[Path, o.argument("FILE", "MP4, MOV, AVI or MKV of a fixed camera.")],
     output: o.Output,
-    model: Annotated[
-        Path | None, o.option("The model of MediaPipe's pose landmarker.", metavar="FILE.task")
-    ] = None,
+    model: Annotated[o.File, o.value("FILE.task", "The model of MediaPipe's pose landmarker.")] = None,
     imu: ImuFile = None,
     imu_starts_at: ImuStarts = None,
-    mirrored: Annotated[
-        bool, o.option("The camera stored a mirror image, as front cameras of phones may.", "--mirrored")
-    ] = False,
-    turn: Annotated[
-        int,
-        o.option(
-            "Rotate the pictures clockwise, degrees; the file's own rotation is already applied.",
-            metavar="90|180|270",
-        ),
-    ] = 0,
+    mirrored: Annotated[bool, o.option("The pictures are mirror images.", "--mirrored")] = False,
+    turn: Annotated[int, o.value("90|180|270", "Rotate the pictures clockwise, degrees.")] = 0,
     people: Annotated[int, o.option("Find at most this many people.", min=1, max=_MOST_PEOPLE)] = 2,
     template: o.Templates = None,
     json_file: o.Json = None,
@@ -357,11 +329,8 @@ def formats(json_file: o.Json = None, force: o.Force = False) -> None:
 
 
 def describe(
-    paths: Annotated[
-        list[Path],
-        o.argument("FILE", "Any table of text; or several files or a folder, to list what each contains."),
-    ],
-    name: Annotated[str, o.option("Of the IMU in recording.toml.", metavar="NAME")] = "forearm_right",
+    paths: Annotated[list[Path], o.argument("FILE", "A table of text; several, or a folder, are listed.")],
+    name: Annotated[str, o.value("NAME", "Of the IMU in recording.toml.")] = "forearm_right",
     template: o.Templates = None,
     json_file: o.Json = None,
     force: o.Force = False,
@@ -427,9 +396,7 @@ def strap(
     recording_file: o.RecordingPath,
     output: o.Output,
     calibration: o.Calibration = None,
-    radius_m: Annotated[
-        float | None, o.option("Axis of the forearm to the sensor.", min=0.01, max=0.1)
-    ] = None,
+    radius_m: Annotated[o.Number, o.option("Axis of the forearm to the sensor.", min=0.01, max=0.1)] = None,
     json_file: o.Json = None,
     force: o.Force = False,
     imu: o.Imu = None,
@@ -437,8 +404,8 @@ def strap(
     side: o.Side = None,
     body: o.Body = None,
     config_file: o.ConfigFile = None,
-    colour_topic: Annotated[str | None, o.rare("Colour images to take.", metavar="TOPIC")] = None,
-    depth_topic: Annotated[str | None, o.rare("Depth images to take.", metavar="TOPIC")] = None,
+    colour_topic: Annotated[str | None, o.rare_value("TOPIC", "Colour images to take.")] = None,
+    depth_topic: Annotated[str | None, o.rare_value("TOPIC", "Depth images to take.")] = None,
     processes: o.Processes = None,
 ) -> None:
     """Find the strap in colour images and add it as a joint.

@@ -68,11 +68,8 @@ def _interval(row: Measure) -> str:
 
 def measures(
     result: o.Result,
-    config_file: Annotated[
-        Path | None,
-        o.option("Thresholds and sizes; docs/measures.md lists them.", "--config", metavar="M.toml"),
-    ] = None,
-    csv: Annotated[Path | None, o.option("Also write every measure as a row.", metavar="FILE")] = None,
+    config_file: Annotated[o.File, o.value("M.toml", "Thresholds (docs/measures.md).", "--config")] = None,
+    csv: Annotated[Path | None, o.value("FILE", "Also write every measure as a row.")] = None,
     report: o.Report = None,
     json_file: o.Json = None,
     force: o.Force = False,

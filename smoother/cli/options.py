@@ -23,57 +23,53 @@ def option(help: str, *flags: str, panel: str | None = None, **more: Any) -> Any
     return typer.Option(*flags, help=help, rich_help_panel=panel, **more)
 
 
-rare = partial(option, panel=ADVANCED)
+def value(metavar: str, help: str, *flags: str, **more: Any) -> Any:
+    """An option whose value is called so in its help."""
+    return option(help, *flags, metavar=metavar, **more)
+
+
+rare, rare_value = partial(option, panel=ADVANCED), partial(value, panel=ADVANCED)
 _arm, _set_up = partial(option, panel=ARM), partial(option, panel=SET_UP)
+
+#: What may be left out.
+File = Path | None
+Files = list[Path] | None
+Text = str | None
+Texts = list[str] | None
+Number = float | None
+Count = int | None
 
 RecordingPath = Annotated[Path, argument("REC.mcap", "The recording.")]
 Result = Annotated[Path, argument("OUT.mcap", "What `smooth` wrote.")]
-Output = Annotated[Path, option("Output file.", "-o", "--output", metavar="FILE")]
-CalibrationOutput = Annotated[
-    Path, option("File to write or to add to.", "-o", "--output", metavar="CAL.toml")
-]
-Calibration = Annotated[
-    Path | None,
-    option("Calibration: IMU mounting, lever arms, limb lengths.", "--calibration", metavar="CAL.toml"),
-]
-Known = Annotated[
-    Path | None, option("Calibration file with values to use as given.", "--known", metavar="CAL.toml")
-]
-Json = Annotated[Path | None, option("Also write the figures as JSON.", "--json", metavar="FILE")]
+Output = Annotated[Path, value("FILE", "Output file.", "-o", "--output")]
+CalibrationOutput = Annotated[Path, value("CAL.toml", "File to write or to add to.", "-o", "--output")]
+Calibration = Annotated[File, value("CAL.toml", "IMU mounting, lever arms, limb lengths.", "--calibration")]
+Known = Annotated[File, value("CAL.toml", "Calibration file with values to use as given.", "--known")]
+Json = Annotated[Path | None, value("FILE", "Also write the figures as JSON.", "--json")]
 Force = Annotated[bool, option("Overwrite outputs that exist.", "--force")]
-Strict = Annotated[
-    bool, option("Exit with 3 where a result is not to be trusted; outputs are written.", "--strict")
-]
+Strict = Annotated[bool, option("Exit with 3 where a result is not to be trusted.", "--strict")]
 Verbose = Annotated[bool, option("Print all estimates, gaps and notes.", "--verbose")]
-Seed = Annotated[int, option("Same seed, same result.", metavar="S", min=0)]
+Seed = Annotated[int, value("S", "Same seed, same result.", min=0)]
 Settings = Annotated[
     list[str] | None,
-    option(
-        "A setting, as imu_rate_hz=100; may be given again. `--set list` prints all.",
-        "--set",
-        metavar="KEY=VALUE",
+    value(
+        "KEY=VALUE", "A setting, as imu_rate_hz=100; may be given again. `--set list` prints all.", "--set"
     ),
 ]
 
 Imu = Annotated[str | None, _arm("The forearm IMU, where there are several.", "--imu", metavar="TOPIC")]
-Skeleton = Annotated[
-    str | None, _arm("The skeleton, where there are several.", "--skeleton", metavar="TOPIC")
-]
+Skeleton = Annotated[Text, _arm("The skeleton, where there are several.", "--skeleton", metavar="TOPIC")]
 Side = Annotated[Literal["left", "right"] | None, _arm("The arm that wears the IMU.")]
 Body = Annotated[int | None, _arm("The person, where the camera saw several.", metavar="N")]
 
 Mirror = Annotated[str | None, _set_up("Undo a skeleton mirrored along this axis.", metavar="x|y|z")]
 Swap = Annotated[str | None, _set_up("Swap two joints (elbow,wrist), or left,right.", metavar="A,B")]
-Negate = Annotated[
-    str | None, _set_up("Reverse the sign of accelerometer, gyroscope or both.", metavar="SENSOR,..")
-]
+Negate = Annotated[Text, _set_up("Reverse accelerometer, gyroscope or both.", metavar="SENSOR,..")]
 CameraAxes = Annotated[
     Literal["kinect", "optical", "zup"] | None,
     _set_up("The camera's axes, overriding the file's.", "--camera-frame"),
 ]
-ClockOffset = Annotated[
-    float | None, _set_up("Measured IMU time minus camera time.  [default: estimated]", metavar="S")
-]
+ClockOffset = Annotated[Number, _set_up("IMU time minus camera time.  [default: estimated]", metavar="S")]
 #: One standard deviation of a clock that was measured, where none is stated, s.
 CLOCK_SIGMA_S = 0.02
 ClockSigma = Annotated[
@@ -81,37 +77,28 @@ ClockSigma = Annotated[
     _set_up(f"Standard deviation of --clock-offset.  [default: {CLOCK_SIGMA_S:g}]", metavar="S"),
 ]
 
-ConfigFile = Annotated[
-    Path | None,
-    rare("Settings; `unocclude config` prints the defaults.", "--config", metavar="CONF.toml"),
-]
-Processes = Annotated[int | None, rare("Worker processes; 0 = one per core.", metavar="N", min=0)]
+ConfigFile = Annotated[File, rare_value("CONF.toml", "Settings, as `unocclude config` prints.", "--config")]
+Processes = Annotated[int | None, rare_value("N", "Worker processes; 0 = one per core.", min=0)]
 Orientation = Annotated[
     Literal["vqf", "madgwick", "comotti", "complementary"] | None,
     rare("Orientation filter of the methods other than graph.  [default: vqf]"),
 ]
 Anatomy = Annotated[Literal["adult", "child", "any"] | None, rare("Range of limb lengths that is plausible.")]
-BodyHeight = Annotated[
-    float | None, rare("The person's, for limb lengths before one camera without depth.", metavar="M")
-]
+BodyHeight = Annotated[Number, rare_value("M", "For limb lengths before a camera without depth.")]
 Live = Annotated[bool, rare("Also replay it through the live smoother and two simple methods.", "--live")]
-Latency = Annotated[float, rare("Latency of the camera for --live, s.", metavar="S", min=0.0, max=1.0)]
+Latency = Annotated[float, rare_value("S", "Latency of the camera for --live, s.", min=0.0, max=1.0)]
 
 Align = Annotated[bool, option("Align poses given as truth (other frame or clock).", "--align")]
-Templates = Annotated[
-    list[Path] | None,
-    option("Template of a table layout of your own; tried first.", "--template", metavar="FILE.toml"),
-]
-Files = list[Path] | None
-Depth = Annotated[Files, option("Depth image, 16 bit, mm; one per panel pose.", metavar="D.png")]
-Infrared = Annotated[Files, option("Infrared image of the same moment.", metavar="I.png")]
+Templates = Annotated[Files, value("FILE.toml", "A table layout of your own; tried first.", "--template")]
+Depth = Annotated[Files, value("D.png", "Depth image, 16 bit, mm; one per panel pose.")]
+Infrared = Annotated[Files, value("I.png", "Infrared image of the same moment.")]
 Intrinsics = Annotated[
     Path | None,
-    option("width, height, fx, fy, cx, cy, distortion = [k1, k2, p1, p2, k3].", metavar="K.toml"),
+    value("K.toml", "width, height, fx, fy, cx, cy, distortion = [k1, k2, p1, p2, k3]."),
 ]
 Panel = Annotated[
     Path | None,
-    option("[panel] markers = [[x, y], ..], extent = [[xmin, ymin], [xmax, ymax]], m.", metavar="P.toml"),
+    value("P.toml", "[panel] markers = [[x, y], ..], extent = [[xmin, ymin], [xmax, ymax]], m."),
 ]
 
 #: Endings of what a report is not.
@@ -126,6 +113,4 @@ def _page(path: Path | None) -> Path | None:
     return path
 
 
-Report = Annotated[
-    Path | None, option("Also write a report, one HTML page.", metavar="OUT.html", callback=_page)
-]
+Report = Annotated[File, value("OUT.html", "Also write a report, one HTML page.", callback=_page)]

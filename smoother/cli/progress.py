@@ -24,35 +24,28 @@ NO_DIAGNOSIS = (
 
 def progress(
     study: Annotated[Path, o.argument("STUDY", "The folder that `unocclude batch` wrote.")],
-    person: Annotated[str | None, o.option("Only this person.", metavar="NAME")] = None,
+    person: Annotated[str | None, o.value("NAME", "Only this person.")] = None,
     sessions: Annotated[
         Path | None,
-        o.option(
+        o.value(
+            "FILE.csv",
             "Person and date of each recording: file, person, session or date [, task]; without it"
             " they are taken from folders: PERSON/SESSION.mcap or PERSON/SESSION/TASK.mcap.",
-            metavar="FILE.csv",
         ),
     ] = None,
     mdc: Annotated[
         Path | None,
-        o.option(
+        o.value(
+            "FILE",
             "Minimal detectable changes: what `validate --json` or `progress --reliability --json`"
             " wrote, or a .toml with [mdc95].",
-            metavar="FILE",
         ),
     ] = None,
-    reliability: Annotated[
-        bool,
-        o.option(
-            "Sessions have no true change: print ICC, SEM, smallest detectable change.", "--reliability"
-        ),
-    ] = False,
-    measure: Annotated[
-        list[str] | None, o.option("Only this measure; may be repeated.", metavar="KEY")
-    ] = None,
+    reliability: Annotated[bool, o.option("No true change: print ICC, SEM, MDC.", "--reliability")] = False,
+    measure: Annotated[o.Texts, o.value("KEY", "Only this measure; may be repeated.")] = None,
     report: o.Report = None,
     json_file: o.Json = None,
-    csv: Annotated[Path | None, o.option("Also write all values as a table.", metavar="FILE")] = None,
+    csv: Annotated[Path | None, o.value("FILE", "Also write all values as a table.")] = None,
     force: o.Force = False,
 ) -> None:
     """Show how a person's measures changed over sessions.

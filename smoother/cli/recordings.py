@@ -131,12 +131,8 @@ def print_missing(about: RecordingInfo) -> None:
 def match(
     recording_file: o.RecordingPath,
     method: Annotated[Literal["motion", "joint-likelihood"], o.option("How pairs are compared.")] = "motion",
-    clocks_apart_s: Annotated[
-        float, o.option("Clocks may differ by this, s.", metavar="S", min=0, max=60)
-    ] = 5.0,
-    skeleton: Annotated[
-        str | None, o.option("The skeleton, where the recording has several.", metavar="TOPIC")
-    ] = None,
+    clocks_apart_s: Annotated[float, o.value("S", "Clocks may differ by this, s.", min=0, max=60)] = 5.0,
+    skeleton: Annotated[o.Text, o.value("TOPIC", "The skeleton, where there are several.")] = None,
     json_file: o.Json = None,
     force: o.Force = False,
 ) -> None:
@@ -165,7 +161,7 @@ def match(
 
 def repair(
     broken_file: Annotated[Path, o.argument("BROKEN.mcap", "The damaged file; it is not changed.")],
-    output: Annotated[Path, o.option("Where to write.", "-o", "--output", metavar="WHOLE.mcap")],
+    output: Annotated[Path, o.value("WHOLE.mcap", "Where to write.", "-o", "--output")],
     json_file: o.Json = None,
     force: o.Force = False,
 ) -> None:
@@ -211,19 +207,11 @@ def repair(
 
 def cut(
     recording_file: o.RecordingPath,
-    output: Annotated[Path, o.option("The part; a folder with --trials.", "-o", "--output", metavar="FILE")],
-    from_s: Annotated[
-        float | None, o.option("Start of the part, s.  [default: the recording's]", "--from", metavar="S")
-    ] = None,
-    to_s: Annotated[
-        float | None, o.option("End of the part, s.  [default: the recording's]", "--to", metavar="S")
-    ] = None,
-    trials: Annotated[
-        Path | None, o.option("Table of parts: name, start_s, end_s [, label].", metavar="TRIALS.csv")
-    ] = None,
-    label: Annotated[
-        list[str] | None, o.option("Only parts of --trials with this label; may be repeated.", metavar="TEXT")
-    ] = None,
+    output: Annotated[Path, o.value("FILE", "The part; a folder with --trials.", "-o", "--output")],
+    from_s: Annotated[o.Number, o.value("S", "Start, s.  [default: the recording's]", "--from")] = None,
+    to_s: Annotated[o.Number, o.value("S", "End, s.  [default: the recording's]", "--to")] = None,
+    trials: Annotated[o.File, o.value("TRIALS.csv", "Parts: name, start_s, end_s [, label].")] = None,
+    label: Annotated[o.Texts, o.value("TEXT", "Only parts with this label; may be repeated.")] = None,
     json_file: o.Json = None,
     force: o.Force = False,
     imu: o.Imu = None,

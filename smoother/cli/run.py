@@ -95,9 +95,6 @@ def run(arguments: Sequence[str]) -> int:
         return _fail(STOPPED, FAILED) if code == INTERRUPTED else int(code or OK)
     except KeyboardInterrupt:
         return _fail(STOPPED, FAILED)
-    except BrokenPipeError:
-        _forget_output()  # the reader of our output went away (| head): nothing to tell anyone
-        return FAILED
     except Exception as error:
         if debugging():
             traceback.print_exc()
@@ -111,12 +108,6 @@ def say_what_can_be_shown() -> None:
             stream.reconfigure(errors="backslashreplace")
 
 
-def _forget_output() -> None:
-    """Send what is still to be printed nowhere: Python would complain about it at the end."""
-    with suppress(OSError, ValueError, AttributeError):
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-
-
 def explain(error: BaseException) -> tuple[str, int]:
     """One sentence for an error, and the exit code."""
     if isinstance(error, typer.Abort):
@@ -128,10 +119,7 @@ def explain(error: BaseException) -> tuple[str, int]:
     if isinstance(error, OSError):
         return _os_error(error), FAILED
     if is_out_of_memory(error):
-        return (
-            "not enough memory for this recording; cut it, or use a larger machine",
-            FAILED,
-        )
+        return "not enough memory for this recording; cut it, or use a larger machine", FAILED
     if isinstance(error, ImportError) and (sentence := missing_package(error)):
         return sentence, FAILED
     kind = type(error).__name__
@@ -145,15 +133,18 @@ def _usage(error: BaseException) -> str:
     return f"{text}; see {command} --help"
 
 
+#: What the system says of a file, as people say it.
+_OF_SYSTEM = {
+    errno.ENOSPC: "no space left on the disk; make room and run again",
+    errno.ENOENT: "there is no such file or folder",
+    errno.EACCES: "permission denied",
+    errno.EPERM: "permission denied",
+}
+
+
 def _os_error(error: OSError) -> str:
     where = f"{error.filename}: " if error.filename is not None else ""
-    if error.errno == errno.ENOSPC:
-        return f"{where}no space left on the disk; make room and run again"
-    if error.errno == errno.ENOENT:
-        return f"{where}there is no such file or folder"
-    if error.errno in (errno.EACCES, errno.EPERM):
-        return f"{where}permission denied"
-    return f"{where}{error.strerror or error}"
+    return where + (_OF_SYSTEM.get(error.errno or 0) or error.strerror or str(error))
 
 
 def _fail(text: str, code: int) -> int:

@@ -40,16 +40,10 @@ def smooth(
     recording_file: o.RecordingPath,
     output: o.Output,
     calibration: o.Calibration = None,
-    session: Annotated[
-        Path | None,
-        o.option("Trials of the same person and strap: calibrate them together first.", metavar="FOLDER"),
-    ] = None,
-    method: Annotated[str, o.option(f"Method: {', '.join(METHODS)}.", metavar="M")] = "graph",
+    session: Annotated[o.File, o.value("FOLDER", "Trials of the same strap, calibrated together.")] = None,
+    method: Annotated[str, o.value("M", f"Method: {', '.join(METHODS)}.")] = "graph",
     report: o.Report = None,
-    max_sigma_m: Annotated[
-        float | None,
-        o.option("Mark samples whose sigma exceeds this on any axis (`usable` = 0).", metavar="M"),
-    ] = None,
+    max_sigma_m: Annotated[o.Number, o.value("M", "Mark samples above this sigma (`usable` = 0).")] = None,
     strict: o.Strict = False,
     verbose: o.Verbose = False,
     json_file: o.Json = None,
@@ -67,15 +61,12 @@ def smooth(
     config_file: o.ConfigFile = None,
     orientation: o.Orientation = None,
     solve_lever_arms: Annotated[
-        bool, o.rare("Estimate the offset between tracked strap and IMU, else zero.", "--solve-lever-arms")
+        bool, o.rare("Estimate the offset of strap and IMU, else zero.", "--solve-lever-arms")
     ] = False,
     anatomy: o.Anatomy = None,
     body_height: o.BodyHeight = None,
     processes: o.Processes = None,
-    draws: Annotated[
-        int | None,
-        o.rare("Motions drawn for intervals of measures; 0 = none.  [default: 64]", min=0, max=1000),
-    ] = None,
+    draws: Annotated[o.Count, o.rare("Drawn motions; 0 = none.  [default: 64]", min=0, max=1000)] = None,
     seed: Annotated[int | None, o.rare("Seed of the drawn motions.  [default: 0]", min=0)] = None,
 ) -> None:
     """Recover the motion in every gap, with its uncertainty.

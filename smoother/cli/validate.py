@@ -24,24 +24,19 @@ def validate(
     result: o.Result,
     truth: Annotated[
         Path,
-        o.option(
+        o.value(
+            "TRUTH",
             "Markers of a motion capture (.c3d, .trc), or poses of the forearm IMU in the camera frame (.csv"
             " with t_s,x,y,z,qw,qx,qy,qz, or .mcap).",
-            metavar="TRUTH",
         ),
     ],
-    markers: Annotated[
-        Path | None, o.option("Which markers form a joint, and which are on the IMU.", metavar="MAP.toml")
-    ] = None,
+    markers: Annotated[o.File, o.value("MAP.toml", "Which markers form a joint or are on the IMU.")] = None,
     calibration: Annotated[
         Path | None,
-        o.option("With [camera_from_mocap]; else markers are aligned by motion.", metavar="CAL.toml"),
+        o.value("CAL.toml", "[camera_from_mocap]; else aligned by motion."),
     ] = None,
     align: o.Align = False,
-    pool: Annotated[
-        list[Path] | None,
-        o.option("Add the measures of an earlier --json to the agreement; repeatable.", metavar="FILE.json"),
-    ] = None,
+    pool: Annotated[o.Files, o.value("FILE.json", "Add the measures of an earlier --json file.")] = None,
     verbose: o.Verbose = False,
     report: o.Report = None,
     json_file: o.Json = None,

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import json
 import re
 import shutil
 import time
@@ -17,7 +16,7 @@ from starlette.testclient import TestClient
 from typer.testing import CliRunner
 
 from smoother.app import server
-from smoother.app.folder import PLACES, AppFolder, KeptRecording, write_json
+from smoother.app.folder import AppFolder, KeptRecording, write_json
 from smoother.app.jobs import JobDesk
 from smoother.app.server import make_app
 from smoother.app.steps import describe_steps, import_steps
@@ -243,31 +242,6 @@ def test_sessions_of_a_person_need_two_results(page: Page, session_files: dict[s
     page.change(name, person="p1")
     answer = page.ask("POST", "/api/comparisons", 400, json={"person": "p1"})
     assert "two recovered recordings" in answer["error"]
-
-
-def test_the_first_page_is_quick(page: Page, session_files: dict[str, Path]):
-    """Under 300 ms with a hundred recordings in the folder."""
-    name = page.add([session_files["imu"], session_files["skeleton"]])
-    for k in range(100):
-        shutil.copytree(page.folder.of(name), page.folder.path / f"copy-{k:03d}")
-    spent = []
-    for _ in range(3):
-        begin = time.perf_counter()
-        page.client.get("/")
-        assert len(page.ask("GET", "/api/state")["recordings"]) == 101
-        spent.append(time.perf_counter() - begin)
-    assert min(spent) < 0.3
-
-
-def test_all_texts_are_used():
-    source = (server.WEB / "texts.js").read_text("utf-8")
-    texts = json.loads(source[source.index("= {") + 2 : source.rindex(";")])
-    page = "".join((server.WEB / name).read_text("utf-8") for name in ("app.js", "app.html"))
-    made = set(re.findall(r"`([a-z]+_)\$\{", page))  # keys that are put together, as `step_${name}`
-    for key in texts:
-        assert f'"{key}"' in page or key in PLACES or any(key.startswith(head) for head in made), key
-    asked = set(re.findall(r'\bt\("(\w+)"', page)) | set(re.findall(r'data-text="(\w+)"', page))
-    assert asked <= texts.keys()
 
 
 def test_the_template_of_the_document(tmp_path: Path, session_files: dict[str, Path]):

@@ -16,7 +16,6 @@ from scipy.io import wavfile
 
 from calib.file import read_calibration
 from calib.imu import calibrate_imu, imu_answer
-from calib.sensor import sensor_of
 from smoother.cli.load import load_arm
 from smoother.cli.run import run
 from smoother.config import Config
@@ -30,7 +29,6 @@ from smoother.simulation.rig import (
     SensorModel,
     beep,
     broadcast,
-    magnetometer_turns,
     rest_poses,
     simulate_clock_session,
 )
@@ -56,31 +54,6 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
         "round,node,t_s\n" + "".join(f"{e},{'base' if n == 'n0' else 'arm'},{t:.7f}\n" for e, n, t in rows)
     )
     return place
-
-
-def test_sound_and_broadcast_chain(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
-    end = beep(1)[1]
-    cal, figures, page = tmp_path / "cal.toml", tmp_path / "c.json", tmp_path / "c.html"
-    done(
-        *("calibrate", "clock", "--sound", folder / "beep.wav", "--event-time", end + 300.0),
-        *("--broadcast", folder / "times.csv", "-o", cal, "--json", figures, "--report", page),
-    )
-    out = capsys.readouterr().out
-    assert "valid for its recording only" in " ".join(out.split()) and "Beeps" in out
-    links = {(link["from"], link["to"]): link for link in json.loads(figures.read_text())["links"]}
-    assert set(links) == {("camera", "base"), ("camera", "arm"), ("base", "arm")}
-    assert links["camera", "base"]["offset_s"] == pytest.approx(300.0, abs=1e-3)
-    assert links["camera", "base"]["sigma_s"] < 1e-3
-    clocks, _ = broadcast(2, nodes=2)
-    at = links["base", "arm"]["at_s"]
-    assert links["base", "arm"]["offset_s"] == pytest.approx(clocks.read(1, at) - at, abs=2e-4)
-    assert links["base", "arm"]["skew_ppm"] == pytest.approx(390, abs=10)
-    # the table is the session's own, and other tables and arms of the file stay
-    table = read_calibration(cal).tables["clock"]
-    assert table["valid_for"] == "this session alone" and table["session"] == "beep.wav, times.csv"
-    assert len(table["links"]) == 3
-    text = page.read_text(encoding="utf-8")
-    assert all(words in text for words in ("What to record next", "Links", "Beeps", "What stayed open"))
 
 
 def test_sound_in_a_recording(tmp_path: Path):
@@ -209,44 +182,6 @@ def record(path: Path, *streams: ImuStream) -> Path:
 
 def sensor(seed: int = 0) -> SensorModel:
     return SensorModel.draw(np.random.default_rng(seed), offset=0.5, scale=0.03, cross=0.01)
-
-
-def test_imu_alone_to_file_figures_and_page(tmp_path, capsys):
-    model = sensor()
-    stream, bias = rest_poses(model, 12)
-    poses = record(tmp_path / "poses.mcap", stream)
-    out, figures, page = tmp_path / "cal.toml", tmp_path / "imu.json", tmp_path / "imu.html"
-    done("calibrate", "imu", poses, "-o", out, "--json", figures, "--report", page)
-    said = capsys.readouterr().out
-    assert "12 rest poses" in said
-    found = json.loads(figures.read_text())
-    offset, matrix = np.array(found["accelerometer"]["offset"]), np.array(found["accelerometer"]["matrix"])
-    up = 9.81 * np.eye(3)
-    assert ((model.distort(up) - offset) @ matrix.T) == pytest.approx(up, abs=0.02)
-    assert found["gyroscope"]["offset"] == pytest.approx(bias, abs=2e-4)
-    held = sensor_of(read_calibration(out), TOPIC)
-    assert np.allclose(held.accelerometer[1], matrix) and np.allclose(
-        held.gyroscope, found["gyroscope"]["offset"]
-    )
-    html = page.read_text(encoding="utf-8")
-    assert "Accelerometer" in html and f"{matrix[0][0]:.5g}" in html and "What to record next" in html
-
-
-def test_magnetometer_is_added_and_the_rest_is_kept(tmp_path, capsys):
-    stream, _ = rest_poses(sensor(), 12)
-    out = tmp_path / "cal.toml"
-    done("calibrate", "imu", record(tmp_path / "poses.mcap", stream), "-o", out)
-    before = sensor_of(read_calibration(out), TOPIC)
-    iron = SensorModel.draw(np.random.default_rng(1), offset=0.5, scale=0.2, cross=0.2)
-    turning = replace(stream, mag=48.0 * magnetometer_turns(iron, len(stream)))
-    path, page = record(tmp_path / "turning.mcap", turning), tmp_path / "mag.html"
-    done("calibrate", "magnetometer", path, "-o", out, "--report", page)
-    after = sensor_of(read_calibration(out), TOPIC)
-    assert np.array_equal(after.accelerometer[0], before.accelerometer[0])
-    length = np.linalg.norm(after.apply(turning).mag, axis=1)
-    assert np.sqrt(np.mean((length - 1.0) ** 2)) < 0.02  # 1 % of noise
-    assert "Magnetometer" in page.read_text(encoding="utf-8")
-    capsys.readouterr()
 
 
 def failed(capsys, arguments: list[object], sentence: str) -> None:
@@ -422,13 +357,3 @@ def test_nothing_is_overwritten_unasked(tmp_path: Path, capsys) -> None:
     (tmp_path / "d" / "notes.txt").write_text("mine")
     said = refused(capsys, "simulate", "clock", "-o", tmp_path / "d", "--force")
     assert "contains other things than a simulation" in said
-
-
-def test_the_same_seed_gives_the_same_bytes(tmp_path: Path, capsys) -> None:
-    for kind in ("imu", "magnetometer"):
-        for name in ("a", "b"):
-            simulated(capsys, kind, "-o", tmp_path / f"{name}.mcap", "--force")
-        assert (tmp_path / "a_truth.toml").read_bytes() == (tmp_path / "b_truth.toml").read_bytes()
-        np.testing.assert_array_equal(
-            read_imu(tmp_path / "a.mcap")[0].acc, read_imu(tmp_path / "b.mcap")[0].acc
-        )

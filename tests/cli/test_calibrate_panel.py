@@ -19,7 +19,6 @@ from calib.world import with_gravity
 from smoother.cli.run import run
 from smoother.errors import RecordingError
 from smoother.io import read_recording, write_recording
-from smoother.io.rig.images import ImageMessage, LensMessage, read_images
 from smoother.io.tables.markers import read_positions
 from smoother.recording import ImuStream, Recording
 from smoother.simulation import ArmSimulation, simulate_arm
@@ -214,26 +213,6 @@ def test_what_is_wrong_with_a_file(session: Path, tmp_path: Path, capsys, case: 
     refused(options, tmp_path, capsys, *words, picture=case == "spots")
 
 
-def test_five_spots_that_make_two_panels(tmp_path: Path, capsys):
-    """Markers 1 to 3 alike about the middle one, and a fifth that makes the panel turned by 180 degrees."""
-    config = tmp_path / "p.toml"
-    config.write_text(
-        "[panel]\nmarkers = [[0.0, 0.0], [0.2, 0.0], [0.4, 0.0], [0.0, 0.25]]\n"
-        "extent = [[-0.05, -0.3], [0.45, 0.3]]\n"
-    )
-    done(
-        *("simulate", "panel", "-o", tmp_path / "s", "--seed", "2", "--panel", config, "--set"),
-        "extra_markers=[[0.4,-0.25]]",
-    )
-    options = [*pose(tmp_path), *known(tmp_path)]
-    refused(options, tmp_path, capsys, "more than one way", picture=True)
-
-
-def test_edge_on(tmp_path: Path, capsys):
-    done("simulate", "panel", "-o", tmp_path / "s", "--seed", "3", "--set", "tilt_deg=76,80")
-    refused([*pose(tmp_path), *known(tmp_path)], tmp_path, capsys, "edge-on")
-
-
 def test_markers_of_a_file_that_people_make(tmp_path: Path):
     path = tmp_path / "m.csv"
     path.write_bytes(b"\xef\xbb\xbfmarker, x, y ,z, note\r\n C , 1e-1,0.2,-3, x\r\nlost,,,,\r\nA,1,2,3,\r\n")
@@ -371,14 +350,6 @@ def test_what_is_wrong_is_one_sentence_and_no_file(world_session: Path, tmp_path
         error = capsys.readouterr().err
         assert words in error and "Traceback" not in error
     assert not cal.exists()
-
-
-def test_images_of_a_recording_are_read(world_session: Path):
-    found = list(read_images(world_session / "s.mcap"))
-    (lens,) = (message.intrinsics for message in found if isinstance(message, LensMessage))
-    assert (lens.width, lens.height, lens.fx, len(lens.distortion)) == (512, 424, 365.5, 5)
-    images = [message for message in found if isinstance(message, ImageMessage)]
-    assert len(images) == 10 and {image.pixels().dtype for image in images} == {np.dtype("uint16")}
 
 
 @pytest.fixture(scope="module")

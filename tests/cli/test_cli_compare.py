@@ -69,23 +69,6 @@ def test_the_page_has_every_method_over_the_others(everything):
         assert f'"name":"{name}"' in page
 
 
-def test_the_graphs_row_is_what_validate_says(everything, session: Path, tmp_path: Path):
-    figures, _ = everything
-    out = tmp_path / "out.mcap"
-    done(
-        *("smooth", session / "rec.mcap", "-o", out, "--calibration", session / "cal.toml"),
-        *("--processes", 1, "--draws", 0),
-    )
-    done("validate", out, "--truth", session / "rec.mcap", "--json", tmp_path / "v.json")
-    validated = json.loads((tmp_path / "v.json").read_text())
-    for part in ("occluded", "visible"):
-        mine, its = figures["methods"]["graph"][part], validated[part]
-        assert mine["samples"] == its["samples"]
-        # times and poses went through a file's nanoseconds and floats
-        assert mine["position_rms_m"] == pytest.approx(its["position_rms_m"], abs=2e-6)
-        assert mine["orientation_rms_deg"] == pytest.approx(its["orientation_rms_deg"], abs=1e-3)
-
-
 @pytest.mark.slow
 def test_a_truth_of_markers(everything, session: Path, tmp_path: Path, capsys):
     figures, _ = everything
@@ -218,12 +201,6 @@ def test_by_the_time_since_the_last_frame(
     assert all(row["to_s"] <= 1.0 and row["samples"] > 0 for row in rows)
     display = [row["rms_m"] for row in rows if row["method"] == "constant-velocity"]
     assert display == sorted(display)  # it knows less and less
-
-
-def test_without_live_nothing_is_added(recording: Path, tmp_path: Path):
-    figures = tmp_path / "g.json"
-    done("gaps", recording, "--lengths", 0.5, "--gaps-per-run", 1, "--processes", 1, "--json", figures)
-    assert "since_last_frame" not in json.loads(figures.read_text())
 
 
 def call(*arguments: object) -> int:

@@ -143,16 +143,6 @@ def test_by_default_every_measure_has_its_interval_the_same_in_all_outputs(
     assert float(row["low"]) == pytest.approx(flexion["low"], abs=1e-6)
 
 
-def test_without_draws_the_tables_have_no_intervals(capsys: pytest.CaptureFixture[str]):
-    from smoother.cli.measures import print_arm
-    from smoother.measures import measure
-
-    print_arm(measure(simulated(0, protocol="random", duration_s=6.0)), [])
-    said = capsys.readouterr().out
-    assert "note: There are no intervals: smooth the recording with --draws 64 to have them." in said
-    assert " to " not in next(line for line in said.splitlines() if "elbow flexion, range" in line)
-
-
 FLEXION = "elbow_flexion_range_deg"
 Capture = pytest.CaptureFixture[str]
 

@@ -79,21 +79,6 @@ def test_smooth(session: Path, tmp_path: Path, method: str, capsys):
     done("export", out, "--format", "csv", "-o", tmp_path / "out.csv")
 
 
-def test_gaps_with_all_methods(session: Path, tmp_path: Path, capsys):
-    done(
-        *("gaps", session / "rec.mcap", "--methods", "all", "--orientation", "comotti", "--lengths", 0.5),
-        *("--gaps-per-run", 1, "--processes", 1, "--json", tmp_path / "g.json", "--calibration"),
-        session / "cal.toml",
-    )
-    said = capsys.readouterr().out
-    (entry,) = json.loads((tmp_path / "g.json").read_text())["lengths"]
-    assert set(entry["methods"]) == PROMISED and "Error in hidden gaps against the truth" in said
-    for name, figures in entry["methods"].items():
-        assert name in said
-        assert figures["failed"] == 0 and 0 < figures["rms_m"] < 0.5, name
-    assert entry["methods"]["graph"]["rms_m"] < entry["methods"]["hold"]["rms_m"]
-
-
 def test_the_orientation_asked_for_is_used(session: Path, tmp_path: Path):
     found = {}
     for orientation in ("vqf", "complementary"):
@@ -106,13 +91,6 @@ def test_the_orientation_asked_for_is_used(session: Path, tmp_path: Path):
         assert found[orientation].estimates.further["orientation"] == orientation
     dot = np.abs(np.sum(found["vqf"].quaternion * found["complementary"].quaternion, axis=1))
     assert np.degrees(2 * np.arccos(np.clip(np.nanmin(dot), 0, 1))) > 2.0
-
-
-def test_help_names_the_methods(capsys):
-    for command in ("smooth", "gaps"):
-        done(command, "--help")
-        said = "".join(capsys.readouterr().out.split())  # lines are broken at hyphens too
-        assert all(name in said for name in (*PROMISED, "--orientation", "complementary"))
 
 
 @pytest.fixture

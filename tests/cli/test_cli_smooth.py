@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import tempfile
 from dataclasses import replace
 from pathlib import Path
@@ -18,7 +17,7 @@ import smoother.runtime.store
 from calib.file import read_calibration
 from calib.sensor import corrected
 from smoother.cli.run import NOT_TRUSTED, run
-from smoother.io import import_broad, read_recording, read_recovery, write_recording, write_recovery
+from smoother.io import read_recording, read_recovery, write_recording, write_recovery
 from smoother.recording import Recording
 from smoother.result import Estimates, Pairing, Recovery, SelfCheck, UntrustedInterval
 from smoother.simulation import ArmSimulation, PointSimulation, simulate_arm, simulate_point
@@ -103,51 +102,6 @@ def test_a_strap_beside_the_imu(tmp_path):
     (kept,) = read_recovery(tmp_path / "out.mcap")
     error = kept.position - np.stack([np.interp(kept.t_s, truth.t_s, axis) for axis in truth.position.T], 1)
     assert np.sqrt(np.nanmean(np.sum(error[~kept.occluded] ** 2, axis=1))) < 0.01
-
-
-@pytest.mark.slow
-@pytest.mark.real
-def test_an_optical_point_beside_a_real_imu(tmp_path):
-    folder = os.environ.get("UNOCCLUDE_DATASETS")
-    if not folder:
-        pytest.skip("UNOCCLUDE_DATASETS names no folder with BROAD (broad/*.mat)")
-    whole = import_broad(Path(folder) / "broad" / "07_undisturbed_fast_rotation_B.mat")
-    imu, frames = whole.imu.t_s, whole.arm.t_s
-    part = replace(
-        whole,
-        imu=whole.imu.select((imu >= 30) & (imu < 70)),
-        arm=whole.arm.select((frames >= 30) & (frames < 70)),
-    )
-    path = written(part, tmp_path / "rec.mcap")
-    assert read_recording(path).arm.present == ("strap",)
-    residuals = []
-    for more in ([], ["--solve-lever-arms"]):
-        figures = smoothed(path, tmp_path, *more)
-        (kept,) = read_recovery(tmp_path / "out.mcap")
-        used = kept.residuals.used[:, 4]
-        residuals.append(np.sqrt(np.mean(kept.residuals.residual[used, 4] ** 2)))
-    assert residuals[1] <= residuals[0]
-    assert 0.004 < np.linalg.norm(figures["found"]["lever_arms"]["strap"]["position_m"]) < 0.015
-
-
-def test_marks_of_uncertain_answers():
-    from arms import make_recording, make_recovery
-
-    from smoother.cli.methods import limit_sigma
-    from smoother.result.untrusted import usable
-
-    recovery = make_recovery(make_recording(4.0), sigma_m=0.01)
-    position, covariance = recovery.position.copy(), recovery.pose_covariance.copy()
-    position[:10] = np.nan  # no answer
-    covariance[10:30] *= 9.0
-    covariance[30:35] = np.nan  # an answer that states no sigma
-    recovery = replace(recovery, position=position, pose_covariance=covariance)
-    assert usable(recovery).sum() == len(recovery) - 10
-    assert limit_sigma(recovery, None) is recovery
-    marked = limit_sigma(recovery, 0.02)
-    assert np.array_equal(np.flatnonzero(~usable(marked)), np.arange(35))
-    assert marked.position is recovery.position
-    assert marked.notes[-1].startswith(f"25 of {len(recovery) - 10} samples are less certain than 0.02 m")
 
 
 DEMO = Path(__file__).parents[2] / "data" / "demo.mcap"

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import errno
 import json
-import os
 import subprocess
 import sys
 import tomllib
@@ -65,28 +64,6 @@ def test_existing_output_is_refused_before_the_work(capsys, tmp_path, good, monk
     assert [path.name for path in tmp_path.iterdir()] == ["there"]
 
 
-@pytest.mark.parametrize("lacking", ["imu", "skeleton", "forearm"])
-def test_a_recording_that_lacks_something(capsys, tmp_path, good, lacking):
-    from smoother.io import open_recording
-
-    file = open_recording(good)
-    if lacking == "imu":
-        file.imus = []
-    elif lacking == "skeleton":
-        file.arms = []
-    else:
-        for arm in file.arms:
-            arm.state[:] = 0
-    path = tmp_path / "part.mcap"
-    write_recording(file, path)
-    assert run(["smooth", str(path), "-o", str(tmp_path / "out.mcap")]) == 1
-    captured = capsys.readouterr()
-    assert captured.err.count("\n") == 1
-    assert "unexpected" not in captured.err
-    assert not (tmp_path / "out.mcap").exists()
-    done("info", path)  # a recording that cannot be smoothed can still be looked at
-
-
 @pytest.mark.parametrize(
     ("error", "sentence"),
     [
@@ -102,18 +79,6 @@ def test_errors_have_sentences(error, sentence):
     text, code = explain(error)
     assert sentence in text
     assert code == 1
-
-
-def test_full_disk_leaves_nothing(capsys, tmp_path, monkeypatch):
-    def full(*_):
-        raise OSError(errno.ENOSPC, "No space left on device")
-
-    monkeypatch.setattr(os, "fsync", full)
-    output = tmp_path / "sim.mcap"
-    failed(
-        capsys, ["simulate", "arm", "-o", output, "--set", "repetitions=1"], 1, "no space left on the disk"
-    )
-    assert list(tmp_path.iterdir()) == []
 
 
 def test_interrupt_is_one_line(capsys, monkeypatch, tmp_path):
@@ -165,13 +130,6 @@ def test_doctor_names_what_is_missing(capsys, monkeypatch):
 def test_version(capsys):
     done("--version")
     assert capsys.readouterr().out == f"unocclude {__version__}\n"
-
-
-def test_reader_that_goes_away_is_no_error():
-    command = f"{sys.executable} -c 'from smoother.cli import main; main()' config | head -n 1"
-    done = subprocess.run(["bash", "-c", command], capture_output=True, text=True, timeout=60)
-    assert "Traceback" not in done.stderr
-    assert "Exception" not in done.stderr
 
 
 LOADED = (

@@ -8,12 +8,8 @@ import subprocess
 import sys
 from pathlib import Path
 
-import numpy as np
 import pytest
-from commands import done, refused
-from scipy.spatial.transform import Rotation
-
-from smoother.cli.run import run
+from commands import done
 
 DATA = Path(__file__).parents[2] / "data"
 
@@ -31,22 +27,6 @@ def session(tmp_path_factory) -> Path:
         *("--report", folder / "out.html", "--json", folder / "smooth.json", "--processes", 1, "--draws", 0),
     )
     return folder
-
-
-@pytest.mark.slow
-def test_simulate(session):
-    figures = json.loads((session / "sim.json").read_text())
-    assert figures["config"]["imu_rate_hz"] == 100
-    assert figures["seed"] == 5
-    assert "clock_offset_s" in figures["parameters"]
-
-
-def test_same_seed_same_file(session, tmp_path):
-    done(
-        *("simulate", "arm", "-o", tmp_path / "again.mcap", "--set", "repetitions=1", "--seed", 5),
-        *("--set", "imu_rate_hz=100"),
-    )
-    assert (tmp_path / "again.mcap").read_bytes() == (session / "rec.mcap").read_bytes()
 
 
 def test_info(session, tmp_path, capsys):
@@ -143,31 +123,6 @@ def test_validate(session, tmp_path, capsys, source):
     assert figures["visible"]["orientation_rms_deg"] < 5
 
 
-def test_validate_against_another_time(session, tmp_path, capsys):
-    truth = tmp_path / "late.csv"
-    truth.write_text("t_s,x,y,z\n1000.00,0,0,2\n1000.05,0,0,2\n")
-    assert "do not overlap in time" in refused(capsys, "validate", session / "out.mcap", "--truth", truth)
-
-
-def test_import_csv(tmp_path, capsys):
-    folder = tmp_path / "plain"
-    folder.mkdir()
-    (folder / "recording.toml").write_text(
-        '[camera]\nframe = "kinect"\nskeleton = "s.csv"\n[imu.forearm_right]\nfile = "i.csv"\n'
-    )
-    frames = [f"{k / 30:.4f},wrist_right,0,{k / 300:.4f},2,tracked" for k in range(60)]
-    frames += [f"{k / 30:.4f},elbow_right,0,{k / 300 - 0.2:.4f},2,tracked" for k in range(60)]
-    (folder / "s.csv").write_text("\n".join(["t_s,joint,x,y,z,state", *frames]))
-    samples = [f"{k / 50:.4f},0,9.81,0,0,0,0" for k in range(100)]
-    (folder / "i.csv").write_text("\n".join(["t_s,ax,ay,az,gx,gy,gz", *samples]))
-    done("import", "csv", folder, "-o", tmp_path / "r.mcap", "--json", tmp_path / "r.json")
-    assert "/imu/forearm_right" in capsys.readouterr().out
-    assert json.loads((tmp_path / "r.json").read_text())["side"] == "right"
-    (folder / "i.csv").write_text("t_s,ax\n0,1\n")
-    assert run(["import", "csv", str(folder), "-o", str(tmp_path / "q.mcap")]) == 1
-    assert not (tmp_path / "q.mcap").exists()
-
-
 @pytest.mark.slow
 def test_demo_as_a_user_runs_it(tmp_path, monkeypatch):
     command = [sys.executable, "-c", "from smoother.cli import main; main()", "demo", "--json", "d.json"]
@@ -237,46 +192,6 @@ def test_files_give_the_errors_of_the_built_in_truth(folder, built_in, capsys, k
     assert "frame from the calibration" in " ".join(capsys.readouterr().out.split())
 
 
-@pytest.mark.slow
-def test_without_a_calibration_it_is_aligned_and_said(folder, capsys):
-    found = validated(folder, "a.c3d", "--markers", folder / "a_markers.toml")
-    made = json.loads((folder / "sim.json").read_text())["mocap"]
-    assert found["alignment"] == "solved"
-    assert found["clock"]["offset_s"] == pytest.approx(made["offset_s"], abs=2e-3)
-    assert 0 < found["clock"]["sigma_s"] < 1e-3
-    to_kinect = Rotation.from_matrix(np.diag([-1.0, -1.0, 1.0]))
-    stated = to_kinect * Rotation.from_quat(made["rotation"], scalar_first=True)
-    solved = Rotation.from_quat(found["camera_from_mocap"]["rotation"], scalar_first=True)
-    assert np.degrees((solved * stated.inv()).magnitude()) < 0.5
-    # 5 mm where the arm is: some 2 m before the camera
-    arm = np.array([0.0, 0.0, 2.0])
-    in_mocap = stated.inv().apply(arm - to_kinect.apply(made["translation"]))
-    there = solved.apply(in_mocap) + found["camera_from_mocap"]["translation"]
-    assert np.linalg.norm(there - arm) < 0.005
-    printed = " ".join(capsys.readouterr().out.split())
-    # every table says it
-    aligned = "aligned: frame and clock of the truth solved from this recording"
-    assert printed.count(aligned) >= printed.count("┏") > 1
-
-
-def test_refused_in_a_sentence(folder, tmp_path, capsys):
-    wrong = tmp_path / "map.toml"
-    wrong.write_text('[markers]\nwrist = ["WR_RAD", "STYLOID"]\n')
-    out, truth = folder / "out.mcap", folder / "a.c3d"
-    assert run(["validate", str(out), "--truth", str(truth), "--markers", str(wrong)]) == 1
-    said = capsys.readouterr().err
-    assert "no marker 'STYLOID'" in said
-    assert "WR_ULN" in said
-    assert "--markers MAP.toml" in refused(capsys, "validate", out, "--truth", truth)
-    bare = tmp_path / "cal.toml"
-    bare.write_text('format = "unocclude calibration"\nversion = 1\n')
-    said = refused(
-        capsys,
-        *("validate", out, "--truth", truth, "--markers", folder / "a_markers.toml", "--calibration", bare),
-    )
-    assert "camera_from_mocap" in said
-
-
 WORDS = "the file ends in the middle of the recording"
 
 
@@ -329,9 +244,3 @@ def test_it_is_said(
     done(*arguments, "--json", "figures.json", "--force")
     assert WORDS in capsys.readouterr().out
     assert WORDS in json.dumps(json.loads((cut_folder / "figures.json").read_text()))
-
-
-def test_a_whole_file_is_not_called_cut(cut_folder: Path, capsys: pytest.CaptureFixture[str]):
-    done("validate", cut_folder / "result.mcap", "--truth", cut_folder / "whole.mcap")
-    done("info", cut_folder / "whole.mcap")
-    assert WORDS not in capsys.readouterr().out

@@ -119,13 +119,6 @@ def test_a_result_against_its_own_export_says_so():
     assert not any(note.startswith(said) for note in validate(recovery, other).notes)
 
 
-def test_the_sentence_on_sigma_has_the_factor_of_the_table():
-    from calib.sigma_factor import LengthFactor, factor_sentences
-
-    (sentence, *_) = factor_sentences([LengthFactor(0.5, 30, False, 0.8, 0.89, 0.95, 1.0)])
-    assert "by 1.00" in sentence and "0.89" not in sentence
-
-
 def test_the_demo_knows_no_true_lever_arms(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     """It recovers as a user's own first recording is recovered."""
     given: list[object] = []

@@ -16,8 +16,6 @@ from smoother.errors import RecordingError
 from smoother.io import open_recording, read_recording, read_recovery, select_recording
 from smoother.io.recording.match import match_file
 from smoother.io.recording.streams import RecordingFile
-from smoother.io.recording.write import as_file
-from smoother.simulation import ArmSimulation, simulate_arm
 
 
 @pytest.fixture(scope="module")
@@ -233,43 +231,12 @@ def test_a_name_that_contradicts_the_motion(people) -> None:
         assert any(note.startswith(name) and "name contradicts" in note for note in notes) == is_wrong
 
 
-def test_a_file_without_axes_is_matched_all_the_same(people) -> None:
-    file, truth = open_recording(people[0]), people[1]
-    matches, _ = match_file(without(file, camera_frame=None))
-    assert all(truth[match.imu][1] == match.joint for match in matches)
-
-
-def test_smooth_takes_the_imu_that_is_on_the_arm(people) -> None:
-    """Names say nothing, two arms move, an upper arm and the table have sensors too."""
-    recording, truth = people
-    file = open_recording(recording)
-    body = next(body for body, joint in truth.values() if joint.startswith("wrist"))
-    for imu, (whose, joint) in truth.items():
-        if whose == body and joint.startswith("wrist"):
-            side = joint.removeprefix("wrist_")
-            taken = select_recording(file, body=body, side=side)
-            assert taken.imu.name == imu and taken.side == side
-            assert any(f"IMU {imu}" in note and "probability" in note for note in taken.notes)
-
-
 def test_an_upper_arms_imu_is_not_taken_for_a_wrists(people) -> None:
     file, truth = open_recording(people[0]), people[1]
     upper = [imu for imu in file.imus if truth[imu.topic][1].startswith("upper_arm")]
     assert upper
     with pytest.raises(RecordingError, match=r"no IMU moves as a forearm .* as upper_arm_"):
         select_recording(without(file, imus=upper))
-
-
-def test_the_other_forearms_are_named_too(people) -> None:
-    """Two wrists have an IMU: one is taken or the user is asked, and either way both are named."""
-    file, truth = open_recording(people[0]), people[1]
-    wrists = [imu.topic for imu in file.imus if truth[imu.topic][1].startswith("wrist")]
-    assert len(wrists) == 2
-    try:
-        said = " ".join(select_recording(file).notes)
-    except RecordingError as error:
-        said = str(error)
-    assert all(topic in said for topic in wrists)
 
 
 def test_one_pair_is_left_and_does_not_fit(people) -> None:
@@ -281,10 +248,3 @@ def test_one_pair_is_left_and_does_not_fit(people) -> None:
     side = joint.removeprefix("upper_arm_")
     with pytest.raises(RecordingError, match="choose with --imu"):
         select_recording(without(file, imus=[upper, table]), body=body, side=side)
-
-
-def test_names_are_still_believed_first() -> None:
-    """A single IMU that is named as this arm's is taken without a look at its motion."""
-    made = simulate_arm(ArmSimulation(protocol="random", duration_s=5.0), 1).recording
-    taken = select_recording(as_file(made))
-    assert taken.notes == made.notes

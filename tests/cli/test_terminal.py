@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import os
 import re
 import subprocess
@@ -11,7 +10,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from commands import done
 from rich.console import Console
 
 from calib.motion import known_to
@@ -173,17 +171,6 @@ def test_printable_keeps_what_is_harmless():
     for text in ("Übung 3 (links)", "σ = 0.5 m", "腕", "a\tb\nc"):
         assert printable(text, lines=True) == text
     assert printable("\x1b[31m\udcff\u202e") == "\\x1b[31m\\xff\\u202e"
-
-
-def test_exports_hold_numbers_only(hostile: Path, monkeypatch: pytest.MonkeyPatch):
-    """No text of a recording gets into a cell: there is nothing for a spreadsheet to run."""
-    monkeypatch.chdir(hostile.parent)
-    done("smooth", hostile.name, "-o", "r.mcap", "--processes", "1", "--draws", "0", "--force")
-    done("export", "r.mcap", "--format", "csv", "-o", "r.csv", "--force")
-    with open("r.csv", newline="") as file:
-        header, *rows = csv.reader(file)
-    assert all(re.fullmatch(r"[a-z][a-z0-9_]*", name) for name in header)
-    assert all(cell == "" or float(cell) is not None for row in rows for cell in row)
 
 
 def test_an_array_with_objects_is_refused(tmp_path: Path):

@@ -10,8 +10,7 @@ import pytest
 from commands import done
 from results import made
 
-from smoother.cli import viewer
-from smoother.cli.run import run
+from smoother.cli import view as viewer
 from smoother.errors import UnoccludeError
 from smoother.io import write_recovery
 
@@ -47,13 +46,6 @@ def test_the_viewer_speaks_to_nobody_else(monkeypatch):
     assert variables["PATH"] == os.environ["PATH"]
 
 
-def test_the_file_is_looked_at_before_the_package(tmp_path, monkeypatch, capsys):
-    monkeypatch.setitem(sys.modules, "rerun", None)  # as if it were not installed
-    assert run(["view", str(tmp_path / "missing.mcap")]) == 1
-    said = capsys.readouterr().err
-    assert "missing.mcap does not exist" in said and "rerun-sdk" not in said
-
-
 def test_a_file_is_shown_and_goes(needs_rerun, result, monkeypatch):
     shown = []
 
@@ -67,19 +59,6 @@ def test_a_file_is_shown_and_goes(needs_rerun, result, monkeypatch):
     assert file.name == "out.rrd"
     assert size > 10_000
     assert not file.exists()
-
-
-def test_what_a_person_gets_wrong(needs_rerun, result, tmp_path, capsys):
-    def sentence(*arguments: str) -> str:
-        capsys.readouterr()
-        assert run(["view", *arguments]) != 0
-        said = capsys.readouterr().err
-        assert said.count("\n") == 1
-        return said
-
-    assert "no recovered arm 'left'" in sentence(str(result), "--side", "left")
-    assert "--side is left or right" in sentence(str(result), "--side", "both")
-    assert "missing.mcap" in sentence(str(tmp_path / "missing.mcap"))
 
 
 def test_a_viewer_that_fails_says_why():

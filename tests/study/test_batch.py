@@ -237,18 +237,6 @@ def test_a_pattern_names_from_its_first_wildcard(tree, monkeypatch):
     assert Path(find_entries("p2/*.mcap", tree / "out")[0].path) == tree / "p2" / "a.mcap"
 
 
-@pytest.mark.skipif(os.sep != "/", reason="two slashes begin a server's name on Windows")
-def test_a_list_with_two_slashes_at_the_begin(tree):
-    """POSIX lets them stand: as if they were another root, no name counts from."""
-    rows = tree / "list.txt"
-    rows.write_text(f"/{tree / 'p1' / 'a.mcap'}\n{tree / 'p2' / 'a.mcap'}\n", encoding="utf-8")
-    assert names(rows, tree / "out") == ["p1/a.mcap", "p2/a.mcap"]
-    rows.write_text("//.mcap\n/.m.mcap\n", encoding="utf-8")
-    assert names(rows, tree / "out") == [".m.mcap", ".mcap"]
-    assert names(f"/{tree}", tree / "out") == ["p1/a.mcap", "p1/b.mcap", "p2/a.mcap"]
-    assert Path(find_entries(str(rows), tree / "out")[1].path) == Path("/.mcap")
-
-
 def test_outputs_are_no_recordings(tree):
     for study in ("p1/out", "p1/older"):
         (tree / study / ".unocclude").mkdir(parents=True)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -66,13 +65,3 @@ def test_days_are_relative_to_a_secret_one():
     assert relative_day("word", "p1", origin + 14 * day_ns) - first == pytest.approx(14)
     assert relative_day("word", "p2", origin) != first != relative_day("other", "p1", origin)
     assert relative_day("word", "p1", 0) is None  # a clock that knows no date
-
-
-def test_json_of_a_study_has_them(made: Path, tmp_path: Path):
-    one = tmp_path / "list.txt"
-    one.write_text(f"{made / NAMES[0]}\n")
-    command = ["-o", tmp_path / "out", "--processes", 1, "--measures", "--draws", 0]
-    assert batch(one, *command, "--json", tmp_path / "s.json") == 0
-    (row,) = json.loads((tmp_path / "s.json").read_text())["rows"]
-    flexion = next(each for each in row["measures"] if each["key"] == "elbow_flexion_range_deg")
-    assert flexion["value"] > 0 and flexion["low"] is None and flexion["n_draws"] == 0
