@@ -1,13 +1,13 @@
 """Outputs that are either whole or not there, and none left half by a program that was killed.
 
-A file is locked while its program uses it; the system lets go of the lock however that ends. A file that
-is not locked was left behind.
+A temporary file's name has the process that writes it; what one left behind that is gone is removed later.
 """
 
 from __future__ import annotations
 
 import errno
 import os
+import platform
 import re
 import secrets
 import shutil
@@ -15,6 +15,7 @@ import stat
 import sys
 import tempfile
 import time
+import zlib
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -24,7 +25,11 @@ from ..errors import UnoccludeError
 #: How long a pipe's reader may take to come, s.
 READER_S = 3.0
 _ENDING = ".unocclude.tmp"
-_NAME = re.compile(r"\..*\.[0-9a-f]{24}" + re.escape(_ENDING) + r"(\.\w+)?")
+#: This computer and the process that writes, in the name of a temporary file.
+_HOST = f"{zlib.crc32(platform.node().encode()):08x}"
+_NAME = re.compile(r"\..*\.([0-9a-f]{8})-(\d+)-[0-9a-f]{12}" + re.escape(_ENDING) + r"(\.\w+)?")
+#: A file of another computer's that nobody wrote to for this long was left behind, s.
+_STALE_S = 86_400.0
 #: Characters of the output's name in that of its temporary file: four bytes each at most, of 255.
 _NAME_CHARACTERS = 40
 #: Folders are looked through once per process: one may contain a million results.
@@ -44,14 +49,12 @@ def writing(path: str | os.PathLike[str], force: bool = False) -> Iterator[Path]
     temporary = temporary_name(target)
     try:
         remove_stale_tempfiles(target.parent)
-        with locked(temporary):
-            yield temporary
-            _give_mode(temporary, target)
-            _sync(temporary, os.O_RDWR)
-            if os.name == "posix":  # elsewhere an open file cannot be moved
-                _give_name(temporary, target, force)
-        if os.name != "posix":
-            _give_name(temporary, target, force)
+        flags = os.O_RDWR | os.O_CREAT | os.O_EXCL | getattr(os, "O_NOFOLLOW", 0)
+        os.close(os.open(temporary, flags, 0o600))  # for its owner alone
+        yield temporary
+        _give_mode(temporary, target)
+        _sync(temporary, os.O_RDWR)
+        _give_name(temporary, target, force)
         with suppress(OSError):  # some systems and network file systems cannot; the file itself is safe
             _sync(target.parent, os.O_RDONLY)
     except OSError as error:
@@ -66,6 +69,29 @@ def writing(path: str | os.PathLike[str], force: bool = False) -> Iterator[Path]
     finally:
         with suppress(OSError):
             temporary.unlink(missing_ok=True)
+
+
+@contextmanager
+def writing_folder(path: str | os.PathLike[str]) -> Iterator[Path]:
+    """Yield a folder beside `path` to write into; it takes the place of `path` when all went well."""
+    target = Path(path)
+    beside = temporary_name(target)
+    old = beside.with_suffix(".old")
+    try:
+        remove_stale_tempfiles(target.absolute().parent)
+        beside.mkdir(mode=0o700)
+        yield beside
+        beside.chmod(stat.S_IMODE(target.stat().st_mode) if target.exists() else 0o777 & ~umask())
+        if target.exists():
+            target.rename(old)
+        beside.rename(target)
+    except OSError as error:
+        raise could_not_be_written(path, error) from error
+    finally:
+        shutil.rmtree(beside, ignore_errors=True)
+        if old.exists() and not target.exists():
+            old.rename(target)
+        shutil.rmtree(old, ignore_errors=True)
 
 
 def could_not_be_written(path: str | os.PathLike[str], error: OSError, where: str = "") -> UnoccludeError:
@@ -135,38 +161,10 @@ def _handle(path: str | os.PathLike[str]) -> int:
     return handle
 
 
-def temporary_name(target: Path) -> Path:
-    """A hidden name beside `target` that cannot be foreseen."""
-    return target.with_name(f".{target.name[:_NAME_CHARACTERS]}.{secrets.token_hex(12)}{_ENDING}")
-
-
-def is_temporary(name: str) -> bool:
-    """Whether a file's name is one that `temporary_name` gives."""
-    return _NAME.fullmatch(name) is not None
-
-
-@contextmanager
-def locked(path: Path, folder: bool = False) -> Iterator[None]:
-    """Make an empty file, or a folder, that only its owner can enter, and keep it from being swept."""
-    if folder:
-        path.mkdir(mode=0o700)
-        flags = os.O_RDONLY
-        if os.name != "posix":
-            yield
-            return
-    else:
-        flags = os.O_RDWR | os.O_CREAT | os.O_EXCL | getattr(os, "O_NOFOLLOW", 0)
-    flags |= getattr(os, "O_CLOEXEC", 0)
-    handle = os.open(path, flags, 0o600)
-    try:
-        _lock(handle)
-        if not path.exists():  # swept between its making and its lock
-            os.close(handle)
-            handle = os.open(path, flags, 0o600)
-            _lock(handle)
-        yield
-    finally:
-        os.close(handle)
+def temporary_name(target: Path, process: int | None = None) -> Path:
+    """A hidden name beside `target` that cannot be foreseen, for a process of this computer (this one)."""
+    mark = f"{_HOST}-{os.getpid() if process is None else process}-{secrets.token_hex(6)}"
+    return target.with_name(f".{target.name[:_NAME_CHARACTERS]}.{mark}{_ENDING}")
 
 
 def remove_stale_tempfiles(folder: Path, again: bool = False) -> None:
@@ -175,48 +173,30 @@ def remove_stale_tempfiles(folder: Path, again: bool = False) -> None:
         return
     _swept.add(folder)
     with suppress(OSError), os.scandir(folder) as entries:
-        for entry in [entry for entry in entries if is_temporary(entry.name)]:
+        for entry in list(entries):
             with suppress(OSError):
-                _remove(Path(entry.path))
+                if not _is_stale(entry):
+                    continue
+                if entry.is_dir(follow_symlinks=False):
+                    shutil.rmtree(entry.path, ignore_errors=True)
+                else:
+                    os.unlink(entry.path)
 
 
-def _remove(path: Path) -> None:
-    """Remove what is not locked; never what belongs to someone else."""
-    about = os.lstat(path)
-    is_folder = stat.S_ISDIR(about.st_mode)
-    if not (is_folder or stat.S_ISREG(about.st_mode)):
-        return
-    if os.name != "posix":
-        if not is_folder:
-            path.unlink()  # Windows refuses while its program has it open
-        return
-    if about.st_uid != os.getuid():
-        return
-    handle = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_CLOEXEC | os.O_NONBLOCK)
+def _is_stale(entry: os.DirEntry[str]) -> bool:
+    """Whether it is a temporary file whose process is gone; of another computer, one that is old."""
+    name = _NAME.fullmatch(entry.name)
+    if name is None:
+        return False
+    if name[1] != _HOST or os.name != "posix":
+        return time.time() - entry.stat(follow_symlinks=False).st_mtime > _STALE_S
     try:
-        if not _lock(handle):
-            return
-        if is_folder:
-            shutil.rmtree(path, ignore_errors=True)
-        else:
-            path.unlink()
-    finally:
-        os.close(handle)
-
-
-def _lock(handle: int) -> bool:
-    """Lock an open file for as long as it stays open; False where another program has it locked."""
-    try:
-        import fcntl
-    except ImportError:  # Windows
+        os.kill(int(name[2]), 0)  # nothing is sent
+    except (ProcessLookupError, OverflowError):
         return True
-    try:
-        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError:
+    except OSError:  # it is another user's
         return False
-    except OSError:  # a file system without locks: nothing is swept there
-        return False
-    return True
+    return False
 
 
 def check_output(path: str | os.PathLike[str], force: bool = False) -> None:

@@ -94,7 +94,7 @@ def test_info_and_check_speak_of_each_arm(folder: Path, capsys: pytest.CaptureFi
     assert about["side"] == "left" and about["ready"] is True and "smooth" not in about["missing"]
     done("info", folder / "both.mcap", "--side", "right")
     assert "right arm: taken" not in (said := capsys.readouterr().out) and "right arm of /skeleton" in said
-    with pytest.raises(RecordingError, match=r"one is wanted here; choose with --side\.$"):
+    with pytest.raises(RecordingError, match=r"one arm is wanted here.* choose with --imu and --side\.$"):
         read_recording(folder / "both.mcap")
     done("check", folder / "both.mcap", "--json", folder / "ch.json", "--processes", "1")
     said = capsys.readouterr().out

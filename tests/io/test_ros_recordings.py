@@ -97,7 +97,7 @@ def test_options_settle_what_is_meant(bag: tuple[Path, np.ndarray]) -> None:
     assert recording.side == "left"
     with pytest.raises(RecordingError, match=r"--body 9.*body 3, left"):
         read_recording(bag[0], body=9)
-    with pytest.raises(RecordingError, match=r"no IMU fits --imu chest; it has /wrist/imu, /k4a/imu"):
+    with pytest.raises(RecordingError, match=r"no IMU fits --imu chest; give one of /wrist/imu, /k4a/imu"):
         read_recording(bag[0], imu="chest")
     with pytest.raises(RecordingError, match=r"choose with --side and --body"):
         read_recording(bag[0], imu="k4a")

@@ -7,7 +7,6 @@ import io
 from pathlib import Path
 
 import pytest
-from smoother.evaluation.group import LONG, write_long
 
 from smoother.runtime.csv_rows import read_cell, write_rows
 from smoother.study.inputs import _rows
@@ -44,10 +43,6 @@ def test_a_formula_is_a_text(value: object, written: str):
 
 
 def test_tables_of_a_study(tmp_path: Path):
-    row = dict.fromkeys(LONG, None) | {LONG[0]: "=1+1", "value": -0.5}
-    write_long([row], tmp_path / "long.csv")
-    (read,) = csv.DictReader((tmp_path / "long.csv").open())
-    assert read[LONG[0]] == "'=1+1" and read["value"] == "-0.5"
     with (tmp_path / "sessions.csv").open("w") as file:
         write_rows(file, [("file", "person", "session"), ("a.mcap", "=p", "-s1")])
     ((_, cells),) = _rows(tmp_path / "sessions.csv")

@@ -6,12 +6,12 @@ import time
 from pathlib import Path
 
 import pytest
-from smoother.evaluation.measure_files import _of_user
 
 from calib.file import CalibrationFile, read_calibration, write_calibration
 from calib.intrinsics import read_intrinsics
 from smoother.cli.config import read_config
 from smoother.errors import UnoccludeError
+from smoother.evaluation.measure_agreement import _of_user
 from smoother.evaluation.mocap.markers import read_marker_map
 from smoother.io.tables.recording_toml import read_description
 from smoother.runtime.inputs import toml_text

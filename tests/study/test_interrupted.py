@@ -46,7 +46,7 @@ def test_a_killed_client(recordings, tmp_path):
         client.communicate()
     until(lambda: not any(is_alive(each) for each in processes), 20.0)  # nobody would hear of their work
     assert len(processes) == 2 and len(rows) >= 2
-    half = temporary_name(out / NAMES[0])
+    half = temporary_name(out / NAMES[0], GONE)
     half.parent.mkdir(parents=True, exist_ok=True)
     half.touch()
     assert batch(recordings, "-o", out, "--processes", 1) == 1
@@ -55,6 +55,10 @@ def test_a_killed_client(recordings, tmp_path):
     outputs = state(out)
     assert before.items() <= outputs.items() and set(outputs) == set(NAMES)
     assert not half.exists(), "what is left half written is swept up"
+
+
+#: No process has this number.
+GONE = 2**30
 
 
 def others_too(job: Job, made: Path, monkeypatch: pytest.MonkeyPatch, what: str) -> list[dict]:
@@ -100,7 +104,7 @@ def test_an_end_sweeps_what_its_workers_left(in_here, job, made):
     """They are ended in the middle of an output, and the next command may never come."""
     folder = study_folder(Path(job.folder))
     entries = find_entries(str(made), folder.path)
-    half = [temporary_name(folder.results / "x.parquet"), temporary_name(folder.output(NAMES[0]))]
+    half = [temporary_name(each, GONE) for each in (folder.results / "x.parquet", folder.output(NAMES[0]))]
 
     def interrupt(*_):
         for path in half:

@@ -19,7 +19,7 @@ from ...joint_angles import torso_axes
 from ...recording import JOINTS, JointState
 from ...result import Recovery
 from ...result.untrusted import untrusted_sentences, usable
-from ...runtime.outputs import locked, writing
+from ...runtime.outputs import writing
 from .grid import Grid, at_grid, constant_step, frames_at_grid, nearest
 from .rows import Export, write_rows
 
@@ -92,10 +92,9 @@ def write_c3d(path: str | os.PathLike[str], content: C3dContent, force: bool = F
     with writing(path, force) as temporary:
         named = temporary.with_name(f"{temporary.name}.c3d")  # ezc3d insists on the ending
         try:
-            with locked(named):
-                file.write(os.fspath(named))
-                _check_size(named, frames, 4 * len(content.names) + len(content.channels))
-                shutil.copyfile(named, temporary)
+            file.write(os.fspath(named))
+            _check_size(named, frames, 4 * len(content.names) + len(content.channels))
+            shutil.copyfile(named, temporary)
         finally:
             named.unlink(missing_ok=True)
 

@@ -12,7 +12,7 @@ from ...body import FURTHER, SEGMENTS, BodySegment
 from ...errors import RecordingError
 from .bodies import people
 from .camera_streams import of_first_camera, same_arm
-from .names import OTHER_SIDE, is_named, is_of_other_arm, named_side, role, role_among, words
+from .names import is_named, is_of_other_arm, named_side, role, role_among, words
 from .streams import ArmFrames, CameraStream, ImuSamples, PoseSamples, RecordingFile
 
 if TYPE_CHECKING:
@@ -62,11 +62,10 @@ def topics_of(file: RecordingFile) -> str:
 
 def choose_imu(file: RecordingFile, name: str | None = None) -> ImuSamples:
     """The IMU of that name, of whatever limb, or the only one that there is."""
-    if name is None and len(file.imus) > 1:
-        listed = ", ".join(stream.topic for stream in file.imus)
-        raise RecordingError(f"{file.path} has several IMUs ({listed}); choose one with --imu.")
     if name is None and len(file.imus) == 1:
         return file.imus[0]
+    if name is None and file.imus:
+        raise RecordingError(f"{file.path} has several IMUs ({_topics(file.imus)}); choose one with --imu.")
     return forearm_imus(file, name)[0]
 
 
@@ -84,7 +83,6 @@ def forearm_imus(file: RecordingFile, name: str | None) -> list[ImuSamples]:
             f"{file.path} has no IMU (sensor_msgs/Imu or unocclude.Imu); it has {topics_of(file)}; "
             "record the wrist's IMU as well."
         )
-    listed = ", ".join(stream.topic for stream in file.imus)
     if name is not None:
         wanted = name.strip("/")
         exact = [s for s in file.imus if wanted in (topic.strip("/") for topic in (s.topic, *s.made_of))]
@@ -92,13 +90,14 @@ def forearm_imus(file: RecordingFile, name: str | None) -> list[ImuSamples]:
         if len(matches) != 1:
             what = "more than one IMU fits" if matches else "no IMU fits"
             raise RecordingError(
-                f"{file.path}: {what} --imu {name}; it has {listed}{_what_fits(name, matches, file.imus)}."
+                f"{file.path}: {what} --imu {name}; give one of {_topics(matches or file.imus)}, or --side."
             )
         return matches
     candidates = [stream for stream in file.imus if role_among(stream, file.imus) in ("", "forearm")]
     if not candidates:
         raise RecordingError(
-            f"{file.path}: no IMU is named as one of a forearm; it has {listed}; choose with --imu."
+            f"{file.path}: no IMU is named as one of a forearm; it has {_topics(file.imus)}; choose with"
+            " --imu."
         )
     named = [
         s for s in candidates if role_among(s, file.imus) == "forearm" or named_side(s.topic, s.frame_id)
@@ -106,14 +105,8 @@ def forearm_imus(file: RecordingFile, name: str | None) -> list[ImuSamples]:
     return named or candidates
 
 
-def _what_fits(name: str, matches: list[ImuSamples], imus: list[ImuSamples]) -> str:
-    """What to give instead of a name that fits none or several IMUs, for the end of a sentence."""
-    forearms = [stream for stream in matches if role(stream) in ("", "forearm")]
-    if len(forearms) == 1:
-        return f"; for the one on the forearm give --imu {forearms[0].topic}"
-    side = named_side(name)
-    may_be = any(named_side(stream.topic, stream.frame_id) in (side, "") for stream in imus)
-    return f"; for the {side} arm give --side {side}" if side and may_be else ""
+def _topics(imus: Sequence[ImuSamples]) -> str:
+    return ", ".join(stream.topic for stream in imus)
 
 
 _TRUTH_WORDS = ("truth", "mocap", "reference", "optical", "vicon", "optitrack", "qualisys")
@@ -134,11 +127,6 @@ def choose_truth(
                 "none was taken."
             ]
     return (poses[0], []) if poses else (None, [])
-
-
-_ONLY_ONE_ARM = (
-    "the skeleton shows the {} arm only: give --swap left,right if the camera's program exchanged the two"
-)
 
 
 def _further_by_name(
@@ -188,37 +176,18 @@ def wanted_arms(file: RecordingFile, selection: Selection) -> list[ArmFrames]:
         and (body is None or arm.body == body)
     ]
     if not fitting:
-        wanted = [
-            f"--{name} {value}"
-            for name, value in (("skeleton", skeleton), ("side", side), ("body", body))
-            if value is not None
-        ]
-        raise RecordingError(
-            f"{file.path}: no tracked arm fits {' '.join(wanted)}; it has "
-            f"{', '.join(arm.label for arm in seen)}{_what_arm_fits(seen, skeleton, side)}."
-        )
+        options = {"skeleton": skeleton, "side": side, "body": body}
+        wanted = " ".join(f"--{name} {value}" for name, value in options.items() if value is not None)
+        raise RecordingError(f"{file.path}: no tracked arm fits {wanted}; {_what_else(file)}.")
     return fitting
 
 
-def _what_arm_fits(seen: list[ArmFrames], skeleton: str | None, side: str | None) -> str:
-    """What to give instead of options that no arm fits, for the end of a sentence."""
-    sides, named = {arm.side for arm in seen}, named_side(skeleton or "")
-    if named in sides - {""} and not side:
-        return f"; a topic may contain both arms: for the {named} one give --side {named}"
-    return f"; {_ONLY_ONE_ARM.format(OTHER_SIDE[side])}" if side and sides == {OTHER_SIDE[side]} else ""
-
-
-def _why_no_pair(imus: list[ImuSamples], arms: list[ArmFrames]) -> str:
-    """Why no IMU may be on an arm of that side, and what to do, for the end of a sentence."""
-    worn = {_worn_on(imu) for imu in imus}
-    if len(worn) != 1 or not (named := worn.pop()):
-        return "choose with --imu, --skeleton, --side or --body"
-    other, remedy = OTHER_SIDE[named], f"leave --side out, or give --side {named}"
-    if {arm.side for arm in arms if arm.tracked} == {other}:
-        remedy = _ONLY_ONE_ARM.format(other)
+def _what_else(file: RecordingFile) -> str:
+    """What a file has, and what to give where the options, or names, exclude each other."""
     return (
-        f"{imus[0].topic} is on the {named} arm by its name: {remedy}; if it was worn on the {other} arm,"
-        f" import it again as forearm_{other}"
+        f"it has {_listing(file)}: choose with --imu, --skeleton, --side or --body; if the camera's program"
+        " exchanged left and right, give --swap left,right; if the IMU was worn on the other arm, import it"
+        " again under the right name"
     )
 
 
@@ -293,10 +262,7 @@ def _one_arm(file: RecordingFile, prefer_side: str | None, selection: Selection)
     arms, imus = wanted_arms(file, selection), forearm_imus(file, selection.get("imu"))
     pairs = [(i, a) for i in imus for a in arms if len({_worn_on(i), a.side, side or ""} - {""}) <= 1]
     if not pairs:
-        raise RecordingError(
-            f"{file.path}: no IMU is on an arm that the skeleton shows; it has {_listing(file)};"
-            f" {_why_no_pair(imus, file.arms)}."
-        )
+        raise RecordingError(f"{file.path}: no IMU is on an arm that the skeleton shows; {_what_else(file)}.")
     if prefer_side and not side:
         pairs = [(i, a) for i, a in pairs if (a.side or _worn_on(i)) in (prefer_side, "")] or pairs
     said = []
@@ -339,9 +305,8 @@ def _worn_on(imu: ImuSamples) -> str:
 
 
 def _listing(file: RecordingFile) -> str:
-    imus = ", ".join(stream.topic for stream in file.imus)
     arms = ", ".join(arm.label for arm in file.arms if arm.tracked)
-    return f"IMU {imus} and skeleton {arms}"
+    return f"IMU {_topics(file.imus)} and skeleton {arms}"
 
 
 def _assigned(
@@ -390,33 +355,22 @@ def _pair_by_motion(file: RecordingFile, pairs: Sequence[Pair]) -> tuple[Pair, s
     order = np.argsort(-scores)
     best, second = scores[order[0]], max(scores[order[1:]].max(initial=0.0), 0.0)
     if best < _ENOUGH or best - second < _LEAD:
-        raise RecordingError(_what_is_open(file, pairs))
+        kinds: dict[str, set[object]] = {
+            "--imu": {imu.topic for imu, _ in pairs},
+            "--skeleton": {arm.topic for _, arm in pairs},
+            "--side": {arm.side for _, arm in pairs},
+            "--body": {(arm.topic, arm.body) for _, arm in pairs},
+        }
+        needed = " and ".join(option for option, values in kinds.items() if len(values) > 1)
+        raise RecordingError(
+            f"{file.path} has {_listing(file)}; one arm is wanted here, and their motion does not show which"
+            f" belong together; choose with {needed}."
+        )
     pair, (_, shift_s, far) = left[order[0]], found[order[0]]
     apart = f", with the clocks {abs(shift_s):.1f} s apart" if far else ""
     moves = [f"{name} moves as {limbs[name].label}" for name in matched if name != pair[0].topic]
     why = f"their motion agrees best{apart} (correlation {best:.2f}, the next {second:.2f})"
     return pair, "; ".join([why, *moves])
-
-
-def _what_is_open(file: RecordingFile, pairs: Sequence[Pair]) -> str:
-    """What a file has that motion does not tell apart, and what to give."""
-    sides = {_worn_on(imu) for imu, _ in pairs}
-    if "" not in sides and len(sides) == len(pairs):  # names show which IMU is on which arm
-        return (
-            f"{file.path} has an IMU on each of several arms ({_listing(file)}), and one is wanted here;"
-            " choose with --side."
-        )
-    kinds: dict[str, set[object]] = {
-        "--imu": {id(imu) for imu, _ in pairs},
-        "--skeleton": {arm.topic for _, arm in pairs},
-        "--side": {arm.side for _, arm in pairs},
-        "--body": {(arm.topic, arm.body) for _, arm in pairs},
-    }
-    needed = " and ".join(option for option, values in kinds.items() if len(values) > 1)
-    return (
-        f"{file.path} has {_listing(file)}, and their motion does not show which belong together; choose with"
-        f" {needed}."
-    )
 
 
 def _by_motion(file: RecordingFile, arms: Sequence[ArmFrames], side: str | None) -> list[StreamChoice]:

@@ -19,13 +19,14 @@ from ...array_types import FloatArray
 from ...errors import RecordingError
 from ...recording import Recording
 from ...runtime.inputs import check_input
+from ...runtime.outputs import writing_folder
 from ..mcap.container import Container
 from ..mcap.messages import McapMessage, Topic
 from ..recording.write import write_recording
 from ..tables.columns import read_exact
 from ..wire.cdr import byte_order, values_of
 from ..wire.schemas import parsed
-from .panel import writing_folder
+from .panel import check_folder
 
 #: Blocks whose stamps lie farther from the even tick than this part of a block begin a new track.
 JUMP_PART = 0.5
@@ -218,7 +219,8 @@ def write_clock_folder(
     from scipy.io import wavfile
 
     rows = zip(receptions.event.tolist(), receptions.node, receptions.t_s.tolist(), strict=True)
-    with writing_folder(path, force) as folder:
+    check_folder(Path(path), force)
+    with writing_folder(path) as folder:
         wavfile.write(folder / SOUND, sound_rate_hz, np.rint(_LOUDEST * sound).astype(np.int16))
         lines = [",".join(COLUMNS), *(f"{event},{node},{t:.7f}" for event, node, t in rows), ""]
         (folder / TIMES).write_text("\n".join(lines), encoding="utf-8")

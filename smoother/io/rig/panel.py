@@ -6,10 +6,8 @@ A session holds images by pose, the lens, markers, and two IMUs.
 from __future__ import annotations
 
 import os
-import shutil
-import stat
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -24,15 +22,7 @@ from calib.intrinsics import Intrinsics
 from ...array_types import FloatArray
 from ...errors import RecordingError, UnoccludeError
 from ...recording import ImuStream
-from ...runtime.outputs import (
-    check_output,
-    could_not_be_written,
-    locked,
-    remove_stale_tempfiles,
-    temporary_name,
-    umask,
-    writing,
-)
+from ...runtime.outputs import check_output, writing, writing_folder
 from ..mcap.container import Container
 from ..mcap.merge import Output, OutputStream
 from ..mcap.messages import SECOND_NS, Topic, nanoseconds, ros_stamps, seconds
@@ -248,30 +238,6 @@ class PanelShot:
     markers: FloatArray  # (n, 3) m: their positions
 
 
-@contextmanager
-def writing_folder(path: str | os.PathLike[str], force: bool = False) -> Iterator[Path]:
-    """Yield a folder beside `path` to write into; it becomes `path` when all went well."""
-    target = Path(path)
-    check_folder(target, force)
-    beside = temporary_name(target)
-    old = beside.with_suffix(".old")
-    try:
-        remove_stale_tempfiles(target.absolute().parent)
-        with locked(beside, folder=True):
-            yield beside
-            beside.chmod(stat.S_IMODE(target.stat().st_mode) if target.exists() else 0o777 & ~umask())
-            if target.exists():
-                target.rename(old)
-            beside.rename(target)
-    except OSError as error:
-        raise could_not_be_written(path, error) from error
-    finally:
-        shutil.rmtree(beside, ignore_errors=True)
-        if old.exists() and not target.exists():
-            old.rename(target)
-        shutil.rmtree(old, ignore_errors=True)
-
-
 def check_folder(path: Path, force: bool = False) -> None:
     """Refuse a folder that could not be written in the end, before any work is done for it."""
     if path.is_dir() and any(path.iterdir()):
@@ -297,7 +263,8 @@ def write_panel_folder(
     """Write images, mocap markers and IMU samples of every pose, and TOML tables."""
     import cv2
 
-    with writing_folder(path, force) as folder:
+    check_folder(Path(path), force)
+    with writing_folder(path) as folder:
         for number, shot in enumerate(shots, 1):
             name = f"pose_{number:02d}"
             for what, image in (("depth", shot.depth), ("infrared", shot.infrared)):

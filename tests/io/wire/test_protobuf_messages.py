@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import re
-from importlib.resources import files
-
 import numpy as np
 import pytest
 from google.protobuf.descriptor_pb2 import FileDescriptorSet
@@ -209,36 +206,3 @@ def test_a_schema_names_each_file_once_and_its_needs_first(name: str) -> None:
     assert len(names) == len(set(names)) and names[-1] == message_class(name).DESCRIPTOR.file.name
     for k, file in enumerate(files):
         assert set(file.dependency) <= set(names[:k])
-
-
-FOLDER = files("smoother.io.wire")
-#: A message of each file.
-FILES = {
-    "unocclude": "unocclude.Imu",
-    "unocclude_pixels": "unocclude.Keypoints2D",
-}
-SCALARS = {1: "double", 6: "fixed64", 8: "bool", 9: "string", 12: "bytes", 13: "uint32"}
-
-
-@pytest.mark.parametrize("name", FILES)
-def test_the_compiled_messages_are_those_of_the_file(name: str):
-    text = re.sub(r"//[^\n]*", "", FOLDER.joinpath(f"{name}.proto").read_text(encoding="utf-8"))
-    file = message_class(FILES[name]).DESCRIPTOR.file
-    described = {}
-    for kind, name, body in re.findall(r"(enum|message)\s+(\w+)\s*{(.*?)}", text, re.DOTALL):
-        pattern = r"(\w+)\s*=\s*(\d+);" if kind == "enum" else r"(repeated )?([\w.]+)\s+(\w+)\s*=\s*(\d+);"
-        described[name] = re.findall(pattern, body)
-    compiled: dict[str, list[tuple[str, ...]]] = {
-        name: [(value.name, str(value.number)) for value in enum.values]
-        for name, enum in file.enum_types_by_name.items()
-    }
-    for name, message in file.message_types_by_name.items():
-        compiled[name] = []
-        for field in message.fields:
-            kind = field.message_type or field.enum_type
-            kind = SCALARS[field.type] if kind is None else kind.full_name.removeprefix("unocclude.")
-            repeated = "repeated " if field.is_repeated else ""
-            compiled[name].append((repeated, kind, field.name, str(field.number)))
-    assert compiled == described
-    assert file.package == "unocclude" and "package unocclude;" in text
-    assert [each.name for each in file.dependencies] == re.findall(r'import "(.*)";', text)
