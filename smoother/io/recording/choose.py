@@ -185,9 +185,8 @@ def wanted_arms(file: RecordingFile, selection: Selection) -> list[ArmFrames]:
 def _what_else(file: RecordingFile) -> str:
     """What a file has, and what to give where the options, or names, exclude each other."""
     return (
-        f"it has {_listing(file)}: choose with --imu, --skeleton, --side or --body; if the camera's program"
-        " exchanged left and right, give --swap left,right; if the IMU was worn on the other arm, import it"
-        " again under the right name"
+        f"it has {_listing(file)}; choose with --imu, --skeleton, --side or --body, or exchange the"
+        " skeleton's arms with --swap left,right"
     )
 
 
