@@ -2,8 +2,7 @@
 
 Simulates recordings (80 Hz IMU, 30 Hz camera, an occlusion of 2 s about every 10 s) and runs the command on
 them with nothing calibrated: how many times faster than real time, how much memory, how far off in the gaps.
-`--against PYTHON` runs the command of another installation in turn with ours and prints ratios. Let nothing
-else run meanwhile.
+Let nothing else run meanwhile.
 """
 
 from __future__ import annotations
@@ -12,12 +11,12 @@ import argparse
 import compileall
 import json
 import os
-import statistics
 import subprocess
 import sys
 import tempfile
 import threading
 import time
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 
@@ -50,7 +49,7 @@ class PrivatePeak:
     """
 
     def __init__(self, pid: int | None = None, look_s: float = 0.02) -> None:
-        self._process, self._most, self.workers = psutil.Process(pid), dict[int, float](), 0
+        self._process, self._most = psutil.Process(pid), dict[int, float]()
         self._look()
         threading.Thread(target=self._watch, args=(look_s,), daemon=True).start()
 
@@ -73,19 +72,11 @@ class PrivatePeak:
             seen = [self._process, *self._process.children(recursive=True)]
         except psutil.Error:
             return False
-        workers = 0
         for each in seen:
-            try:
-                # Python's own bookkeeper is no worker
-                if each is not self._process and any("resource_tracker" in word for word in each.cmdline()):
-                    continue
+            with suppress(psutil.Error):
                 memory = each.memory_info()
-            except psutil.Error:
-                continue
-            workers += each is not self._process
-            mb = (memory.rss - memory.shared) / 1e6
-            self._most[each.pid] = max(self._most.get(each.pid, 0.0), mb)
-        self.workers = max(self.workers, workers)
+                mb = (memory.rss - memory.shared) / 1e6
+                self._most[each.pid] = max(self._most.get(each.pid, 0.0), mb)
         return self._process.status() != psutil.STATUS_ZOMBIE
 
 
@@ -98,12 +89,12 @@ def make(path: Path, minutes: float, preset: str, seed: int) -> Truth:
     return recording.truth
 
 
-def smoothed(source: Path, result: Path, processes: int, python: str = sys.executable) -> Figures:
-    """One run of `unocclude smooth`, that of another installation where its `python` is given."""
+def smoothed(source: Path, result: Path, processes: int) -> Figures:
+    """One run of `unocclude smooth`."""
     words = ["smooth", str(source), "-o", str(result), "--force", "--processes", str(processes)]
     began = time.perf_counter()
     # -P: not what is in the folder where this runs
-    start = [python, "-P", "-c", "from smoother.cli import main; main()"]
+    start = [sys.executable, "-P", "-c", "from smoother.cli import main; main()"]
     command = subprocess.Popen([*start, *words], stdout=subprocess.DEVNULL)
     peak = PrivatePeak(command.pid)
     _, status, usage = os.wait4(command.pid, 0)
@@ -116,7 +107,6 @@ def smoothed(source: Path, result: Path, processes: int, python: str = sys.execu
         "cpu_s": usage.ru_utime + usage.ru_stime,
         "main_mb": peak.mb(),
         "worker_mb": peak.worker_mb(),
-        "workers": peak.workers,
     }
 
 
@@ -134,23 +124,10 @@ def exactness(result: Path, truth: Truth) -> Figures:
     }
 
 
-def against(python: str, source: Path, result: Path, processes: int, runs: int) -> Figures:
-    """Medians of another installation over ours, both run in turn on one recording."""
-    rows: list[list[Figures]] = [[], []]
-    for _ in range(runs):
-        for own, of in zip(rows, (python, sys.executable), strict=True):
-            own.append(smoothed(source, result, processes, of))
-    names = ("seconds", "cpu_s", "main_mb", "worker_mb")
-    theirs, ours = ({name: statistics.median(each[name] for each in own) for name in names} for own in rows)
-    return {name: theirs[name] / (ours[name] or float("nan")) for name in names}
-
-
 def main() -> None:
     """Make the recordings one after the other, measure, print, and keep the figures."""
     parser = argparse.ArgumentParser(prog="python -m tools.benchmark", description=__doc__)
     parser.add_argument("--minutes", type=float, nargs="+", default=[0.5333, 6.0, 60.0], help="lengths")
-    parser.add_argument("--against", metavar="PYTHON", help="interpreter of another installation: ratios")
-    parser.add_argument("--runs", type=int, default=5, help="of each, with --against")
     parser.add_argument("--preset", default="white", help="errors of the simulation")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--processes", type=int, default=0, help="worker processes; 0 = one per core")
@@ -168,11 +145,8 @@ def main() -> None:
         with tempfile.TemporaryDirectory(dir=options.folder) as name:
             source, result, title = Path(name) / "rec.mcap", Path(name) / "out.mcap", f"{minutes:g} min"
             truth = make(source, minutes, options.preset, options.seed)
-            if options.against:
-                found = against(options.against, source, result, options.processes, options.runs)
-            else:
-                found = smoothed(source, result, options.processes) | exactness(result, truth)
-                found = {"times_real_time": 60.0 * minutes / found["seconds"]} | found
+            found = smoothed(source, result, options.processes) | exactness(result, truth)
+            found = {"times_real_time": 60.0 * minutes / found["seconds"]} | found
         figures[title] = found
         print(f"{title:>14}: " + ", ".join(f"{key} {value:.4g}" for key, value in found.items()), flush=True)
     if options.json:

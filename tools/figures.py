@@ -4,16 +4,12 @@ docs/picture.svg: one occlusion of data/demo.mcap before and after, with nothing
 picture, docs/pictures/body.webp, is the animation in that recording's report at 5.25 s.)
 
 docs/pictures, for the tutorial: `gap.svg` and `sigma.svg` are of a real run on the recording that it
-simulates; `report.webp` is a photograph of its report, where Chromium is installed. (`setup.svg` and
-`movements.svg` beside them are drawings.)
+simulates. (`report.webp` is a photograph of its report; `setup.svg` and `movements.svg` are drawings.)
 """
 
 from __future__ import annotations
 
-import shutil
-import subprocess
 import sys
-import tempfile
 from dataclasses import replace
 from pathlib import Path
 
@@ -36,11 +32,6 @@ SEEN, RECOVERED, TRUTH, GAP = "#1a6fb5", "#d9650b", "#222222", "#f3e9dc"
 AROUND_S, EVERY_S = 1.2, 0.15
 #: `unocclude simulate arm --preset realistic --seed 7`: the tutorial's recording.
 PRESET, SEED = "realistic", 7
-#: What Chromium needs to take a photograph without a screen, and to leave everything else alone.
-CHROMIUM = (
-    *("--headless", "--no-sandbox", "--disable-gpu", "--no-first-run", "--hide-scrollbars"),
-    *("--disable-background-networking", "--window-size=1200,1250", "--virtual-time-budget=15000"),
-)
 # words stay words, and the same run draws the same file
 mpl.rcParams |= {"svg.fonttype": "none", "svg.hashsalt": "unocclude", "font.size": 10}
 
@@ -105,8 +96,6 @@ def draw_picture(path: Path) -> None:
 
 def draw_tutorial(folder: Path) -> None:
     """All pictures of the tutorial."""
-    from smoother.report import write_report
-
     recording = simulate_arm(ArmSimulation.preset(PRESET), SEED).recording
     recovery = smooth(recording)
     figure = Figure(figsize=(8, 3.3), layout="constrained")
@@ -123,26 +112,6 @@ def draw_tutorial(folder: Path) -> None:
     axes.set(xlabel="time, s", ylabel="sigma of the wrist, cm", ylim=(0, None))
     axes.set_title("worst axis; shaded: the forearm is hidden", fontsize="medium")
     save(figure, folder / "sigma.svg")
-    with tempfile.TemporaryDirectory() as temporary:
-        page = Path(temporary) / "report.html"
-        write_report(recovery, page, recording=recording)
-        photograph(page, folder / "report.webp")
-
-
-def photograph(page: Path, output: Path) -> None:
-    """A picture of the top of a page as a browser shows it."""
-    from PIL import Image
-
-    browser = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
-    if browser is None:
-        print(f"{output} was left as it is: it needs Chromium")
-        return
-    png = page.with_suffix(".png")
-    own = (f"--user-data-dir={page.parent}/profile", f"--screenshot={png}")
-    subprocess.run([browser, *CHROMIUM, *own, page.as_uri()], check=True, capture_output=True)
-    with Image.open(png) as image:
-        image.convert("RGB").resize((960, 1000)).save(output, quality=78, method=6)
-    print(f"written: {output}")
 
 
 if __name__ == "__main__":

@@ -102,12 +102,8 @@ def main() -> int:
     if options.again:
         print(outcome(options.again) or "read, or refused in a sentence")
         return 0
-    rng, end, tried, found = (
-        np.random.default_rng(options.seed),
-        time.monotonic() + 60 * options.minutes,
-        0,
-        0,
-    )
+    rng, tried, found = np.random.default_rng(options.seed), 0, 0
+    end = time.monotonic() + 60 * options.minutes
     kept = ROOT / "out" / "fuzz"
     with tempfile.TemporaryDirectory() as name:
         sound = {k: v for k, v in examples(Path(name)).items() if options.only in k}

@@ -13,7 +13,6 @@ Needs `opensim` and numpy alone, so that it runs in an environment of its own.
 from __future__ import annotations
 
 import argparse
-import json
 import sys
 
 import numpy as np
@@ -31,66 +30,49 @@ TOLERANCE_M = 1e-5
 
 
 def main() -> int:
-    """Print what was found as JSON; exit code 1 where model and markers differ."""
+    """Print what was found; exit code 1 where model and markers differ."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("trc")
     parser.add_argument("mot")
     parser.add_argument("--side", choices=("left", "right"), default="right")
     parser.add_argument("--rows", type=int, default=200, help="how many rows to compare")
     arguments = parser.parse_args()
-    figures = check(arguments.trc, arguments.mot, arguments.side, arguments.rows)
-    print(json.dumps(figures, indent=2))
-    return 0 if figures["worst_m"] <= TOLERANCE_M else 1
+    compared, worst_m = check(arguments.trc, arguments.mot, arguments.side, arguments.rows)
+    print(f"{compared} rows; the model's joints are {worst_m:g} m from the markers at most")
+    return 0 if compared and worst_m <= TOLERANCE_M else 1
 
 
-def check(trc: str, mot: str, side: str, rows: int) -> dict[str, object]:
-    """Load both files and compare the model's joints with the markers, m."""
+def check(trc: str, mot: str, side: str, rows: int) -> tuple[int, float]:
+    """Rows of both files that were compared, and how far the model's joints are from the markers, m."""
     import opensim
 
     opensim.Logger.removeFileSink()
     opensim.Logger.setLevelString("Warn")
-    markers = opensim.TimeSeriesTableVec3(trc)
-    motion = opensim.TimeSeriesTable(mot)
+    markers, motion = opensim.TimeSeriesTableVec3(trc), opensim.TimeSeriesTable(mot)
     metres = {"mm": 1e-3, "m": 1.0}[markers.getTableMetaDataString("Units")]
-    labels = list(motion.getColumnLabels())
     times = np.array(markers.getIndependentColumn())
     common = [k for k, t in enumerate(motion.getIndependentColumn()) if np.abs(times - t).min() < 1e-6]
-    worst = 0.0
-    compared = 0
-    model, state, bodies = None, None, []
+    mirror = np.diag([1.0, 1.0, -1.0 if side == "left" else 1.0])
+    (model, bodies), compared, worst_m = arm_model(), 0, 0.0
+    state = model.initSystem()
     for k in common[:: max(len(common) // rows, 1)]:
         row = int(np.abs(times - motion.getIndependentColumn()[k]).argmin())
-        joints = {name: _marker(markers, name, row) * metres for name in ("shoulder", "elbow", "wrist")}
-        if not np.isfinite(np.concatenate(list(joints.values()))).all():
+        shoulder, elbow, wrist = (
+            _vector(markers.getDependentColumn(name)[row]) * metres for name in ("shoulder", "elbow", "wrist")
+        )
+        if not np.isfinite([shoulder, elbow, wrist]).all():
             continue
-        mirror = np.diag([1.0, 1.0, -1.0 if side == "left" else 1.0])
-        upper = mirror @ (joints["elbow"] - joints["shoulder"])
-        fore = mirror @ (joints["wrist"] - joints["elbow"])
-        if model is None:
-            model, bodies = arm_model()
-            state = model.initSystem()
         for name, _ in CHAIN:
             column, sign = ("elv_angle", -1.0) if name == "elv_back" else (name, 1.0)
             angle = sign * np.radians(float(motion.getDependentColumn(column)[k]))
             model.updCoordinateSet().get(name).setValue(state, angle, False)
         model.realizePosition(state)
-        for body, true in ((bodies[3], upper), (bodies[4], fore)):
-            down = body.expressVectorInGround(state, opensim.Vec3(0, -1, 0))
-            length = np.linalg.norm(true)
-            model_end = length * np.array([down.get(i) for i in range(3)])
-            worst = max(worst, float(np.linalg.norm(model_end - true)))
+        for body, bone in ((bodies[3], elbow - shoulder), (bodies[4], wrist - elbow)):
+            down = _vector(body.expressVectorInGround(state, opensim.Vec3(0, -1, 0)))
+            off = np.linalg.norm(bone) * down - mirror @ bone
+            worst_m = max(worst_m, float(np.linalg.norm(off)))
         compared += 1
-    return {
-        "opensim": opensim.GetVersion(),
-        "markers": list(markers.getColumnLabels()),
-        "marker_rows": markers.getNumRows(),
-        "units": markers.getTableMetaDataString("Units"),
-        "coordinates": labels,
-        "motion_rows": motion.getNumRows(),
-        "in_degrees": motion.getTableMetaDataString("inDegrees"),
-        "compared": compared,
-        "worst_m": worst if compared else float("inf"),
-    }
+    return compared, worst_m
 
 
 def arm_model():
@@ -121,8 +103,7 @@ def arm_model():
     return model, bodies
 
 
-def _marker(table, name: str, row: int) -> np.ndarray:
-    value = table.getDependentColumn(name)[row]
+def _vector(value) -> np.ndarray:
     return np.array([value.get(i) for i in range(3)])
 
 
