@@ -14,7 +14,7 @@ from typing import Generic, Protocol, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from ..array_types import FloatArray, IntArray
+from ..array_types import BoolArray, FloatArray, IntArray
 from ..live.answers import LiveOutput
 from ..measurements.visibility import Gap
 from ..recording import JOINTS, CameraFrame
@@ -187,113 +187,104 @@ _RECENT_S = 120
 class StampSteps(Generic[Rows]):
     """Keeps the stamps of one stream on one clock."""
 
-    def __init__(self, name: str, early_s: float = EARLY_S, back_s: float = LATE_S):
+    def __init__(self, name: str, early_s: float = EARLY_S, back_s: float = LATE_S) -> None:
         self._early_s, self._back_s = early_s, back_s
         self.moved_s = self.stepped_s = 0.0
         self.dropped = 0
         self._name = name
         self._newest = self._arrival = -np.inf
         self._least: deque[tuple[int, float]] = deque()
-        self._odd: list[Rows] = []
+        self._odd: Rows | None = None  # rows that wait, as they came
 
     def corrected(self, rows: Rows) -> tuple[Rows, tuple[str, ...]]:
         """Rows that can be used, stamped by the clock that the stream began with."""
-        events = [] if self._least or not len(rows) else self._begin(rows.select(slice(0, 1)))
-        if not self._odd and not self._is_odd(rows.t_s + self.moved_s, rows.arrival_s).any():
-            rows = rows.stamped(rows.t_s + self.moved_s)
-            self._learn(rows)
-            return rows, tuple(events)
-        usable = [rows.select(slice(0, 0))]
-        for at in range(len(rows)):
-            row = rows.select(slice(at, at + 1))
-            moved = row.stamped(row.t_s + self.moved_s)
-            is_odd = bool(self._is_odd(moved.t_s, moved.arrival_s).any())
-            if not is_odd and not self._ran_back(moved):
-                usable += self._only_late()
-                self._learn(moved)
-                usable.append(moved)
+        if not len(rows):
+            return rows, ()
+        events = [] if self._least else self._begin(float(rows.t_s[0]), float(rows.arrival_s[0]))
+        t, arrival = rows.t_s + self.moved_s, rows.arrival_s
+        if self._odd is None and not self._is_odd(t, arrival).any():
+            self._learn(t, arrival)
+            return rows.stamped(t), tuple(events)
+        odd = list(range(0 if self._odd is None else len(self._odd)))
+        new = range(len(odd), len(odd) + len(rows))
+        rows = rows if self._odd is None else type(rows).joined([self._odd, rows])
+        usable, stamps = list[int](), list[float]()
+        for at in new:
+            t, arrival = rows.t_s[at : at + 1] + self.moved_s, rows.arrival_s[at : at + 1]
+            is_odd = bool(self._is_odd(t, arrival)[0])
+            if not is_odd and not self._ran_back(rows.select(np.array([*odd, at]))):
+                kept = [each for each in odd if self._is_late(rows.t_s[each])]
+                self.dropped += len(odd) - len(kept)
+                usable += [*kept, at]
+                stamps += [*(rows.t_s[kept] + self.moved_s), float(t[0])]
+                odd.clear()
+                self._learn(t, arrival)
                 continue
-            self._odd.append(row)
-            if not is_odd or row.arrival_s[0] - self._odd[0].arrival_s[0] >= PERSISTS_S:
-                stepped, sentence = self._step()
-                usable.append(stepped)
+            odd.append(at)
+            if not is_odd or rows.arrival_s[at] - rows.arrival_s[odd[0]] >= PERSISTS_S:
+                stepped, sentence = self._step(rows.t_s[odd], rows.arrival_s[odd])
                 events.append(sentence)
-        return type(rows).joined(usable), tuple(events)
+                usable += odd
+                stamps += stepped.tolist()
+                odd.clear()
+        self._odd = rows.select(np.array(odd)) if odd else None
+        return rows.select(np.array(usable, int)).stamped(np.array(stamps)), tuple(events)
 
-    def _begin(self, row: Rows) -> list[str]:
+    def _begin(self, t_s: float, arrival_s: float) -> list[str]:
         """The first row: a clock that is not this computer's is moved to it."""
-        delay, events = float(row.arrival_s[0] - row.t_s[0]), []
+        delay, events = arrival_s - t_s, []
         if not -EARLY_S <= delay <= OTHER_CLOCK_S:
             self.moved_s = delay
             events.append(
                 f"the stamps of {self._name} come from another clock: {delay:+.1f} s were added, so that"
                 " the first one is its arrival time"
             )
-        self._learn(row.stamped(row.t_s + self.moved_s))
+        self._learn(np.array([t_s + self.moved_s]), np.array([arrival_s]))
         return events
 
-    def _is_odd(self, t_s: FloatArray, arrival_s: FloatArray) -> np.ndarray:
-        if not len(t_s):
-            return np.zeros(0, bool)
+    def _is_odd(self, t_s: FloatArray, arrival_s: FloatArray) -> BoolArray:
         newest = np.maximum.accumulate(np.append(self._newest, t_s))[:-1]
         passed_s = arrival_s - np.append(self._arrival, arrival_s)[:-1]
         # a queue that empties after a pause has ever shorter delays, and stamps that go on one by one
-        early = arrival_s - t_s < self._least_delay() - self._early_s
+        early = arrival_s - t_s < self._least_delay - self._early_s
         return np.asarray((t_s < newest - self._back_s) | (early & (t_s - newest > passed_s + self._early_s)))
 
-    def _ran_back(self, row: Rows) -> bool:
+    def _ran_back(self, rows: Rows) -> bool:
         """Whether those that wait and the row after them go on as one, later than ever by the same time."""
-        if len(self._odd) < BACK_IN_A_ROW or self._back_s >= LATE_S:
+        if len(rows) <= BACK_IN_A_ROW or self._back_s >= LATE_S:
             return False
-        all_rows = list(self._odd)
-        all_rows.append(row)
-        t = np.array([each.t_s[0] for each in all_rows])
-        t[:-1] += self.moved_s  # those that wait are as they came
-        delays = np.array([each.arrival_s[0] for each in all_rows]) - t
-        is_even = bool((np.diff(t) > 0).all()) and float(np.ptp(delays)) < SAME_DELAY_S
-        return is_even and float(delays.min()) > self._least_delay() + 0.5 * self._back_s
+        delays = rows.arrival_s - rows.t_s - self.moved_s
+        is_even = bool((np.diff(rows.t_s) > 0).all()) and float(np.ptp(delays)) < SAME_DELAY_S
+        return is_even and float(delays.min()) > self._least_delay + 0.5 * self._back_s
 
-    def _only_late(self) -> list[Rows]:
-        """Of those that waited, those that were only late; the others were wrong by themselves."""
-        late = []
-        for row in self._odd:
-            moved = row.stamped(row.t_s + self.moved_s)
-            if self._newest - LATE_S <= moved.t_s[0] <= self._newest:
-                late.append(moved)
-            else:
-                self.dropped += 1
-        self._odd.clear()
-        return late
+    def _is_late(self, t_s: float) -> bool:
+        """Whether a row that waited was only late; the others are wrong by themselves."""
+        return self._newest - LATE_S <= t_s + self.moved_s <= self._newest
 
+    @property
     def _least_delay(self) -> float:
         return min(delay for _, delay in self._least)
 
-    def _learn(self, rows: Rows) -> None:
+    def _learn(self, t_s: FloatArray, arrival_s: FloatArray) -> None:
         """Remember the newest stamp, and each second's least delay."""
-        if not len(rows):
-            return
-        self._newest = max(self._newest, float(rows.t_s.max()))
-        self._arrival = float(rows.arrival_s[-1])
-        second, delay = int(rows.arrival_s[-1]), float((rows.arrival_s - rows.t_s).min())
+        self._newest = max(self._newest, float(t_s.max()))
+        self._arrival = float(arrival_s[-1])
+        second, delay = int(arrival_s[-1]), float((arrival_s - t_s).min())
         if self._least and self._least[-1][0] == second:
             delay = min(delay, self._least.pop()[1])
         self._least.append((second, delay))
         while self._least[0][0] < second - _RECENT_S and len(self._least) > 1:
             self._least.popleft()
 
-    def _step(self) -> tuple[Rows, str]:
-        """Take the clock of the samples that wait as the stream's; those samples, and a sentence."""
-        rows = type(self._odd[0]).joined(self._odd)
-        self._odd.clear()
-        usual = self._least_delay()
-        before = self.moved_s
-        self.moved_s = float((rows.arrival_s - rows.t_s).min()) - usual
-        step = before - self.moved_s
-        self.stepped_s -= step
-        rows = rows.stamped(rows.t_s + self.moved_s)
-        self._newest = float(rows.t_s[0])
-        self._learn(rows)
-        return rows, (
-            f"the clock of {self._name} stepped by {step:+.3f} s at {rows.t_s[0]:.1f} s;"
+    def _step(self, t_s: FloatArray, arrival_s: FloatArray) -> tuple[FloatArray, str]:
+        """Take the clock of the samples that wait as the stream's; their stamps on it, and a sentence."""
+        before, self.moved_s = self.moved_s, float((arrival_s - t_s).min()) - self._least_delay
+        step_s = before - self.moved_s
+        self.stepped_s -= step_s
+        t_s = t_s + self.moved_s
+        self._newest = float(t_s[0])
+        self._learn(t_s, arrival_s)
+        return t_s, (
+            f"the clock of {self._name} stepped by {step_s:+.3f} s at {t_s[0]:.1f} s;"
             " its stamps after it were moved back"
         )

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from array import array
 from collections import deque
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
@@ -15,20 +15,6 @@ from ..body import FOREARM
 from ..live.answers import LiveOutput, LiveState
 from ..measurements.visibility import Gap
 from .arrivals import SourceInfo
-
-
-def delay_figures(delays_s: Sequence[float]) -> dict[str, float | int]:
-    """What a summary states of delays, ms; nan without any."""
-    delays = np.asarray(delays_s if len(delays_s) else [np.nan], float)
-    median, most, largest = (1e3 * np.percentile(delays, (50, 99, 100))).tolist()
-    return {
-        "count": len(delays_s),
-        "median_ms": median,
-        "percentile_99_ms": most,
-        "largest_ms": largest,
-        "share_within_20_ms": float(np.mean(delays <= 0.020)) if len(delays_s) else float("nan"),
-    }
-
 
 #: Rates and delays are those of the last seconds.
 _RECENT_S = 5.0
@@ -43,21 +29,24 @@ _INTERVALS = 200
 class StreamHealth:
     """Counts one stream; memory does not grow with the session."""
 
-    def __init__(self, name: str):
+    def __init__(self, name: str) -> None:
         self.name = name
         self.count = self.missing = self.late = self.lost_times = 0
         self.lost_s = 0.0
         self.is_lost = False
         self._arrivals: deque[tuple[float, int, float]] = deque()  # last arrival, how many, median delay
         self._intervals: deque[float] = deque(maxlen=_INTERVALS)
-        self._newest = np.nan
-        self._last_arrival = np.nan
+        self._newest = self._last_arrival = np.nan
 
-    def take(self, t_s: FloatArray, arrival_s: FloatArray) -> tuple[str, ...]:  # t_s (n,) s; arrival_s (n,) s
+    def take(self, t_s: FloatArray, arrival_s: FloatArray) -> tuple[str, ...]:
         """Count what came; a sentence where the stream is back."""
         if not len(t_s):
             return ()
-        events = self._back(float(arrival_s[0]))
+        events: tuple[str, ...] = ()
+        if self.is_lost:
+            self.is_lost, away_s = False, float(arrival_s[0]) - self._last_arrival
+            self.lost_s += away_s
+            events = (f"{self.name}: back, after {away_s:.1f} s",)
         self.count += len(t_s)
         order = np.append(self._newest, t_s)
         highest = np.fmax.accumulate(order)
@@ -67,8 +56,7 @@ class StreamHealth:
             usual = float(np.median(self._intervals))
             self.missing += int((np.rint(steps[steps > _MISSING * usual] / usual) - 1).sum())
         self._intervals.extend(steps[steps > 0].tolist())
-        self._newest = float(highest[-1])
-        self._last_arrival = float(arrival_s[-1])
+        self._newest, self._last_arrival = float(highest[-1]), float(arrival_s[-1])
         self._arrivals.append((self._last_arrival, len(t_s), float(np.median(arrival_s - t_s))))
         return events
 
@@ -92,29 +80,14 @@ class StreamHealth:
     def rate_hz(self, now_s: float) -> float:
         """Samples or frames per second, of the last seconds."""
         recent = [(arrival, count) for arrival, count, _ in self._arrivals if arrival > now_s - _RECENT_S]
-        if not recent:
+        if len(recent) < 2:
             return 0.0
-        seconds = min(max(now_s - recent[0][0], 0.2), _RECENT_S)
-        return sum(count for _, count in recent[1:]) / seconds if len(recent) > 1 else 0.0
+        return sum(count for _, count in recent[1:]) / min(max(now_s - recent[0][0], 0.2), _RECENT_S)
 
     def figures(self) -> dict[str, float | int]:
         """What a summary states of the stream."""
-        return {
-            "count": self.count,
-            "missing": self.missing,
-            "late": self.late,
-            "lost_times": self.lost_times,
-            "lost_s": round(self.lost_s, 3),
-            "delay_s": self.delay_s,
-        }
-
-    def _back(self, arrival_s: float) -> tuple[str, ...]:
-        if not self.is_lost:
-            return ()
-        self.is_lost = False
-        away = arrival_s - self._last_arrival
-        self.lost_s += away
-        return (f"{self.name}: back, after {away:.1f} s",)
+        counts = {name: getattr(self, name) for name in ("count", "missing", "late", "lost_times")}
+        return counts | {"lost_s": round(self.lost_s, 3), "delay_s": self.delay_s}
 
 
 #: Events that a summary states at most; more are counted.
@@ -124,20 +97,18 @@ _MOST_EVENTS = 200
 class SessionFigures:
     """Counts while a session of an arm lasts."""
 
-    def __init__(self, info: SourceInfo):
+    def __init__(self, info: SourceInfo) -> None:
         self.side, self.skeleton = info.side, StreamHealth(info.skeleton)
         self.imus = {segment: StreamHealth(name) for segment, name in info.imus.items()}
+        self.imu = self.imus[FOREARM.name]
         self.frame_delays_s = array("f")
-        self.steps = 0
         self.events: deque[tuple[float, str]] = deque(maxlen=_MOST_EVENTS)
-        self.event_count = 0
+        self.output: LiveOutput | None = None
+        self.steps = self.event_count = self.gaps = 0
         self.state_s = dict.fromkeys(LiveState, 0.0)
-        self.gaps = 0
-        self.longest_gap_s = 0.0
-        self.largest_sigma_m = 0.0
+        self.longest_gap_s = self.largest_sigma_m = 0.0
         self._gap_start: float | None = None
         self._first_s = self.now_s = float("nan")  # s: the session's beginning and its last step
-        self.output: LiveOutput | None = None
         self._wall, self._processor = time.monotonic(), time.process_time()
 
     def event(self, now_s: float, sentences: Iterable[str]) -> None:
@@ -150,19 +121,20 @@ class SessionFigures:
 
     def step(self, output: LiveOutput) -> Gap | None:
         """Count a step; the gap that it ended, if it did."""
+        self.event(output.now_s, ())
         self.steps += 1
-        if not self._first_s <= output.now_s:
-            self._first_s = self.now_s = output.now_s
         self.state_s[output.state] += max(output.now_s - self.now_s, 0.0)
-        self.now_s, self.output = output.now_s, output
-        if output.now is not None:
-            self.largest_sigma_m = max(self.largest_sigma_m, output.now.sigma_m)
-        return self._gap(output)
-
-    @property
-    def imu(self) -> StreamHealth:
-        """The forearm's."""
-        return self.imus[FOREARM.name]
+        self.now_s, self.output, now = output.now_s, output, output.now
+        if now is not None:
+            self.largest_sigma_m = max(self.largest_sigma_m, now.sigma_m)
+        if output.state is LiveState.GAP and now is not None:
+            if self._gap_start is None:
+                self._gap_start = now.t_s if now.since_s is None else now.since_s
+                self.gaps += 1
+            self.longest_gap_s = max(self.longest_gap_s, output.now_s - self._gap_start)
+            return None
+        start, self._gap_start = self._gap_start, None
+        return None if start is None else Gap(start, output.now_s)
 
     @property
     def seconds(self) -> float:
@@ -176,36 +148,31 @@ class SessionFigures:
 
     def figures(self) -> dict[str, Any]:
         """What `--json` states."""
-        output, (imu, *further) = self.output, self.imus
+        further = {name: own.figures() for name, own in self.imus.items() if own is not self.imu}
+        of_output = ("clock_offset_s", "clock_sigma_s", "camera_latency_s", "dropped", "calibration")
+        delays = np.asarray(self.frame_delays_s if len(self.frame_delays_s) else [np.nan], float)
+        median, most, largest = (1e3 * np.percentile(delays, (50, 99, 100))).tolist()
         return {
             "seconds": self.seconds,
             "steps": self.steps,
-            "imu": self.imus[imu].figures(),
+            "imu": self.imu.figures(),
             "skeleton": self.skeleton.figures(),
-            **({"further": {each: self.imus[each].figures() for each in further}} if further else {}),
+            **({"further": further} if further else {}),
             "state_s": {str(state): seconds for state, seconds in self.state_s.items()},
             "gaps": self.gaps,
             "longest_gap_s": self.longest_gap_s,
             "largest_sigma_cm": 100 * self.largest_sigma_m,
-            "clock_offset_s": None if output is None else output.clock_offset_s,
-            "clock_sigma_s": None if output is None else output.clock_sigma_s,
-            "camera_latency_s": None if output is None else output.camera_latency_s,
-            "dropped": None if output is None else output.dropped,
-            "calibration": None if output is None else output.calibration,
-            "frame_done": delay_figures(self.frame_delays_s),
+            **{name: getattr(self.output, name, None) for name in of_output},
+            "frame_done": {
+                "count": len(self.frame_delays_s),
+                "median_ms": median,
+                "percentile_99_ms": most,
+                "largest_ms": largest,
+                "share_within_20_ms": float(np.mean(delays <= 0.020))
+                if self.frame_delays_s
+                else float("nan"),
+            },
             "load": self.load,
             "events": [{"t_s": when, "event": sentence} for when, sentence in self.events],
             "event_count": self.event_count,
         }
-
-    def _gap(self, output: LiveOutput) -> Gap | None:
-        if output.state is LiveState.GAP and output.now is not None:
-            if self._gap_start is None:
-                self._gap_start = output.now.t_s if output.now.since_s is None else output.now.since_s
-                self.gaps += 1
-            self.longest_gap_s = max(self.longest_gap_s, output.now_s - self._gap_start)
-            return None
-        if self._gap_start is None:
-            return None
-        start, self._gap_start = self._gap_start, None
-        return Gap(start, output.now_s)
