@@ -27,7 +27,7 @@ class StopRequest:
     """Takes signals down; nothing is interrupted, so that the recording stays whole."""
 
     def __init__(self) -> None:
-        self.wanted = self.killed = False
+        self.wanted = False
         self._before: dict[int, Any] = {}
 
     def __enter__(self) -> StopRequest:
@@ -48,7 +48,6 @@ class StopRequest:
 
     def _end(self, number: int, _: FrameType | None) -> None:
         self.wanted = True
-        self.killed |= number != signal.SIGINT
 
 
 def streams_of(given: Sequence[str], sides: Sequence[str | None]) -> dict[str | None, dict[str, str]]:
@@ -168,9 +167,6 @@ def live(
     calibration: o.Calibration = None,
     lag: Annotated[float, o.option("Delay of the settled result.", metavar="S", min=0, max=2)] = 0.2,
     record: Annotated[Path | None, o.option("Record everything that arrives.", metavar="OUT.mcap")] = None,
-    then_smooth: Annotated[
-        bool, o.option("Smooth the recording afterwards, as `smooth` does.", "--then-smooth")
-    ] = False,
     replay: Annotated[Path | None, o.option("Replay a recording in real time.", metavar="REC.mcap")] = None,
     speed: Annotated[float, o.option("Of the replay; 0 = as fast as possible.", metavar="X", min=0)] = 1.0,
     foxglove: Annotated[
@@ -203,8 +199,6 @@ def live(
     imus = streams_of(imu or (), sides)
     if lsl_network and lsl_out is None:
         raise typer.BadParameter("--lsl-network is of what --lsl-out sends; give it as well")
-    if then_smooth and record is None:
-        raise typer.BadParameter("--then-smooth smooths what was recorded; give --record as well")
     for option, given in (("--speed", speed != 1.0), ("--latency", latency is not None)):
         if given and replay is None:
             raise typer.BadParameter(f"{option} is of a replay; give --replay as well")
@@ -212,12 +206,9 @@ def live(
     for option, named in (("--body", body), ("a further --imu", further)):
         if named and replay is not None:
             raise typer.BadParameter(f"{option} is of a stream; a replay takes --imu and --skeleton")
-    recovered = None
     if record is not None:
         check_mcap(record)
-        recovered = record.with_name(f"{record.stem}_recovered.mcap")
-    outputs = [record, recovered if then_smooth else None, json_file]
-    check_outputs(force, outputs, [calibration, config_file, replay])
+    check_outputs(force, [record, json_file], [calibration, config_file, replay])
     from calib.file import read_calibration
 
     from ..live.calibrations import InlineCalibrator
@@ -286,19 +277,8 @@ def live(
         print_session(own, f"{own['side']} arm, " if len(sides) > 1 else "")
     has_recording = recording is not None and recording.has_samples
     say_written(record if has_recording else None, json_file)
-    if record is None or not has_recording:
-        return
-    arguments = ["smooth", str(record), "-o", str(recovered)]
-    for option, value in (("--calibration", calibration), ("--config", config_file)):
-        arguments += [] if value is None else [option, str(value)]
-    if then_smooth and not stop_request.killed:
-        smooth_recording([*arguments, *(["--force"] if force else [])])
-    else:
+    if record is not None and has_recording:
+        arguments = ["smooth", str(record), "-o", str(record.with_name(f"{record.stem}_recovered.mcap"))]
+        for option, value in (("--calibration", calibration), ("--config", config_file)):
+            arguments += [] if value is None else [option, str(value)]
         say_command(*arguments)
-
-
-def smooth_recording(arguments: Sequence[str]) -> None:
-    """Run `unocclude smooth` on what was recorded."""
-    from .app import app
-
-    app(list(arguments), prog_name="unocclude", standalone_mode=False)

@@ -15,7 +15,7 @@ from ..selfcal.self_calibration import SelfCalibration
 from ..window.shared import JOINT_ERRORS
 from ..window.solution import LagSolution
 from .answers import LiveEstimate, LiveState
-from .prediction import Prediction, joint_jacobian, joint_rows, predict
+from .prediction import Prediction, joint_at, predict
 from .tracker import Tracker
 
 #: A discontinuity is spread over this long, s.
@@ -116,10 +116,8 @@ class Display:
         pose[:3, :3] += common
         places, spreads = {}, {}
         for k, joint in enumerate(joints):
-            arm = R @ solution.levers[joint]
-            jacobian = joint_jacobian(R, arm)
-            places[joint] = p + arm
-            spreads[joint] = jacobian @ covariance[joint_rows(k)] @ jacobian.T + common
+            places[joint], spread = joint_at(R, p, solution.levers[joint], k, covariance)
+            spreads[joint] = spread + common
         if solution.shoulder is not None:
             places["shoulder"] = solution.shoulder
             spreads["shoulder"] = covariance[-3:, -3:] + shoulder_variance * np.eye(3)

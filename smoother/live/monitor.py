@@ -17,12 +17,12 @@ from enum import Enum
 import numpy as np
 
 from ..array_types import BoolArray, FloatArray
-from ..linalg import length, skew_of
+from ..linalg import length
 from ..recording import FOREARM_JOINTS, JOINTS
 from ..selfcal.self_calibration import SelfCalibration
 from ..window.problem import NoiseModel
 from ..window.solution import LagSolution
-from .prediction import joint_jacobian, joint_rows, predict
+from .prediction import joint_at, predict
 from .signal import DoubtfulSignal
 
 #: A joint contradicts where its squared error in sigmas is above this (three axes), and farther off, m.
@@ -93,7 +93,6 @@ class JointResiduals:
     column: list[int]  # Of `JOINTS`
     residual: FloatArray  # (k, 3) m: camera less prediction
     covariance: FloatArray  # (k, 3, 3) m^2: of the residual
-    velocity: FloatArray  # (k, 3) m/s: predicted
     place: FloatArray  # (k, 3) m: predicted
     predicted_m: float  # Standard deviation of the predicted position, worst axis
 
@@ -120,25 +119,16 @@ def residuals_of(
     prediction = predict(solution.newest, solution, signal, t_s, noise)
     state, names = prediction.state, list(solution.levers)
     whole = prediction.covariance(solution, names)
-    start_s = min(max(t_s - 0.02, signal.start_s), signal.end_s - 0.01)
-    rate = signal.mean(np.array([start_s]), np.array([start_s + 0.02]))[0, 3:] - solution.bias[3:]
-    turning = skew_of(rate)
-    column, residual, covariance, velocity, place = [], [], [], [], []
+    column, residual, covariance, place = list[int](), [], [], []
     for joint in joints:
-        k, lever = JOINTS.index(joint), solution.levers[joint]
-        arm = state.R @ lever
-        jacobian = joint_jacobian(state.R, arm)
+        k = JOINTS.index(joint)
+        at, spread = joint_at(state.R, state.p, solution.levers[joint], names.index(joint), whole)
         column.append(k)
-        place.append(state.p + arm)
-        residual.append(position[k] - place[-1])
-        own = model.joint_sigma_m[k] ** 2 + SLOW_M**2
-        rows = joint_rows(names.index(joint))
-        covariance.append(jacobian @ whole[rows] @ jacobian.T + own * np.eye(3))
-        velocity.append(state.v + state.R @ (turning @ lever))
-    spread = float(np.sqrt(np.linalg.eigvalsh(whole[3:6, 3:6])[-1]))
-    return JointResiduals(
-        column, np.array(residual), np.array(covariance), np.array(velocity), np.array(place), spread
-    )
+        place.append(at)
+        residual.append(position[k] - at)
+        covariance.append(spread + (model.joint_sigma_m[k] ** 2 + SLOW_M**2) * np.eye(3))
+    predicted_m = float(np.sqrt(np.linalg.eigvalsh(whole[3:6, 3:6])[-1]))
+    return JointResiduals(column, np.array(residual), np.array(covariance), np.array(place), predicted_m)
 
 
 @dataclass(frozen=True)
@@ -201,17 +191,18 @@ class CameraMonitor:
             return Finding(accepted)
         if self._is_frozen(t_s, position, accepted, signal_since):
             return self._left_out(t_s, "its joints repeat while the IMU moves", np.inf)
-        now = residuals_of(
-            solution, signal_since(solution.newest.t), t_s, position, accepted, self._model, self._noise
-        )
+
+        def against(earlier: LagSolution) -> JointResiduals | None:
+            signal = signal_since(earlier.newest.t)
+            return residuals_of(earlier, signal, t_s, position, accepted, self._model, self._noise)
+
+        now = against(solution)
         if now is None:
             return Finding(accepted)
         first = self._solutions[0] if self._solutions else None
         before, self._count = None, self._count + 1
         if first is not None and self._count % EACH == 0 and t_s - first.newest.t < 2.0 * BEFORE_S:
-            before = residuals_of(
-                first, signal_since(first.newest.t), t_s, position, accepted, self._model, self._noise
-            )
+            before = against(first)
         self._seen.append(_Seen(t_s, position, accepted, before, now))
         self._resting = self._resting + 1 if self._rests_while_turning() else 0
         if self.since_s is not None:
@@ -275,11 +266,8 @@ class CameraMonitor:
         since_s, self._fits, self._bad, self.sound_since_s = self.since_s, 0, 0, np.inf
         nothing = np.zeros(len(JOINTS), bool)
         if since_s is not None:
-            return (
-                Finding(nothing, Culprit.TRACKER, _ANEW)
-                if t_s - since_s > self._limit_s
-                else Finding(nothing)
-            )
+            is_over = t_s - since_s > self._limit_s
+            return Finding(nothing, Culprit.TRACKER, _ANEW) if is_over else Finding(nothing)
         self.since_s = t_s
         self._waited.clear()
         return Finding(nothing, Culprit.CAMERA, f"the camera is left out: {why}", retract_s)
@@ -326,9 +314,7 @@ class CameraMonitor:
         self._doubted_until_s = t_s + self._doubt_s
         self._solutions.clear()
         self._bad, self.sound_since_s = 0, np.inf
-        sentence = (
-            "" if again else "the IMU does not fit the camera's motion; the camera is followed meanwhile"
-        )
+        sentence = "" if again else _IMU_WRONG
         return Finding(accepted, Culprit.IMU, sentence, doubt_s=(since_s, self._doubted_until_s), again=again)
 
     def _contradicted(self, t_s: float, first: LagSolution, accepted: BoolArray) -> Finding:
@@ -383,6 +369,7 @@ def _rests(first: _Seen, before: JointResiduals, last: _Seen, after: JointResidu
     return max(moved) > MOVED_M and max(seen) < max(RESTS_SHARE * max(moved), 0.02)
 
 
+_IMU_WRONG = "the IMU does not fit the camera's motion; the camera is followed meanwhile"
 _RESTS = "its joints are frozen while the IMU moves"
 _ANEW = "camera and solution contradict each other, and it is unclear which is wrong: the smoother restarts"
 

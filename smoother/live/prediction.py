@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import lru_cache
 
 import numpy as np
 
-from ..array_types import FloatArray, IntArray
+from ..array_types import FloatArray
 from ..linalg import length, skew_of
 from ..measurements.inertial import integrate_one
 from ..rotation import matrix_of, rotvec_of
@@ -40,16 +39,14 @@ class Prediction:
         return np.asarray(covariance)
 
 
-def joint_jacobian(R: FloatArray, arm: FloatArray) -> FloatArray:
-    """A joint's place (3, 9) by turn, position and lever arm; `arm` is the turned lever arm."""
-    return np.concatenate([-skew_of(arm), _ONE, R], axis=1)
-
-
-@lru_cache(maxsize=16)
-def joint_rows(number: int) -> tuple[IntArray, IntArray]:
-    """Where turn, position and a lever arm are in a covariance of (turn, position, velocity, levers)."""
-    rows = np.array([*range(6), *range(9 + 3 * number, 12 + 3 * number)])
-    return np.ix_(rows, rows)  # type: ignore[return-value]
+def joint_at(
+    R: FloatArray, p: FloatArray, lever: FloatArray, number: int, covariance: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """A joint's place and its covariance, of that of (turn, position, velocity, lever arms)."""
+    arm = R @ lever
+    jacobian = np.concatenate([-skew_of(arm), _ONE, R], axis=1)
+    rows = np.r_[0:6, 9 + 3 * number : 12 + 3 * number]
+    return p + arm, jacobian @ covariance[np.ix_(rows, rows)] @ jacobian.T
 
 
 def predict(

@@ -19,7 +19,6 @@ from live_engine import CameraEcho
 from made_recordings import make
 
 import smoother.live.smoother
-from smoother.cli import live as command
 from smoother.cli.live_lines import Lines, words
 from smoother.cli.run import run
 from smoother.io import read_recording, write_recording
@@ -82,14 +81,6 @@ def test_ctrl_c_leaves_a_whole_recording(ctrl_c_is_heard, recording, tmp_path, c
     assert 0.05 < recorded.imu.t_s[-1] - recorded.imu.t_s[0] < 4.0
     assert not [note for note in recorded.notes if "ends in the middle" in note]
     assert "written: " in capsys.readouterr().out
-
-
-def test_one_option_smooths_afterwards(recording, tmp_path, monkeypatch):
-    begun: list[list[str]] = []
-    monkeypatch.setattr(command, "smooth_recording", begun.append)
-    session = tmp_path / "session.mcap"
-    done("live", "--replay", recording, "--speed", "0", "--record", session, "--then-smooth")
-    assert begun == [["smooth", str(session), "-o", str(tmp_path / "session_recovered.mcap")]]
 
 
 def test_what_a_killed_session_left_is_kept(recording, tmp_path, capsys):
