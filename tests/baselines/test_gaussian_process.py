@@ -7,15 +7,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.stats import multivariate_normal
-from simulated_scenes import NO_GAPS, arm, scene_of
+from simulated_scenes import arm, scene_of
 
 from smoother.array_types import FloatArray
 from smoother.baselines.gaussian_process import (
     Posterior,
     borders,
     gaussian_process,
-    likeliest,
-    measurements,
     predict,
 )
 from smoother.evaluation.metrics import lag_s
@@ -109,18 +107,6 @@ def test_prediction_takes_the_cameras_lag_away():
         after.append(lag_s(t[known], predicted[known], path[known, None]))
     assert np.mean(before) == pytest.approx(0.1, abs=0.011)
     assert np.mean(after) == pytest.approx(0.0, abs=0.011)
-
-
-def test_likelihood_finds_the_noise_and_the_pace():
-    rng = np.random.default_rng(3)
-    made = arm("white", 1, occlusion_lengths_s=NO_GAPS, tremor_rad=0.0)
-    scene = scene_of(made)
-    rough = replace(scene, acceleration=scene.acceleration + rng.normal(size=scene.acceleration.shape))
-    seen = measurements(rough)
-    found = likeliest(rough, seen)
-    # noise of 1 m/s^2 was added; the kernel's own misfit adds a third of that at most
-    assert found.acceleration_sigma == pytest.approx(1.0, rel=0.2)
-    assert likeliest(scene, measurements(scene)).acceleration_sigma < 0.5
 
 
 def test_windows_cover_everything_once_and_leave_gaps_whole():

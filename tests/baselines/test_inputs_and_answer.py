@@ -13,7 +13,7 @@ from smoother.baselines.registry import recover
 from smoother.baselines.scene import Path, Scene, recovery_of, scenes_of
 from smoother.errors import SolveError, UnoccludeError
 from smoother.linalg import interpolate
-from smoother.recording import JOINTS, JointState
+from smoother.recording import JOINTS
 
 
 @pytest.fixture(scope="module")
@@ -88,17 +88,6 @@ def test_known_biases_are_taken_off(behind: SolvedArm):
     scene = only(replace(behind, graph=replace(behind.graph, calibration=known)))
     np.testing.assert_allclose(scene.imu.acc, behind.recording.imu.acc[scene.rows] - acc)
     np.testing.assert_allclose(scene.imu.gyro, behind.recording.imu.gyro[scene.rows] - gyro)
-
-
-def test_guesses_are_kept_apart_from_what_is_believed():
-    it = solved_arm("white", 3, protocol="behind", repetitions=1, occluded_state="inferred")
-    scene = only(it)
-    wrist = JOINTS.index("wrist")
-    inside = (it.graph.arm.t_s >= scene.t[0]) & (it.graph.arm.t_s <= scene.t[-1])
-    inferred = it.recording.arm.state[inside, wrist] == JointState.INFERRED
-    assert inferred.sum() > 30
-    assert np.isfinite(scene.camera_joints[inferred, wrist]).all()
-    assert np.isnan(scene.joints[inferred, wrist]).all()
 
 
 def test_pauses_of_the_imu_split_the_scenes(behind: SolvedArm):

@@ -184,23 +184,6 @@ def test_comotti_is_a_kalman_filter_in_matrices(with_field: bool):
     np.testing.assert_allclose(fast, np.array(plain), atol=1e-9)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("name", ["comotti", "complementary"])
-def test_a_field_holds_the_heading(name: str):
-    """With 1 deg/s of unknown bias a minute leaves 60 degrees; the field leaves a few."""
-    start = Rotation.from_euler("ZYX", [70.0, 5.0, -10.0], degrees=True)
-    field = np.array([0.6, 0.0, -0.8])
-    rates = np.tile(wandering(600, seed=1), (10, 1))
-    with_field = turning(rates, start, field)
-    true = turning_attitude(rates, start)
-    biased = with_field.gyro + np.array([0.0, 0.0, np.radians(1.0)])
-    held = FILTERS[name](replace(with_field, gyro=biased))
-    free = FILTERS[name](replace(with_field, gyro=biased, mag=None))
-    # x of {E} is magnetic north: the absolute heading is right too, once it has settled
-    assert apart(held, true)[3000:].max() < 12.0
-    assert apart(free, true)[-1] > 25.0
-
-
 def turning_attitude(rates: FloatArray, start: Rotation) -> Rotation:
     R = [start]
     for rate in rates[1:]:

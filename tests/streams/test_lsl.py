@@ -159,26 +159,6 @@ def test_two_outlets_in_and_one_out(lab, tmp_path):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("ending", [signal.SIGTERM, signal.SIGKILL])
-def test_the_recording_survives_its_program(lab, tmp_path, ending):
-    outlets = players(lab)
-    # without names: the only streams of their types
-    live = lab.start("live_program.py", "--echo", "live", "--record", "session.mcap")
-    lines_until(live, "calibrating")
-    tell(outlets, "go")
-    lines_until(live, "  visible")
-    time.sleep(2.5)
-    live.send_signal(ending)
-    live.communicate(timeout=20)
-    name = "session.mcap" if ending is signal.SIGTERM else "session.recording.mcap"
-    recorded = read_recording(tmp_path / name)
-    assert recorded.imu.t_s[-1] - recorded.imu.t_s[0] > 2.0
-    assert all("before the cut was read" in note for note in recorded.notes if "damaged" in note)
-    others = [path.name for path in tmp_path.iterdir() if path.suffix == ".mcap"]
-    assert others == [name]
-
-
-@pytest.mark.slow
 def test_both_arms_and_imus_on_the_upper_arms(lab, tmp_path):
     both = tmp_path / "both.mcap"
     made = ["--arms", "both", "--set", "imus=wrist,upper-arm", "--set", "protocol=random"]

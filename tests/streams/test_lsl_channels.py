@@ -45,24 +45,37 @@ def test_labels_of_devices():
     assert channels.axes["acc"] == (0, 1, 2)
 
 
+def imu(labels: StreamLabels) -> ImuChannels:
+    return ImuChannels.of(labels)
+
+
+def arm(labels: StreamLabels) -> SkeletonChannels:
+    return SkeletonChannels.of(labels, None)
+
+
 @pytest.mark.parametrize(
-    "labels, units, said",
+    "read, labels, units, said",
     [
-        (["", "", "", "", "", ""], "", "its channels have no labels; acc_x, acc_y, acc_z and gyro_x"),
-        (imu_labels()[:3], "g", "gyro_x, gyro_y, gyro_z are missing"),
-        (imu_labels(), "", "the unit of its accelerometer is missing; send m/s^2 or g"),
-        (imu_labels(), ["g"] * 3 + ["furlong"] * 3, "gyroscope is stated as 'furlong', which is not known"),
+        (imu, [""] * 6, "", "its channels have no labels; acc_x, acc_y, acc_z and gyro_x"),
+        (imu, imu_labels()[:3], "g", "gyro_x, gyro_y, gyro_z are missing"),
+        (imu, imu_labels(), "", "the unit of its accelerometer is missing; send m/s^2 or g"),
         (
+            imu,
             imu_labels(),
-            ["g", "g", "m/s^2", "deg/s", "deg/s", "deg/s"],
-            "accelerometer is stated as 'g, m/s^2'",
+            ["g"] * 3 + ["furlong"] * 3,
+            "stated as 'furlong', which is not known",
         ),
-        (["left_acc_x\x1b", "b", "c"], "", "left_acc_x\\x1b, b, c; acc_x"),
+        (imu, imu_labels(), ["g", "g", "m/s^2", *["deg/s"] * 3], "accelerometer is stated as 'g, m/s^2'"),
+        (imu, ["left_acc_x\x1b", "b", "c"], "", "left_acc_x\\x1b, b, c; acc_x"),
+        (arm, [""] * 9, "m", "its channels have no labels; shoulder, elbow and wrist of an arm are missing"),
+        (arm, arm_labels("right", joints=("shoulder", "elbow")), "m", "are missing: send their x, y, z"),
+        (arm, arm_labels("right"), "", "the unit of its positions is missing; send m or mm"),
+        (arm, arm_labels("right"), "pixel", "positions is stated as 'pixel'"),
     ],
 )
-def test_an_imu_that_does_not_say_enough(labels, units, said):
+def test_a_stream_that_does_not_say_enough(read, labels, units, said):
     with pytest.raises(RecordingError) as error:
-        ImuChannels.of(stream(labels, units))
+        read(stream(labels, units))
     assert said in str(error.value)
     assert "\n" not in str(error.value)
 
@@ -112,21 +125,6 @@ def test_a_strap_alone_and_the_cameras_axes():
     assert SkeletonChannels.of(stream(labels, "m"), None).camera_frame is CameraFrame.OPTICAL
 
 
-@pytest.mark.parametrize(
-    "labels, units, said",
-    [
-        ([""] * 9, "m", "its channels have no labels; shoulder, elbow and wrist of an arm are missing"),
-        (arm_labels("right", joints=("shoulder", "elbow")), "m", "are missing: send their x, y, z"),
-        (arm_labels("right"), "", "the unit of its positions is missing; send m or mm"),
-        (arm_labels("right"), "pixel", "positions is stated as 'pixel'"),
-    ],
-)
-def test_a_skeleton_that_does_not_say_enough(labels, units, said):
-    with pytest.raises(RecordingError) as error:
-        SkeletonChannels.of(stream(labels, units), None)
-    assert said in str(error.value)
-
-
 def test_one_of_several_bodies():
     labels = [f"body{n}_{label}" for n in (1, 2) for label in arm_labels("right")]
     both = stream(labels, "m", name="kinect")
@@ -141,7 +139,7 @@ def test_one_of_several_bodies():
 
 def test_text_and_two_sensors_in_one_stream():
     text = StreamLabels("notes", "Markers", ["acc_x"], [""], [""], is_text=True)
-    for read in (ImuChannels.of, lambda labels: SkeletonChannels.of(labels, None)):
+    for read in (imu, arm):
         with pytest.raises(RecordingError, match="notes sends text, not numbers"):
             read(text)
     ranges = [f"{name}_{axis}" for name in ("acc_ln", "acc_wr", "gyro") for axis in AXES]
