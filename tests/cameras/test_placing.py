@@ -12,8 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from smoother.cameras.clocks import candidate_offsets
 from smoother.cameras.joining import join_cameras, placed_camera
-from smoother.cameras.overlap import overlap
-from smoother.cameras.placing import OFFSET_M, place, start
+from smoother.cameras.placing import OFFSET_M, place
 from smoother.cameras.rig import RelativeClock
 from smoother.measurements.visibility import seen_by_any
 from smoother.recording import CameraPose, JointState
@@ -85,17 +84,6 @@ def test_the_steps_end_where_a_general_solver_does() -> None:
 
     found = least_squares(residual, np.concatenate([np.zeros(6), placement.offset_m.ravel()]), loss="cauchy")
     assert np.degrees(np.linalg.norm(found.x[:3])) < 0.1  # its sigma; the two losses are not the same
-
-
-def test_a_start_in_closed_form_is_near() -> None:
-    simulated = made()
-    together = overlap(
-        simulated.recording.arm,
-        simulated.recording.cameras[0].arm,
-        RelativeClock(simulated.parameters["cameras"]["camera_2"]["offset_s"]),
-    )
-    placement = start(together, RelativeClock())
-    assert errors(simulated, placement.pose, 0.0)[0] < 4.0
 
 
 def test_clocks_that_are_seconds_apart_are_found() -> None:

@@ -120,22 +120,6 @@ def test_flexion_without_epicondyles_is_the_angle_of_the_bones():
     assert np.isnan(angles["carrying"]).all()
 
 
-def test_simulated_postures_come_back():
-    """The simulation's own flexion and pronation, which its forearm is built from."""
-    from smoother.simulation.motion import FLEXION, POSTURE_SIZE, PRONATION, arm_chain, draw_measures
-
-    rng = np.random.default_rng(5)
-    posture = np.zeros((200, POSTURE_SIZE))
-    posture[:, 3:6] = rng.normal(size=(200, 3))
-    posture[:, FLEXION], posture[:, PRONATION] = rng.uniform(0.3, 2.3, 200), rng.uniform(0, 2.8, 200)
-    measures = draw_measures(rng)
-    shoulder, elbow, R_T_F = arm_chain(posture, Rotation.random(rng=rng), measures)
-    joints = {"shoulder": shoulder, "elbow": elbow, "wrist": elbow + measures.forearm * R_T_F[:, :, 1]}
-    angles = arm_angles(joints, 200, R_T_F, "right", DOWN)
-    assert np.allclose(angles["elbow_flexion"], np.degrees(posture[:, FLEXION]), atol=1e-6)
-    assert np.allclose(angles["pronation"], np.degrees(posture[:, PRONATION]), atol=1e-6)
-
-
 def test_forearm_axes_are_the_products_of_rotations():
     rng = np.random.default_rng(6)
     R_K_A, R_F_A = Rotation.random(20, rng=rng), Rotation.random(rng=rng)

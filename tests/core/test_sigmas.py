@@ -7,7 +7,8 @@ quarter of the NEES, so limits closer than a factor of 4 about what was measured
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
+from functools import partial
 
 import numpy as np
 import pytest
@@ -16,6 +17,7 @@ from scenes import Scene, arm, point, recovered
 from smoother.array_types import FloatArray
 from smoother.error_radius import error_radius, pooled_radius, within_words
 from smoother.evaluation.validate import sample_errors
+from smoother.simulation import SimulatedArm
 
 SEEDS = range(6)
 #: The seeds are fixed, so nothing scatters: what is left is room for changes of the method that are meant.
@@ -77,18 +79,17 @@ def assert_near(actual: dict[str, float], measured: dict[str, float], factor: fl
 
 
 @pytest.mark.slow
-def test_white_noise() -> None:
-    assert_near(nees(recovered(arm(seed)) for seed in SEEDS), WHITE, FACTOR)
-
-
-@pytest.mark.slow
-def test_a_point_alone() -> None:
-    assert_near(nees(recovered(point(seed)) for seed in SEEDS), POINT, FACTOR)
-
-
-@pytest.mark.slow
-def test_realistic_noise() -> None:
-    assert_near(nees(recovered(arm(seed, "realistic")) for seed in SEEDS), REALISTIC, REALISTIC_FACTOR)
+@pytest.mark.parametrize(
+    ("make", "measured", "factor"),
+    [
+        (arm, WHITE, FACTOR),
+        (point, POINT, FACTOR),
+        (partial(arm, preset="realistic"), REALISTIC, REALISTIC_FACTOR),
+    ],
+    ids=["white", "point", "realistic"],
+)
+def test_calibrated(make: Callable[[int], SimulatedArm], measured: dict[str, float], factor: float) -> None:
+    assert_near(nees(recovered(make(seed)) for seed in SEEDS), measured, factor)
 
 
 @pytest.mark.parametrize(

@@ -3,17 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from smoother import read_recording, write_recording
 from smoother.io.recording.names import role, role_among
 from smoother.io.recording.streams import ImuSamples
-from smoother.io.result.read import read_recovery
-from smoother.io.result.write import write_recovery
 from smoother.joint_angles import arm_angles, wrapped_deg
 from smoother.linalg import interpolate
 from smoother.recording import JOINTS, ImuStream, Recording
@@ -258,22 +254,6 @@ def test_drawn_hands_have_the_stated_covariance(recovery: Recovery) -> None:
     found = np.sqrt((drawn**2).sum(axis=2).mean(axis=0))
     # 32 draws: a standard deviation to 13 % an axis; the tie of the two hands' ends adds a little
     assert np.nanmedian(found / stated) == pytest.approx(1.0, abs=0.3)
-
-
-def test_written_and_read_again(recovery: Recovery, hand_arm: SimulatedArm, tmp_path: Path) -> None:
-    write_recording(hand_arm.recording, tmp_path / "a.mcap")
-    back = read_recording(tmp_path / "a.mcap")
-    assert back.further_imus["hand"].name == "/imu/hand_right"
-    np.testing.assert_allclose(back.further_imus["hand"].acc, hand_arm.recording.further_imus["hand"].acc)
-    write_recovery(recovery, tmp_path / "out.mcap")
-    (found,) = read_recovery(tmp_path / "out.mcap")
-    np.testing.assert_allclose(
-        found.segments["hand"].quaternion, recovery.segments["hand"].quaternion, atol=1e-6
-    )
-    assert found.draws is not None and list(found.draws.turns) == ["hand"]
-    assert found.calibration is not None and set(found.calibration.mountings) == {"hand"}
-    columns = found.to_table().column_names
-    assert {"hand_x", "hand_imu_x", "hand_imu_sigma_x", "hand_imu_sigma_deg"} <= set(columns)
 
 
 def test_one_that_stops_early_is_left_out(hand_arm: SimulatedArm) -> None:

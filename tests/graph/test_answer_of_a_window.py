@@ -275,19 +275,6 @@ def test_a_column_is_the_derivative_of_the_data(
     np.testing.assert_allclose(stated[rows : rows + 84], moved[rows : rows + 84], atol=1e-6 * scale)
 
 
-def test_columns_may_begin_anywhere() -> None:
-    """Where a variable's columns lie depends on what else a window has: one more of one column here."""
-    best = Optimum(small_window(upper=False)[0])
-    jacobian = best.system.jacobian
-    for more in (1, 2):
-        moved = {key: slice(own.start + more, own.stop + more) for key, own in best.columns.items()}
-        width, column = jacobian.width + more, jacobian.column + more
-        wider = replace(jacobian, column=column, columns=moved, width=width)
-        there = replace(best.solved)
-        there.__dict__["jacobian"] = wider
-        np.testing.assert_array_equal(constant_error_columns(there), best.extra)
-
-
 def _with_errors(best: Optimum, window: Window, error: FloatArray) -> gtsam.NonlinearFactorGraph:
     """The graph of data that read as errors make them: scales of the IMU, joints, the strap's turning."""
     increments, layout, mean = window.forearm.increments, window.priors.layout, window.priors.shared.mean
@@ -358,13 +345,6 @@ def test_the_chain_is_the_dense_system(pair: tuple[Optimum, Solution]) -> None:
     )
     np.testing.assert_allclose(system.vector / size[:-1], left[:-1, -1] / size[:-1], atol=1e-6 * size[-1])
     assert system.extras == slice(len(border), len(border) + SIZE)
-
-
-def test_a_system_without_extra_columns(pair: tuple[Optimum, Solution]) -> None:
-    best, _ = pair
-    alone = best.solved.system()
-    assert alone.extras.start == alone.extras.stop == len(alone.information)
-    like(alone.covariances([X(3)])[0], best.of(X(3)), 1e-6)
 
 
 def test_what_the_window_says_of_constant_errors(pair: tuple[Optimum, Solution]) -> None:

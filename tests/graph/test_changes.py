@@ -14,7 +14,6 @@ from scipy.spatial.transform import Rotation
 from smoother.config import Config
 from smoother.graph.build import build
 from smoother.graph.changes import SLOW_M, Cells, block_columns, block_shifts
-from smoother.graph.columns import camera_rows
 from smoother.graph.solve import optimise_window, solution_of
 from smoother.graph.solved import SolvedWindow
 from smoother.recording import Recording
@@ -109,18 +108,6 @@ def test_pieces_end_at_gaps_and_jumps(window: Window) -> None:
 def test_times_outside_all_pieces_belong_to_none() -> None:
     cells = Cells(np.array([0.0, 2.0]), np.array([1.0, 3.0]), np.array([0, 1]), np.zeros(2, int))
     assert cells.of(np.array([-0.5, 0.0, 1.0, 1.5, 2.5, 3.5])).tolist() == [-1, 0, 0, -1, 1, -1]
-
-
-def test_the_camera_rows_of_the_forearm_take_part(window: Window) -> None:
-    solved = SolvedWindow(window, *build(window))
-    columns = block_columns(solved, Cells.of_window(window))
-    for factors in camera_rows(solved):
-        own = columns[factors.rows]
-        if factors.joint == "shoulder":
-            assert not own.any()
-        else:
-            assert (np.count_nonzero(own, axis=1) <= 1).all()
-            np.testing.assert_allclose(own.sum(axis=1)[own.any(axis=1)], factors.weight[own.any(axis=1)])
 
 
 ALONE = Config.model_validate({"windows": {"processes": 1}})

@@ -78,24 +78,6 @@ def test_a_gaussian_turns_with_them() -> None:
     )  # down is another by 1.4 mrad
 
 
-def test_its_mean_stays_where_it_was() -> None:
-    here = values(BEFORE)
-    (turned,) = turned_with_axes([known(here)], values(AFTER), gravity_axes(here))
-    graph, at = gtsam.NonlinearFactorGraph(), values(AFTER)
-    graph.add(turned)
-    for _ in range(3):
-        at = at.retract(graph.linearize(at).optimize())
-    np.testing.assert_allclose(at.atUnit3(G(0)).point3(), here.atUnit3(G(0)).point3(), atol=1e-6)
-    np.testing.assert_allclose(at.atPoint3(L(2)), here.atPoint3(L(2)), atol=1e-9)
-
-
-def test_what_is_not_on_gravity_stays() -> None:
-    other = gtsam.PriorFactorPoint3(L(2), np.zeros(3), gtsam.noiseModel.Isotropic.Sigma(3, 0.1))
-    here = values(BEFORE)
-    rest = turned_with_axes([other, known(here)], values(AFTER), gravity_axes(here))
-    assert rest[0] is other and len(rest) == 2
-
-
 #: Of the prior, along its two axes and as correlation: anything but round, and tied to the accelerometer.
 SIGMA_RAD, CORRELATION = (np.radians(5.0), np.radians(0.7)), 0.8
 

@@ -8,11 +8,11 @@ import gtsam
 import numpy as np
 import pytest
 from gtsam import Rot3
-from gtsam.symbol_shorthand import B, G, L, S, U, V, X
+from gtsam.symbol_shorthand import L, X
 from lag_arms import DT, LEVERS, SIGMA_M, TILTED, intervals, lag_window
 
 from smoother.array_types import FloatArray
-from smoother.graph.lag_window import LagWindow, iterate, marginalise
+from smoother.graph.lag_window import LagWindow, iterate
 from smoother.window.problem import ImuIncrements
 from smoother.window.solution import LagSolution, NodeState
 
@@ -199,49 +199,3 @@ def test_what_nothing_holds_is_refused() -> None:
     graph.add(gtsam.GPSFactor(X(0), np.ones(3), UNIT(3, 0.01)))
     with pytest.raises(np.linalg.LinAlgError, match="free"):
         iterate(graph, values, [X(0)])
-
-
-def graph_of(factors: list[gtsam.NonlinearFactor]) -> gtsam.NonlinearFactorGraph:
-    graph = gtsam.NonlinearFactorGraph()
-    for factor in factors:
-        graph.add(factor)
-    return graph
-
-
-def test_every_kind_of_variable_may_stay() -> None:
-    """A pose leaves; what it was tied to are all variables that a lag window has."""
-    factors, values = [], gtsam.Values()
-    for k in range(2):
-        values.insert(
-            X(k), gtsam.Pose3(gtsam.Rot3.Expmap([0.1 * k, 0.2, 0.0]), np.array([0.1 * k, 0.0, 1.0]))
-        )
-        values.insert(V(k), np.zeros(3))
-        factors.append(gtsam.PriorFactorPose3(X(k), values.atPose3(X(k)), UNIT(6, 0.1)))
-        factors.append(gtsam.PriorFactorVector(V(k), np.zeros(3), UNIT(3, 0.1)))
-    values.insert(B(0), gtsam.imuBias.ConstantBias())
-    values.insert(G(0), gtsam.Unit3(np.array([0.0, 0.1, -1.0])))
-    values.insert(L(2), np.array([0.1, 0.0, 0.0]))
-    values.insert(S(0), np.array([0.0, 0.3, 1.0]))
-    values.insert(U(0), 0.0)
-    params = gtsam.PreintegrationParams(np.array([0.0, 0.0, -9.81]))
-    pim = gtsam.PreintegratedImuMeasurements(params, gtsam.imuBias.ConstantBias())
-    pim.integrateMeasurement(np.array([0.0, 1.0, 9.7]), np.array([0.5, 0.0, 0.1]), 0.1)
-    elbow = gtsam.Pose3(gtsam.Rot3(), np.array([-0.1, 0.0, 0.0]))
-    factors += [
-        gtsam.ImuFactorWithGravityDirection(X(0), V(0), X(1), V(1), B(0), G(0), pim, 9.81),
-        gtsam.GPSFactorArmCalib(X(0), L(2), np.array([0.1, 0.0, 1.0]), UNIT(3, 0.01)),
-        gtsam.RangeFactorWithTransformBias3D(X(0), S(0), U(0), 0.3, UNIT(1, 0.01), elbow),
-        gtsam.PriorFactorConstantBias(B(0), gtsam.imuBias.ConstantBias(), UNIT(6, 0.1)),
-        gtsam.PriorFactorPoint3(L(2), np.array([0.1, 0.0, 0.0]), UNIT(3, 0.02)),
-        gtsam.PriorFactorPoint3(S(0), np.array([0.0, 0.3, 1.0]), UNIT(3, 0.05)),
-        gtsam.PriorFactorDouble(U(0), 0.0, UNIT(1, 0.05)),
-    ]
-    before = gtsam.Marginals(graph_of(factors), values)
-    expected = {key: before.marginalCovariance(key) for key in (X(1), V(1), B(0), L(2), S(0), U(0))}
-    step = graph_of(factors).linearize(values).optimize()
-    rest = graph_of(marginalise(factors, values, [X(0), V(0)]))
-    linear = rest.linearize(values)
-    after = gtsam.Marginals(linear, linear.optimize())
-    for key, covariance in expected.items():
-        np.testing.assert_allclose(after.marginalCovariance(key), covariance, rtol=1e-6, atol=1e-12)
-        np.testing.assert_allclose(linear.optimize().at(key), step.at(key), atol=1e-9)

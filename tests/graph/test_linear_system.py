@@ -1,59 +1,20 @@
-"""The chain with a border against GTSAM's marginals and dense algebra; sizes of variables."""
+"""Parts of a Jacobian; sizes and values of variables."""
 
 from __future__ import annotations
 
 import gtsam
 import numpy as np
-import pytest
 from gtsam.symbol_shorthand import B, C, D, E, F, G, L, M, N, Q, S, U, V, W, X, Y, Z
-from scenes import arm, first_window
+from small_window import small_window
 
-from smoother.graph.build import build, node_of_variables
-from smoother.graph.linear_system import Jacobian, LinearSystem
+from smoother.graph.build import build
+from smoother.graph.linear_system import Jacobian
 from smoother.graph.variables import DIMENSION, sizes_of, values_of
-from smoother.recording import JOINTS
-from smoother.window.problem import Window
 
 
-@pytest.fixture(scope="module")
-def window() -> Window:
-    """Of 8 s with a gap of 2 s."""
-    made = arm(3, protocol="random", duration_s=8.0, occlusion_lengths_s=(2.0,), occlusion_every_s=5.0)
-    return first_window(made.recording, made.calibration)
-
-
-@pytest.fixture(scope="module")
-def solved(window: Window) -> tuple[gtsam.NonlinearFactorGraph, gtsam.Values]:
-    graph, values, _ = build(window)
-    return graph, gtsam.LevenbergMarquardtOptimizer(graph, values).optimize()
-
-
-@pytest.fixture(scope="module")
-def system(window: Window, solved: tuple[gtsam.NonlinearFactorGraph, gtsam.Values]) -> LinearSystem:
-    return LinearSystem(Jacobian.of(*solved), node_of_variables(window))
-
-
-def test_covariances_are_those_of_gtsam(
-    system: LinearSystem, solved: tuple[gtsam.NonlinearFactorGraph, gtsam.Values]
-) -> None:
-    """Two eliminations of one system; scaled to unit diagonal its condition number is about 1e4."""
-    reference = gtsam.Marginals(*solved)
-    for key in (X(0), X(7), X(40), V(3), S(4)):
-        expected = reference.marginalCovariance(key)
-        np.testing.assert_allclose(system.covariances([key])[0], expected, atol=1e-9 * np.abs(expected).max())
-    keys = [B(0), G(0), L(JOINTS.index("elbow"))]
-    joint = reference.jointMarginalCovariance(keys)
-    expected = np.block([[joint.at(a, b) for b in keys] for a in keys])
-    np.testing.assert_allclose(system.shared_covariance(keys), expected, atol=1e-9 * np.abs(expected).max())
-
-
-def test_a_free_direction_is_refused(window: Window, solved: tuple) -> None:
-    with pytest.raises((np.linalg.LinAlgError, ValueError)):
-        LinearSystem(Jacobian.of(gtsam.NonlinearFactorGraph(), solved[1]), node_of_variables(window))
-
-
-def test_a_block_is_part_of_the_whole(system: LinearSystem) -> None:
-    jacobian = system.jacobian
+def test_a_block_is_part_of_the_whole() -> None:
+    built = build(small_window()[0])
+    jacobian = Jacobian.of(built.graph, built.values)
     whole = jacobian.toarray()
     assert whole.shape == (len(jacobian.rhs), jacobian.width)
     np.testing.assert_array_equal(jacobian.block(slice(9, 30), slice(4, 40)), whole[9:30, 4:40])

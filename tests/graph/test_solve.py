@@ -71,18 +71,3 @@ def test_what_nothing_determines_is_a_sentence_with_the_time() -> None:
     window = replace(window, priors=replace(window.priors, layout=layout, shared=shared))
     with pytest.raises(SolveError, match=r"between \d+\.\d s and \d+\.\d s is not determined"):
         solve(window, with_covariance=True)
-
-
-def test_an_arm_that_keeps_its_velocity() -> None:
-    """Priors on the velocity's change in some intervals do what they say."""
-    window = plain(one_window())
-    free_s = np.full(len(window.t) - 1, np.inf)
-    held_s = free_s.copy()
-    held_s[5:15] = 0.02
-    moved, kept = (
-        np.linalg.norm(np.diff(found.forearm.states.v, axis=0)[5:15], axis=1).sum()
-        for found in (
-            solve(replace(window, velocity_change=each), with_covariance=False) for each in (free_s, held_s)
-        )
-    )
-    assert kept < moved

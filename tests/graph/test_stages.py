@@ -95,12 +95,6 @@ def test_the_upper_arm_comes_in_step_by_step(window: Window, monkeypatch: pytest
     assert found.iterations == sum(each.iterations for each in descents.answers)
 
 
-def test_a_coarse_tolerance_is_not_the_last(window: Window, monkeypatch: pytest.MonkeyPatch) -> None:
-    descents = Descents(monkeypatch)
-    optimise(*build(window), window, 0.1)
-    assert descents.calls[0][2] == descents.calls[-1][2] == module.LAST_TOLERANCE
-
-
 def test_another_strategy_where_the_first_ends_high(window: Window, monkeypatch: pytest.MonkeyPatch) -> None:
     """A rise of what is usual a knot, and no less; then the second, which agrees, is the last."""
     usual = module.USUAL * len(KNOTS)

@@ -6,16 +6,15 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from curve import Curve, angle_rad
+from curve import Curve
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scenes import arm, first_window
-from scipy.spatial.transform import Rotation
 
-from smoother.array_types import FloatArray, IntArray
+from smoother.array_types import IntArray
 from smoother.body import FOREARM
 from smoother.linalg import interpolate
-from smoother.measurements.inertial import STEP_S, InertialSignal
+from smoother.measurements.inertial import InertialSignal
 from smoother.measurements.visibility import Gap
 from smoother.recording import JOINTS, ImuStream, Recording
 from smoother.simulation import SimulatedArm
@@ -156,34 +155,6 @@ def test_only_intervals_in_a_gap_keep_their_velocity(steps: list[tuple[float, fl
 @pytest.fixture(scope="module")
 def windows() -> list[Window]:
     return windows_of(PREPARED)
-
-
-def integrated(window: Window, interval: int) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """(R, v, p) of an interval from its equivalent samples, by GTSAM's simple steps."""
-    R, v, p, increments = np.eye(3), np.zeros(3), np.zeros(3), window.forearm.increments
-    for step in range(increments.first[interval], increments.first[interval + 1]):
-        h = increments.h[step]
-        for acc in increments.acc[step]:
-            a = R @ acc
-            p, v = p + v * h + 0.5 * a * h**2, v + a * h
-            R = R @ Rotation.from_rotvec(increments.gyro[step] * h).as_matrix()
-    return R, v, p
-
-
-def test_increments_are_those_of_their_intervals(windows: list[Window]) -> None:
-    """Against the motion in closed form; 100 Hz samples of 8 m/s^2."""
-    for window in windows[1:]:
-        increments, dt = window.forearm.increments, np.diff(window.t)
-        assert len(increments.first) == len(window.t)
-        total = np.add.reduceat(2 * increments.h, increments.first[:-1])
-        np.testing.assert_allclose(total, dt, atol=1e-12)
-        assert 2 * increments.h.max() <= STEP_S + 1e-9
-        delta_R, delta_v, delta_p = CURVE.increments(window.t)
-        for interval in range(0, len(dt), 7):
-            R, v, p = integrated(window, interval)
-            assert angle_rad(R, delta_R[interval]) < 1e-4
-            np.testing.assert_allclose(v, delta_v[interval], atol=2e-4)
-            np.testing.assert_allclose(p, delta_p[interval], atol=5e-5)
 
 
 def test_the_shoulders_knots(windows: list[Window]) -> None:

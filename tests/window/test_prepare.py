@@ -72,15 +72,6 @@ def test_frames_are_on_the_imus_clock(segment: Segment, prepared: PreparedSegmen
     assert (prepared.sigma_m == 0.01).all()
 
 
-def test_nodes_fill_the_segment(segment: Segment, prepared: PreparedSegment) -> None:
-    assert (prepared.t[0], prepared.t[-1]) == (segment.start_s, segment.end_s)
-    assert np.diff(prepared.t).min() >= CLOSEST_S
-    assert np.diff(prepared.t).max() <= GAP_NODE_S + 1e-9
-    forearm = prepared.forearm
-    for values in (forearm.attitude, forearm.attitude_covariance, prepared.acceleration_std):
-        assert len(values) == len(prepared.t)
-
-
 def test_every_frame_with_a_joint_has_a_node_near_it(prepared: PreparedSegment) -> None:
     with_node = prepared.frame_node >= 0
     apart = np.abs(prepared.t[prepared.frame_node] - prepared.frame_t_imu)[with_node]
@@ -206,11 +197,6 @@ def test_thin_keeps_times_apart_and_no_fewer_than_needed(start: float, gaps: lis
     for other in t[~keep]:  # only because another is just before it
         before = sparse[sparse <= other].max()
         assert other - before < CLOSEST_S + EPS
-
-
-def test_thin_of_nothing_and_one() -> None:
-    assert decimate(np.zeros(0)).tolist() == []
-    assert decimate(np.array([3.0])).tolist() == [True]
 
 
 @given(starts, steps, st.floats(0.1, 50.0), st.floats(0.0, 1.0))

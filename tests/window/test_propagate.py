@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from unittest.mock import patch
 
 import numpy as np
 import pytest
 from curve import Curve, G, angle_rad
 from hypothesis import given
 from hypothesis import strategies as st
-from scenes import arm, recovered
 
-import smoother.window.nodes
 from smoother.array_types import FloatArray
 from smoother.measurements.inertial import InertialSignal
 from smoother.recording import ImuStream
@@ -111,19 +108,3 @@ def test_frames_near_a_blow_are_found() -> None:
     near = np.abs(frames - t[200]) < GROUPED_S
     found = near_impacts(blow, frames)
     assert found[near].all() and not found[np.abs(frames - t[200]) > GROUPED_S + 0.03].any()
-
-
-@pytest.mark.slow
-def test_shared_nodes_cost_no_accuracy() -> None:
-    """Against a node for every frame: the same answer within a fraction of its own sigma."""
-    made = arm(5, protocol="random", duration_s=24.0)
-    shared = recovered(made)
-    with patch.object(smoother.window.nodes, "GROUPED_S", 0.0):
-        every = recovered(made)
-    a, b = shared.recovery, every.recovery
-    apart = np.linalg.norm(a.position - b.position, axis=1) / np.linalg.norm(b.sigma_m, axis=1)
-    assert np.nanmedian(apart) < 0.15
-    assert np.nanmax(apart) < 1.0
-    assert np.nanmedian(a.sigma_m / b.sigma_m) == pytest.approx(1.0, abs=0.1)
-    one, two = (scene.validation.occluded.position_rms_m for scene in (shared, every))
-    assert one < 1.15 * two
