@@ -24,19 +24,13 @@ SHARE = 0.95
 _LEVELS, _MOST_SAMPLES = 64, 4000
 
 
-def error_radius(
-    covariance: FloatArray,  # (..., 3, 3) m^2
-    probability: float = SHARE,
-) -> FloatArray:  # (...) m
-    """Distance within which a 3D error lies with a probability."""
+def error_radius(covariance: FloatArray, probability: float = SHARE) -> FloatArray:
+    """Distance (...) m within which a 3D error with a covariance (..., 3, 3) lies with a probability."""
     return _radii(covariance, [probability])[0]
 
 
-def pooled_radius(
-    covariance: FloatArray,  # (n, 3, 3) m^2
-    probability: float = SHARE,
-) -> float | None:  # m
-    """Distance within which this many of the errors of many samples lie; None where none is known."""
+def pooled_radius(covariance: FloatArray, probability: float = SHARE) -> float | None:
+    """Distance, m, within which this many of the errors of n samples lie; None where none is known."""
     known = np.flatnonzero(np.isfinite(covariance).all(axis=(1, 2)))
     if not len(known):
         return None

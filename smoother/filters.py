@@ -20,12 +20,8 @@ def moving_median(x: FloatArray, width: int) -> FloatArray:  # x (n, k) -> (n, k
     return np.asarray(np.median(np.lib.stride_tricks.sliding_window_view(padded, width, axis=0), axis=-1))
 
 
-def gaussian_smoothed(
-    x: FloatArray,  # (n, k)
-    sigma: float,
-    derivative: bool = False,
-) -> FloatArray:  # (n, k)
-    """Smoothed by a Gaussian, or its first derivative a sample; mirrored at the ends."""
+def gaussian_smoothed(x: FloatArray, sigma: float, derivative: bool = False) -> FloatArray:
+    """Columns (n, k) smoothed by a Gaussian, or its first derivative a sample; mirrored at the ends."""
     radius = int(4.0 * sigma + 0.5)
     offset = np.arange(-radius, radius + 1)
     weight = np.exp(-0.5 * (offset / sigma) ** 2)

@@ -15,12 +15,8 @@ from .array_types import BoolArray, FloatArray, IntArray
 NEWTON_STEPS = 40
 
 
-def interpolate(
-    t: FloatArray,  # (n,) s
-    values: FloatArray,  # (n, ...)
-    at: FloatArray,  # (k,) s
-) -> FloatArray:  # (k, ...)
-    """Linear interpolation of stacked values, held beyond the ends."""
+def interpolate(t: FloatArray, values: FloatArray, at: FloatArray) -> FloatArray:
+    """Linear interpolation of values (n, ...) at times t (n,) to times (k,), held beyond the ends."""
     if len(t) == 1:
         return np.repeat(values, len(at), axis=0)
     right = np.clip(np.searchsorted(t, at), 1, len(t) - 1)
@@ -211,11 +207,8 @@ def peaks(y: FloatArray, height: float, distance: int, count: int) -> IntArray: 
     return np.array(kept, int)
 
 
-def nonnegative_pair(
-    A: FloatArray,  # (n, 2)
-    y: FloatArray,  # (n,)
-) -> tuple[FloatArray, float]:  # x (2,), misfit
-    """Least squares of two unknowns that are not negative (as `scipy.optimize.nnls`)."""
+def nonnegative_pair(A: FloatArray, y: FloatArray) -> tuple[FloatArray, float]:
+    """Least squares A x = y of two unknowns not negative (as `scipy.optimize.nnls`), and the misfit."""
     both, *_ = np.linalg.lstsq(A, y, rcond=None)
     candidates = [both] if (both >= 0).all() else []
     if not candidates:
@@ -226,12 +219,8 @@ def nonnegative_pair(
     return np.asarray(candidates[best]), misfits[best]
 
 
-def masked_correlation(
-    a: FloatArray,  # (n,)
-    b: FloatArray,  # (m,)
-    least_variance: float,
-) -> tuple[FloatArray, FloatArray]:  # correlation (n + m - 1,), count (n + m - 1,)
-    """Pearson's correlation of two series at every shift, over the samples that both have there."""
+def masked_correlation(a: FloatArray, b: FloatArray, least_variance: float) -> tuple[FloatArray, FloatArray]:
+    """Pearson's correlation of two series at every shift, over the samples both have, and their count."""
     known_a, known_b = np.isfinite(a).astype(float), np.isfinite(b).astype(float)
     a, b = np.where(known_a > 0, a, 0.0), np.where(known_b > 0, b, 0.0)
     # near one: what comes out of the Fourier transform must not drown in its rounding

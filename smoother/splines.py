@@ -33,12 +33,8 @@ class PiecewiseCubic:
         return np.asarray(((c[..., 3, :] * h + c[..., 2, :]) * h + c[..., 1, :]) * h + c[..., 0, :])
 
 
-def cubic_spline(
-    t: FloatArray,  # (n,)
-    value: FloatArray,  # (n, k)
-    natural: bool = False,
-) -> PiecewiseCubic:
-    """The interpolating cubic spline (de Boor, A Practical Guide to Splines, 1978)."""
+def cubic_spline(t: FloatArray, value: FloatArray, natural: bool = False) -> PiecewiseCubic:
+    """The interpolating cubic spline of values (n, k) (de Boor, A Practical Guide to Splines, 1978)."""
     step = np.diff(t)
     if not (step > 0).all():
         raise ValueError("the spline's knots do not increase")

@@ -15,12 +15,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..array_types import BoolArray, FloatArray, IntArray
+from ..array_types import FloatArray, IntArray
 from ..errors import SolveError
 from ..linalg import sphere, unit
 from ..measurements.clock import LARGEST_OFFSET_S
 from ..measurements.inertial import InertialAttitude
-from ..measurements.segment import AROUND_S, Segment, make_segment, traits_of
+from ..measurements.segment import AROUND_S, make_segment, traits_of
 from ..measurements.timestamps import dejitter, split_at_pauses
 from ..recording import JOINTS, JointTracks, Recording
 from ..rotation import Rotation
@@ -79,12 +79,16 @@ class RayBlock:
         """Across the plane of both rays, (f, 3), as long as the angle between them."""
         return np.cross(self.elbow, self.wrist)
 
+    @property
+    def information(self) -> float:
+        """How much the forearm turns in view, over its frames."""
+        turned = self.attitude.at(self.t).as_matrix().reshape(-1, 9)
+        return float(len(self.t) * turned.std(axis=0).mean())
+
     def thinned(self) -> RayBlock:
         """At most `FRAMES` of them."""
         some = np.unique(np.linspace(0, len(self.t) - 1, min(len(self.t), FRAMES)).astype(int))
-        return replace(
-            self, rows=self.rows[some], t=self.t[some], elbow=self.elbow[some], wrist=self.wrist[some]
-        )
+        return RayBlock(self.rows[some], self.t[some], self.elbow[some], self.wrist[some], self.attitude)
 
     def along_K(self, found: Hypothesis) -> FloatArray:
         """The forearm's direction (f, 3) in the camera's axes."""
@@ -100,7 +104,7 @@ def lift_alone(recording: Recording, forearm_m: float) -> Recording:
             f"{recording.name}: one camera without depth needs elbow and wrist in view for some seconds while"
             " the IMU measures: nothing else shows how far away the arm is"
         )
-    best = max(blocks, key=_information)
+    best = max(blocks, key=lambda block: block.information)
     found = _found(best.thinned(), down)
     if found is None:
         raise SolveError(
@@ -147,28 +151,16 @@ def _blocks(recording: Recording) -> Iterator[RayBlock]:
             segment = make_segment(
                 imu.select(own), even_t[slice(*rows.tolist())], arm.select(frames), frames, traits
             )
-            if segment is not None and (block := _block_of(segment)) is not None:
-                yield block
-
-
-def _block_of(segment: Segment) -> RayBlock | None:
-    t = segment.frame_t_camera
-    inside: BoolArray = (t > segment.signal.start_s + LARGEST_OFFSET_S) & (
-        t < segment.signal.end_s - LARGEST_OFFSET_S
-    )
-    both = np.flatnonzero(segment.accepted[:, ELBOW] & segment.accepted[:, WRIST] & inside)
-    if len(both) < FEWEST:
-        return None
-    position = np.asarray(segment.position)[both]
-    return RayBlock(
-        both + segment.frames.start, t[both], position[:, ELBOW], position[:, WRIST], segment.attitude
-    )
-
-
-def _information(block: RayBlock) -> float:
-    """How much the forearm turns in view, over its frames."""
-    turned = block.attitude.at(block.t).as_matrix().reshape(-1, 9)
-    return float(len(block.t) * turned.std(axis=0).mean())
+            if segment is None:
+                continue
+            t = segment.frame_t_camera
+            first, last = segment.signal.start_s + LARGEST_OFFSET_S, segment.signal.end_s - LARGEST_OFFSET_S
+            accepted = segment.accepted[:, ELBOW] & segment.accepted[:, WRIST]
+            both = np.flatnonzero(accepted & (t > first) & (t < last))
+            if len(both) >= FEWEST:
+                position, frame = np.asarray(segment.position)[both], both + segment.frames.start
+                rays = position[:, ELBOW], position[:, WRIST]
+                yield RayBlock(frame, t[both], *rays, segment.attitude)
 
 
 def _upright(down: FloatArray) -> FloatArray:
@@ -202,9 +194,13 @@ def _found(block: RayBlock, down: FloatArray) -> Hypothesis | None:
     tries.sort(key=lambda each: each[0])
     likely = [each for _, each in tries if _wrong_way(block, each) < 0.4][: 4 * REFINED]
     refined = [_refined(block, each, down, True) for each in likely]
-    fitting = [
-        each for each in refined if _wrong_way(block, each) < WRONG_WAY and _off(block, each) < OFF_RAD
-    ]
+
+    def fits(one: Hypothesis) -> bool:
+        # as an angle, rms; frames in which the forearm looks long count more
+        off = np.sqrt(np.sum(_coplanarity(block, one) ** 2) / np.sum(normal**2))
+        return bool(off < OFF_RAD) and _wrong_way(block, one) < WRONG_WAY
+
+    fitting = [each for each in refined if fits(each)]
     return min(fitting, key=lambda each: each.misfit, default=None)
 
 
@@ -222,11 +218,6 @@ def _turned_to(block: RayBlock, found: Hypothesis) -> Hypothesis:
 def _coplanarity(block: RayBlock, one: Hypothesis) -> FloatArray:
     """How far the forearm is out of the plane of its rays, (f,): its sine times the angle between them."""
     return np.asarray(np.sum(block.normal * block.along_K(one), axis=1))
-
-
-def _off(block: RayBlock, one: Hypothesis) -> float:
-    """The same as an angle, rad, root mean square; frames in which the forearm looks long count more."""
-    return float(np.sqrt(np.sum(_coplanarity(block, one) ** 2) / np.sum(block.normal**2)))
 
 
 def _wrong_way(block: RayBlock, one: Hypothesis) -> float:
@@ -289,14 +280,11 @@ def _elbow_depth(block: RayBlock, along_K: FloatArray, forearm_m: float) -> Floa
     trust = 1.0 / (1.0 + (away / (3.0 * max(float(np.median(away)), 1e-3))) ** 2)
     weight, value = weight * trust, value * trust
     lo, hi = np.searchsorted(block.t, [block.t - SMOOTH_S, block.t + SMOOTH_S])
-    mean = float(np.mean(weight))
-
-    def moving(x: FloatArray) -> FloatArray:
-        total = np.concatenate([[0.0], np.cumsum(x)])
-        return np.asarray((total[hi] - total[lo]) / np.maximum(hi - lo, 1))
-
+    totals = (np.concatenate([[0.0], np.cumsum(x)]) for x in (value, weight))
+    values, weights = ((total[hi] - total[lo]) / np.maximum(hi - lo, 1) for total in totals)
     # where the forearm points at the camera the mean says more
-    return np.asarray((moving(value) + 0.2 * mean * usual) / (moving(weight) + 0.2 * mean))
+    mean = 0.2 * float(np.mean(weight))
+    return np.asarray((values + mean * usual) / (weights + mean))
 
 
 def _shoulder_depth(arm: JointTracks, elbow_depth: FloatArray, upper_arm_m: float) -> FloatArray:

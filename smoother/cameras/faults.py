@@ -48,6 +48,14 @@ class Move:
         )
 
 
+def never_together(first: str) -> str:
+    """Why a camera is not placed that sees too little together with the first one, whose name is given."""
+    return (
+        f"it sees the forearm for less than {LEAST_S:g} s together with {first}, at no clock offset; put it"
+        " where both see the arm, or let both see it for some seconds at the start"
+    )
+
+
 def fault_of(
     found: Sequence[tuple[Placement, Overlap]], best: Placement, first: str
 ) -> tuple[str, tuple[float, float] | None]:
@@ -98,16 +106,15 @@ def move_between(
     best: Move | None = None
     most = MOVED_SIGMAS
     for cut in range(1, len(parts)):
-        (before, var_before), (after, var_after) = (
-            _mean(values[rows], variances[rows]) for rows in (slice(0, cut), slice(cut, None))
-        )
+        before, var_before = _mean(values[:cut], variances[:cut])
+        after, var_after = _mean(values[cut:], variances[cut:])
         apart = after - before
         sigmas = float(np.sqrt(np.mean(apart**2 / (var_before + var_after))))
         turned, shifted = float(np.linalg.norm(apart[:3])), float(np.linalg.norm(apart[3:]))
         if sigmas > most and (turned > MOVED_RAD or shifted > MOVED_M):
             at_s = 0.5 * float(t[parts[cut - 1].stop - 1] + t[parts[cut].start])
-            middles = [float(t[(part.start + part.stop) // 2]) for part in parts[cut - 1 : cut + 1]]
-            best, most = Move(at_s, (middles[0], middles[1]), turned, shifted, misfit_m), sigmas
+            first_s, last_s = (float(t[(part.start + part.stop) // 2]) for part in parts[cut - 1 : cut + 1])
+            best, most = Move(at_s, (first_s, last_s), turned, shifted, misfit_m), sigmas
     return best
 
 
@@ -155,18 +162,13 @@ MEMORY_S = 1.0
 
 def _variances(placement: Placement, together: Overlap) -> FloatArray:
     """Variances (6,) of a part's turn and shift, by its own scatter."""
-    w = weights(residuals(placement, together), together.both)
     placed = together.other @ placement.R.T + placement.p - placement.centre_m
-    share = min(together.step_s / MEMORY_S, 1.0)
-    point = placed[together.both]
-    weight = w[together.both] * share
-    turn = (
-        np.sum(point**2, axis=1)[:, None, None] * np.eye(3) - point[:, :, None] * point[:, None, :]
-    ) * weight[:, None, None]
-    information = turn.sum(axis=0) + 1e-6 * np.eye(3)
-    return np.concatenate(
-        [np.diag(np.linalg.inv(information)), np.full(3, 1.0 / max(float(weight.sum()), 1e-9))]
-    )
+    point, share = placed[together.both], min(together.step_s / MEMORY_S, 1.0)
+    weight = weights(residuals(placement, together), together.both)[together.both] * share
+    turn = np.sum(point**2, axis=1)[:, None, None] * np.eye(3) - point[:, :, None] * point[:, None, :]
+    information = (turn * weight[:, None, None]).sum(axis=0) + 1e-6 * np.eye(3)
+    shift = np.full(3, 1.0 / max(float(weight.sum()), 1e-9))
+    return np.concatenate([np.diag(np.linalg.inv(information)), shift])
 
 
 def moved_from(found: CameraPose, known: CameraPose, points: FloatArray) -> str:  # points (F, 5, 3) m

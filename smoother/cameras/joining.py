@@ -12,7 +12,7 @@ from ..recording import FIRST_CAMERA, JOINTS, Camera, CameraPose, JointTracks, R
 from ..runtime.store import batches, large_array
 from .alone import lift_alone
 from .clocks import candidate_offsets
-from .faults import LEAST_S, fault_of, moved_from
+from .faults import LEAST_S, fault_of, moved_from, never_together
 from .keypoint_places import clock_of_known_place, placed_keypoints
 from .lifting import depth_by_points, depth_by_rays, lifted
 from .overlap import Overlap, overlap
@@ -71,23 +71,11 @@ def _placed(camera: Camera, first: JointTracks, name: str) -> RigCamera:
         if answer[0].misfit_m < SURE_SHARE * answer[0].spread_m:
             break  # no other clock fits as well
     if not found:
-        return RigCamera(
-            camera.name,
-            reason=f"it sees the forearm for less than {LEAST_S:g} s together with {name}, at no clock"
-            " offset; put it where both see the arm, or let both see it for some seconds at the start",
-        )
+        return RigCamera(camera.name, reason=never_together(name))
     best, together = min(found, key=lambda each: each[0].misfit_m)
     reason, moved_s = fault_of(found, best, name)
-    return RigCamera(
-        camera.name,
-        best.pose,
-        best.clock,
-        best.offset_m,
-        best.misfit_m,
-        together.length_s,
-        reason,
-        moved_s=moved_s,
-    )
+    found_so = best.pose, best.clock, best.offset_m, best.misfit_m, together.length_s
+    return RigCamera(camera.name, *found_so, reason, moved_s=moved_s)
 
 
 def _joined(first: JointTracks, further: list[tuple[Camera, RigCamera]]) -> JointTracks:
@@ -102,32 +90,26 @@ def _joined(first: JointTracks, further: list[tuple[Camera, RigCamera]]) -> Join
     camera = np.zeros(len(t), np.int8)
     # of what joints of cameras with depth are off by
     mean_m = joint_centre([row.joint_offset_m for camera, row in further if camera.arm.pixel_rad is None])
-    further = [
-        (camera if camera.arm.pixel_rad is None else _with_depths(camera, row, first), row)
-        for camera, row in further
+    arms = [
+        arm
+        if arm.pixel_rad is None or row.pose is None
+        else lifted(arm, depth_by_points(arm, row.pose, row.clock, first))
+        for arm, row in ((each.arm, row) for each, row in further)
     ]
-    begin = 0
-    for number, (arm, row) in enumerate([(first, None), *((c.arm, row) for c, row in further)]):
+    begin, rows_of = 0, [row for _, row in further]
+    for number, (arm, row) in enumerate(zip([first, *arms], [None, *rows_of], strict=True)):
         for part in batches(len(arm)):
             rows = place_of[begin + part.start : begin + part.stop]
             points = np.asarray(arm.position[part])
-            if row is None:
-                position[rows] = points - mean_m
-            else:
-                assert row.pose is not None
-                position[rows] = row.pose.to_first(points) + row.joint_offset_m - mean_m
+            if row is not None and row.pose is not None:
+                points = row.pose.to_first(points) + row.joint_offset_m
+            position[rows] = points - mean_m
             state[rows] = arm.state[part]
             camera[rows] = number
         begin += len(arm)
-    origins = [np.full(3, np.nan), *(_origin(c.arm, row) for c, row in further)]
+    origins = [np.full(3, np.nan), *(_origin(arm, row) for arm, row in zip(arms, rows_of, strict=True))]
     rays = np.array(origins) if np.isfinite(origins).any() else None
     return JointTracks(first.name, t[order], position, state, camera, ray_origin_m=rays)
-
-
-def _with_depths(camera: Camera, row: RigCamera, first: JointTracks) -> Camera:
-    """A camera without depth whose joints take their depths from the first one's."""
-    assert row.pose is not None
-    return camera.with_arm(lifted(camera.arm, depth_by_points(camera.arm, row.pose, row.clock, first)))
 
 
 def _origin(arm: JointTracks, row: RigCamera) -> FloatArray:
@@ -140,60 +122,44 @@ def _origin(arm: JointTracks, row: RigCamera) -> FloatArray:
 def _of_pixels(recording: Recording) -> tuple[Recording, CameraRig | None]:
     """A recording whose first camera has no depth: by the rays of several."""
     first, alone = recording.arm, replace(recording, cameras=())
-    rows, together = [], []
-    for camera in recording.cameras:
-        row = _by_rays(camera, first)
-        rows.append(row)
-        if row.takes_part:
-            together.append((camera, row))
-    rig = CameraRig((first_camera(FIRST_CAMERA), *rows)) if recording.cameras else None
+    rows = [_by_rays(camera, first) for camera in recording.cameras]
+    together = [
+        (camera, row, row.pose)
+        for camera, row in zip(recording.cameras, rows, strict=True)
+        if row.takes_part and row.pose is not None
+    ]
     if not together:
-        raise SolveError(_alone(recording.name, rows))
+        left_out = "".join(f"; {row.name} was left out: {row.reason}" for row in rows)
+        raise SolveError(
+            f"{recording.name}: its cameras without depth do not agree on how far away the arm is; add a"
+            " camera with depth, name places that are known, or take one of them alone with"
+            f" --skeleton{left_out}"
+        )
     here = CameraPose(np.eye(3), np.zeros(3), 0.0, 0.0)
-    camera, row = together[0]
-    assert row.pose is not None
-    own, _ = depth_by_rays(first, here, _inverse(row.clock), camera.arm, row.pose)
-    deep_first = lifted(first, own)
-    lifted_cameras = []
-    for camera, row in together:
-        assert row.pose is not None
-        depth, _ = depth_by_rays(camera.arm, row.pose, row.clock, first, here)
-        lifted_cameras.append((camera.with_arm(lifted(camera.arm, depth)), row))
+    camera, row, pose = together[0]
+    backwards = RelativeClock(-row.clock.offset_s, sigma_s=row.clock.sigma_s)
+    deep_first = lifted(first, depth_by_rays(first, here, backwards, camera.arm, pose)[0])
+    lifted_cameras = [
+        (each.with_arm(lifted(each.arm, depth_by_rays(each.arm, place, row.clock, first, here)[0])), row)
+        for each, row, place in together
+    ]
     arm = _joined(deep_first, lifted_cameras)
     origins = np.array([np.zeros(3), *(_origin(c.arm, row) for c, row in lifted_cameras)])
+    rig = CameraRig((first_camera(FIRST_CAMERA), *rows))
     return replace(alone, arm=replace(arm, ray_origin_m=origins)), rig
-
-
-def _alone(name: str, rows: list[RigCamera]) -> str:
-    """Why nothing is solved where every further camera without depth was left out."""
-    left_out = "".join(f"; {row.name} was left out: {row.reason}" for row in rows)
-    return (
-        f"{name}: its cameras without depth do not agree on how far away the arm is; add a camera with depth,"
-        f" name places that are known, or take one of them alone with --skeleton{left_out}"
-    )
-
-
-def _inverse(clock: RelativeClock) -> RelativeClock:
-    """From the first camera's clock to the camera's own."""
-    return RelativeClock(-clock.offset_s, sigma_s=clock.sigma_s)
 
 
 def _by_rays(camera: Camera, first: JointTracks) -> RigCamera:
     """A camera beside a first one without depth: its place has to be known, its clock is found."""
-    if camera.arm.pixel_rad is None:
-        return RigCamera(
-            camera.name, reason="it sees depth and the first camera does not: name it as the first one"
-        )
-    if camera.pose is None:
-        return RigCamera(
-            camera.name,
-            reason="its pose is unknown, and cameras without depth do not show it",
-        )
+    if camera.arm.pixel_rad is None or camera.pose is None:
+        reason = "its pose is unknown, and cameras without depth do not show it"
+        if camera.arm.pixel_rad is None:
+            reason = "it sees depth and the first camera does not: name it as the first one"
+        return RigCamera(camera.name, reason=reason)
     clock, misfit_m = clock_of_known_place(camera, first)
     if not np.isfinite(misfit_m):
-        return RigCamera(
-            camera.name, camera.pose, reason=f"it never sees the arm together with {FIRST_CAMERA}"
-        )
+        reason = f"it never sees the arm together with {FIRST_CAMERA}"
+        return RigCamera(camera.name, camera.pose, reason=reason)
     reason = ""
     if misfit_m > RAYS_M:
         reason = (

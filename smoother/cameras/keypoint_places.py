@@ -16,7 +16,7 @@ from ..linalg import nearest_rotation, skew
 from ..recording import JOINTS, Camera, CameraPose, JointTracks
 from ..rotation import Rotation
 from .clocks import candidate_offsets
-from .faults import LEAST_S, Move, move_between, parts_of
+from .faults import LEAST_S, Move, move_between, never_together, parts_of
 from .overlap import Overlap, overlap
 from .placing import OFFSET_M
 from .rig import RelativeClock, RigCamera
@@ -65,11 +65,7 @@ def placed_keypoints(camera: Camera, first: JointTracks, name: str) -> RigCamera
         if best is None or found.misfit_m < best.misfit_m:
             best, length_s = found, together.length_s
     if best is None:
-        return RigCamera(
-            camera.name,
-            reason=f"it sees the forearm for less than {LEAST_S:g} s together with {name}, at no clock"
-            " offset; put it where both see the arm, or let both see it for some seconds at the start",
-        )
+        return RigCamera(camera.name, reason=never_together(name))
     variance = np.diag(best.covariance)
     sigma_m = float(np.sqrt(variance[3:6].mean() + JOINTS_M**2))
     pose = CameraPose(best.R, best.p, float(np.sqrt(variance[:3].mean())), sigma_m)
@@ -83,15 +79,9 @@ def placed_keypoints(camera: Camera, first: JointTracks, name: str) -> RigCamera
             f"its rays pass {name}'s joints by {100 * best.misfit_m:.0f} cm for any pose and clock: it saw"
             " another person or the other arm, is mirrored, was moved, or its lens is wrong"
         )
-    return RigCamera(
-        camera.name,
-        pose,
-        clock,
-        misfit_m=best.misfit_m,
-        together_s=length_s,
-        reason=reason,
-        moved_s=None if move is None else move.between_s,
-    )
+    moved_s = None if move is None else move.between_s
+    row = RigCamera(camera.name, pose, clock, misfit_m=best.misfit_m, together_s=length_s, reason=reason)
+    return replace(row, moved_s=moved_s)
 
 
 def _placed(first: JointTracks, other: JointTracks, clock: RelativeClock) -> KeypointPlacement | None:
@@ -105,9 +95,7 @@ def _placed(first: JointTracks, other: JointTracks, clock: RelativeClock) -> Key
         together = overlap(first, other, clock)
         if len(together) < 20:
             return None
-        change, covariance, centre = _step(together, R, p, 1.0 / _focal(other), offset)
-        turn = Rotation.from_rotvec(change[:3]).as_matrix()
-        R, p = turn @ R, turn @ (p - centre) + centre + change[3:6]
+        R, p, change, covariance, _ = _step(together, R, p, _pixel(other), offset)
         clock = replace(clock, offset_s=clock.offset_s + float(np.clip(change[6], -0.05, 0.05)))
         offset = offset + change[7:].reshape(-1, 3)
         if np.abs(change[:6]).max() < 1e-4 and abs(change[6]) < 1e-4:
@@ -118,9 +106,8 @@ def _placed(first: JointTracks, other: JointTracks, clock: RelativeClock) -> Key
 def _moved(first: JointTracks, other: JointTracks, found: KeypointPlacement) -> Move | None:
     """Whether it stood elsewhere from a time on: each part of what both saw is placed by itself."""
     together = overlap(first, other, found.clock)
-    parts = parts_of(together)
-    shifts = [_part(together.rows(part), found, 1.0 / _focal(other)) for part in parts]
-    known = [(shift, part) for shift, part in zip(shifts, parts, strict=True) if shift is not None]
+    shifts = ((_part(together.rows(part), found, _pixel(other)), part) for part in parts_of(together))
+    known = [(shift, part) for shift, part in shifts if shift is not None]
     if len(known) < 2:
         return None
     return move_between([each[0] for each in known], [each[1] for each in known], together.t, OTHER_M)
@@ -132,24 +119,20 @@ def _part(
     """A part's turn and shift (6,) where the arm is, against the whole, their variances, and its misfit."""
     if together.both.sum() < 40 or (started := _linear(together)) is None:
         return None
-    best = None
+    found = []
     for R, p in ((whole.R, whole.p), started):
         for _ in range(8):
-            change, covariance, centre = _step(together, R, p, pixel_rad, whole.offset_m)
-            turn = Rotation.from_rotvec(change[:3]).as_matrix()
-            R, p = turn @ R, turn @ (p - centre) + centre + change[3:6]
-        misfit_m = _misfit(together, R, p)
-        if best is None or misfit_m < best[2]:
-            turn = R @ whole.R.T
-            shifted = turn @ (centre - whole.p) + p - centre
-            value = np.concatenate([Rotation.from_matrix(turn).as_rotvec(), shifted])
-            best = value, np.diag(covariance)[:6], misfit_m
-    return best
+            R, p, _, covariance, centre = _step(together, R, p, pixel_rad, whole.offset_m)
+        turn = R @ whole.R.T
+        shifted = turn @ (centre - whole.p) + p - centre
+        value = np.concatenate([Rotation.from_matrix(turn).as_rotvec(), shifted])
+        found.append((value, np.diag(covariance)[:6], _misfit(together, R, p)))
+    return min(found, key=lambda each: each[2])
 
 
-def _focal(tracks: JointTracks) -> float:
+def _pixel(tracks: JointTracks) -> float:
     assert tracks.pixel_rad is not None
-    return 1.0 / tracks.pixel_rad
+    return tracks.pixel_rad
 
 
 def _linear(together: Overlap) -> tuple[FloatArray, FloatArray] | None:
@@ -165,15 +148,9 @@ def _linear(together: Overlap) -> tuple[FloatArray, FloatArray] | None:
     weight = np.ones(len(X))
     for _ in range(4):
         zero = np.zeros_like(X)
-        rows = (
-            np.concatenate(
-                [
-                    np.concatenate([X, zero, -rays[:, :1] * X], axis=1),
-                    np.concatenate([zero, X, -rays[:, 1:2] * X], axis=1),
-                ]
-            )
-            * np.tile(weight, 2)[:, None]
-        )
+        across, down = [X, zero, -rays[:, :1] * X], [zero, X, -rays[:, 1:2] * X]
+        rows = np.concatenate([np.concatenate(across, axis=1), np.concatenate(down, axis=1)])
+        rows *= np.tile(weight, 2)[:, None]
         P = np.linalg.svd(rows.T @ rows)[2][-1].reshape(3, 4)
         if np.median(X @ P[2]) < 0:
             P = -P
@@ -193,8 +170,10 @@ def _linear(together: Overlap) -> tuple[FloatArray, FloatArray] | None:
 
 def _step(
     together: Overlap, R: FloatArray, p: FloatArray, pixel_rad: float, offset_m: FloatArray
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """A robust Gauss-Newton step on turn, shift and clock, its covariance, and the joints' centre."""
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
+    """The pose after a robust Gauss-Newton step on turn, shift, clock and offsets, the step, its covariance,
+    and the joints' centre.
+    """
     rows, joints = np.nonzero(together.both)
     points, rays = together.first[rows, joints] - offset_m[joints], together.other[rows, joints]
     late = together.velocity[rows, joints]
@@ -209,16 +188,9 @@ def _step(
     by_point = project @ R.T
     of_joint = np.zeros((len(points), 2, len(JOINTS), 3))
     of_joint[np.arange(len(points)), :, joints] = -by_point
-    columns = np.concatenate(
-        [
-            by_point @ skew(points - centre),
-            -by_point,
-            # a later clock of the other camera shows an earlier joint
-            by_point @ late[:, :, None],
-            of_joint.reshape(len(points), 2, -1),
-        ],
-        axis=2,
-    )
+    # a later clock of the other camera shows an earlier joint
+    of_pose = by_point @ skew(points - centre), -by_point, by_point @ late[:, :, None]
+    columns = np.concatenate([*of_pose, of_joint.reshape(len(points), 2, -1)], axis=2)
     size = np.linalg.norm(residual, axis=1)
     sigma = max(float(np.median(size)) / 1.177, 0.3 * pixel_rad)
     weight = 1.0 / (1.0 + (size / (CAUCHY * sigma)) ** 2) / sigma**2
@@ -237,8 +209,9 @@ def _step(
     prior = np.diag([1e-6] * 6 + [1.0] + [OFFSET_M**-2] * offset_m.size)
     inverse = np.linalg.inv(information + prior)
     vector = vector - prior @ np.concatenate([np.zeros(7), offset_m.ravel()])
-    covariance = inverse @ (meat + prior) @ inverse
-    return np.asarray(inverse @ vector), np.asarray(covariance), centre
+    change, covariance = inverse @ vector, inverse @ (meat + prior) @ inverse
+    turn = Rotation.from_rotvec(change[:3]).as_matrix()
+    return turn @ R, turn @ (p - centre) + centre + change[3:6], change, covariance, centre
 
 
 def _misfit(together: Overlap, R: FloatArray, p: FloatArray) -> float:

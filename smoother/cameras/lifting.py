@@ -61,12 +61,11 @@ def depth_by_rays(
             known &= (determinant > PARALLEL**2 * aa * bb) & (z > 0.2) & (z < 20.0)
         depth[known, column] = z[known]
     met = np.isfinite(depth)
+    own_t = np.asarray(flat.t_s)
     for column in range(len(JOINTS)):
         rows = np.flatnonzero(met[:, column])
         if len(rows) > 1:
-            depth[:, column] = np.interp(
-                np.asarray(flat.t_s), np.asarray(flat.t_s)[rows], depth[rows, column]
-            )
+            depth[:, column] = np.interp(own_t, own_t[rows], depth[rows, column])
     return _filled(depth), met
 
 

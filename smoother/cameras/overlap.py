@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..array_types import BoolArray, FloatArray, IntArray
+from ..array_types import BoolArray, FloatArray
 from ..recording import JOINTS, JointTracks
 from .rig import RelativeClock
 
@@ -40,14 +40,8 @@ class Overlap:
 
     def rows(self, rows: slice | BoolArray) -> Overlap:
         """Some of the moments."""
-        return replace(
-            self,
-            t=self.t[rows],
-            first=self.first[rows],
-            other=self.other[rows],
-            velocity=self.velocity[rows],
-            both=self.both[rows],
-        )
+        points = self.first[rows], self.other[rows], self.velocity[rows]
+        return Overlap(self.t[rows], *points, self.both[rows], self.step_s)
 
     def mirrored(self) -> Overlap:
         """As if the other camera's x axis pointed the other way."""
@@ -82,24 +76,21 @@ def overlap(
         return none
     share = ((at[rows] - other_t[before]) / dt)[:, None, None]
     a, b = np.asarray(other.position[before]), np.asarray(other.position[after])
+    # velocities by central differences
+    early, late = np.maximum(rows - BESIDE, 0), np.minimum(rows + BESIDE, len(t) - 1)
+    span_s = t[late] - t[early]
+    is_short = (span_s > 0.0) & (span_s < 2 * BESIDE * APART_S)
+    change = np.asarray(first.position[late]) - np.asarray(first.position[early])
+    velocity = change / np.maximum(span_s, 1e-6)[:, None, None]
+    known = tracked[early] & tracked[late] & is_short[:, None]
     return Overlap(
         t[rows],
         np.asarray(first.position[rows]),
         a + share * (b - a),
-        _velocity(first, t, tracked, rows),
+        np.where(known[:, :, None], velocity, 0.0),
         both,
         float(np.median(np.diff(t))) * every,
     )
-
-
-def _velocity(first: JointTracks, t: FloatArray, tracked: BoolArray, rows: IntArray) -> FloatArray:
-    """Velocities (n, 5, 3) m/s at some frames, by central differences."""
-    before, after = np.maximum(rows - BESIDE, 0), np.minimum(rows + BESIDE, len(t) - 1)
-    dt = t[after] - t[before]
-    known = tracked[before] & tracked[after] & (dt > 0.0)[:, None] & (dt < 2 * BESIDE * APART_S)[:, None]
-    change = np.asarray(first.position[after]) - np.asarray(first.position[before])
-    velocity = change / np.maximum(dt, 1e-6)[:, None, None]
-    return np.where(known[:, :, None], velocity, 0.0)
 
 
 def tracked_joints(arm: JointTracks) -> BoolArray:

@@ -107,16 +107,17 @@ def step(placement: Placement, together: Overlap, known: CameraPose | None = Non
     alike = float(np.mean(np.diag(meat)[POSE] / np.maximum(np.diag(information)[POSE], 1e-9)))
     alike = min(max(alike, 1.0), MOST_ALIKE)
     information, vector, meat = information / alike, vector / alike, meat / alike**2
-    prior = _prior_information(known)
+    pose_sigma = [1e3] * 6 if known is None else np.repeat([known.sigma_rad, known.sigma_m], 3)
+    sigma = np.concatenate([pose_sigma, [1e3, SKEW], np.full(3 * len(JOINTS), OFFSET_M)])
+    prior = np.diag(sigma**-2.0)
     at = np.zeros(SIZE)  # where the state is, from the prior's mean
     at[CLOCK.stop - 1] = placement.clock.skew
     at[OFFSETS] = placement.offset_m.ravel()
     if known is not None:
         turned = Rotation.from_matrix(placement.R @ known.R_K_C.T).as_rotvec()
-        there = known.R_K_C @ placement.R.T @ (placement.centre_m - placement.p) + known.p_K_C_m
-        at[POSE] = np.concatenate([turned, placement.centre_m - there])
-    total = information + prior
-    change = np.linalg.solve(total, vector - prior @ at)
+        centre = known.R_K_C @ placement.R.T @ (placement.centre_m - placement.p) + known.p_K_C_m
+        at[POSE] = np.concatenate([turned, placement.centre_m - centre])
+    change = np.linalg.solve(information + prior, vector - prior @ at)
     inverse = np.linalg.inv(curvature * information + prior)
     covariance = inverse @ (meat + prior) @ inverse
     turn = Rotation.from_rotvec(change[:3]).as_matrix()
@@ -129,15 +130,9 @@ def step(placement: Placement, together: Overlap, known: CameraPose | None = Non
         sigma_s=float(np.sqrt(covariance[6, 6])),
     )
     offset = placement.offset_m + change[OFFSETS].reshape(-1, 3)
-    return replace(
-        placement,
-        R=R,
-        p=p,
-        clock=clock,
-        offset_m=offset,
-        covariance=covariance,
-        misfit_m=_misfit(together, R, p, offset)[0],
-    )
+    misfit_m = _misfit(together, R, p, offset)[0]
+    there = replace(placement, R=R, p=p, clock=clock, offset_m=offset)
+    return replace(there, covariance=covariance, misfit_m=misfit_m)
 
 
 def residuals(placement: Placement, together: Overlap) -> FloatArray:
@@ -194,18 +189,6 @@ def _normal_equations(
     share = (weight / np.maximum(largest, 1e-12))[together.both]
     curvature = float(np.sum(used * (1.0 - 2.0 / 3.0 * (1.0 - share))) / max(float(used.sum()), 1e-12))
     return information, vectors.sum(axis=0), centred.T @ centred * count / max(count - 1, 1), curvature
-
-
-def _prior_information(known: CameraPose | None) -> FloatArray:
-    sigma = np.concatenate(
-        [
-            np.full(3, 1e3 if known is None else known.sigma_rad),
-            np.full(3, 1e3 if known is None else known.sigma_m),
-            [1e3, SKEW],
-            np.full(3 * len(JOINTS), OFFSET_M),
-        ]
-    )
-    return np.diag(sigma**-2.0)
 
 
 def _misfit(together: Overlap, R: FloatArray, p: FloatArray, offset: FloatArray) -> tuple[float, float]:

@@ -249,12 +249,8 @@ class LinearSystem:
         across = self.information[:borders, row]
         return float(max(self.information[row, row] - across @ self._shared_covariance @ across, 0.0))
 
-    def sample(
-        self,
-        normals: FloatArray,  # (k, c)
-        given: FloatArray,  # (k, b + e)
-    ) -> FloatArray:  # (k, c)
-        """Draw all variables in time, given the border's and the extra quantities (back substitution)."""
+    def sample(self, normals: FloatArray, given: FloatArray) -> FloatArray:
+        """Draw all variables in time (k, c) from normals (k, c), given the border and extras (k, b + e)."""
         numbers, drawn = normals[:, self._chain].T, np.empty((len(self._chain), len(normals)))
         after = np.empty((0, len(normals)))
         for g in range(len(self._gains) - 1, -1, -1):

@@ -38,10 +38,7 @@ _SLICE_S = 0.5
 
 
 def sample_window(
-    solved: SolvedWindow,
-    system: LinearSystem,
-    plan: DrawPlan,
-    lost: FloatArray,  # (3, 3) rad^2: of the attitude's covariance, to the tightening of its prior
+    solved: SolvedWindow, system: LinearSystem, plan: DrawPlan, lost: FloatArray
 ) -> WindowDraws:
     """Draw motions with the covariance that the window states (GTSAM: `GaussianBayesNet.sample`)."""
     window, R = solved.window, solved.bodies[0].states.R

@@ -137,12 +137,7 @@ class Alignment:
         return Slerp(self.t, self.R_K_E)
 
 
-def align(
-    pairs: list[VectorPairs],
-    start_s: float,
-    end_s: float,
-    down_K: FloatArray,  # (3,)
-) -> Alignment:
+def align(pairs: list[VectorPairs], start_s: float, end_s: float, down_K: FloatArray) -> Alignment:
     """`R_K_E` over time by Wahba's problem (SIAM Review 1965) on pairs weighted by their distance in time."""
     t = np.arange(start_s, max(end_s, start_s + 1e-3), ALIGN_STEP_S)
     none = np.zeros((0, 3))

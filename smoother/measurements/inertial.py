@@ -104,12 +104,8 @@ class Preintegration:
         self.dt[rows] += more.dt
 
 
-def integrate(
-    signal: InertialSignal,
-    t: FloatArray,  # (n + 1,) s
-    bias: FloatArray,  # (6,) or (n, 6) m/s^2 and rad/s
-) -> Preintegration:
-    """Integrate the signal over each interval of consecutive times (Forster et al., TRO 2017, eq 33-35)."""
+def integrate(signal: InertialSignal, t: FloatArray, bias: FloatArray) -> Preintegration:
+    """Integrate between n + 1 times, with the bias (6,) or (n, 6) (Forster et al., TRO 2017, eq 33-35)."""
     return integrate_between(signal, t[:-1], t[1:], bias)
 
 
@@ -170,10 +166,8 @@ def integrate_each(signal: InertialSignal, t: FloatArray, bias: FloatArray) -> P
     return Preintegration(delta_R, delta_v, delta_p, t[1:] - t[:-1])
 
 
-def split_steps(
-    t: FloatArray,  # (n + 1,) s
-) -> tuple[FloatArray, IntArray]:  # step_t (m + 1,) s, first int (n + 1,)
-    """Cut the intervals between times into steps no longer than `STEP_S`."""
+def split_steps(t: FloatArray) -> tuple[FloatArray, IntArray]:
+    """Cut intervals between times (n + 1,) into steps no longer than `STEP_S`: times, each first step."""
     count = np.maximum(np.ceil(np.diff(t) / STEP_S - 1e-9).astype(int), 1)
     first = np.concatenate(([0], np.cumsum(count)))
     inside = np.arange(first[-1]) - np.repeat(first[:-1], count)
@@ -182,9 +176,7 @@ def split_steps(
     return np.append(step_t, t[-1]), first
 
 
-def equivalent_samples(
-    motion: Preintegration,
-) -> tuple[FloatArray, FloatArray, FloatArray]:  # acc (m, 2, 3) m/s^2, gyro (m, 3) rad/s, h (m,) s
+def equivalent_samples(motion: Preintegration) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Two constant samples a step whose simple integration gives the step's motion exactly."""
     h = 0.5 * motion.dt
     gyro = Rotation.from_matrix(motion.delta_R).as_rotvec() / motion.dt[:, None]

@@ -53,12 +53,8 @@ LONGEST = 1.5
 NOISELESS_M = 1e-5
 
 
-def interpolated(
-    t_s: FloatArray,  # (f,) s
-    position: FloatArray,  # (f, 3) m
-    accepted: BoolArray,  # bool (f,)
-) -> BoolArray:  # bool (f,)
-    """Samples of one joint that were filled in."""
+def interpolated(t_s: FloatArray, position: FloatArray, accepted: BoolArray) -> BoolArray:
+    """Samples (f,) of one joint, at positions (f, 3) m, that were filled in."""
     filled = np.zeros(len(t_s), dtype=bool)
     rows = np.flatnonzero(accepted)
     if len(rows) < 4 * STENCIL:
@@ -176,12 +172,8 @@ def reject_by_attitude(
     return _reject(segment, _only(pointing, *_FOREARM), Rejection.RAY)
 
 
-def reject_by_residual(
-    segment: Segment,
-    residual: FloatArray,  # (f, 5, 3) m
-    noise: dict[str, JointNoise],
-) -> Segment:
-    """Reject samples far from a first solution."""
+def reject_by_residual(segment: Segment, residual: FloatArray, noise: dict[str, JointNoise]) -> Segment:
+    """Reject samples far from a first solution, by residuals (f, 5, 3) m."""
     length = np.linalg.norm(across(residual, segment.position, segment.frame_origins), axis=2)
     numbers = np.zeros(1, int) if segment.camera is None else np.asarray(segment.camera).astype(int)
     sigma_m = np.full((int(numbers.max(initial=0)) + 1, len(JOINTS)), np.inf)

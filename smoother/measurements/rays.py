@@ -54,11 +54,7 @@ def directions(position: FloatArray, origin_m: FloatArray) -> FloatArray:
     return unit(position - origin_m)
 
 
-def across(
-    residual: FloatArray,  # (f, .., 3) m
-    position: FloatArray,  # (f, .., 3) m
-    origin_m: FloatArray | None,  # (f, 3) m
-) -> FloatArray:
+def across(residual: FloatArray, position: FloatArray, origin_m: FloatArray | None) -> FloatArray:
     """Residuals (f, .., 3) without what lies along the rays; as they are of cameras with depth."""
     if origin_m is None:
         return residual

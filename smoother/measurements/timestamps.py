@@ -133,10 +133,7 @@ def unwrapped(t_s: FloatArray, wraps_s: tuple[float, ...] = WRAPS_S) -> tuple[Fl
     return t_s + added, wraps
 
 
-def counted(
-    counter: IntArray,  # int (N,)
-    wraps: int,
-) -> tuple[IntArray, int]:  # number int (N,), restarts
+def counted(counter: IntArray, wraps: int) -> tuple[IntArray, int]:
     """Counter values (N,) as numbers of samples from 0 on, and how often the counter started anew."""
     if not len(counter):
         return counter, 0
@@ -174,11 +171,8 @@ def in_packets(t_s: FloatArray) -> bool:
     return bool(short and ((dt <= 0).mean() > FEW or (dt > PAUSE_S).mean() > FEW))
 
 
-def even_times(
-    t_s: FloatArray,  # (N,) s
-    number: IntArray | None = None,  # int (N,)
-) -> EvenTimes | None:
-    """Times of an even sensor from bad stamps."""
+def even_times(t_s: FloatArray, number: IntArray | None = None) -> EvenTimes | None:
+    """Times of an even sensor from bad stamps (N,), s, and the samples' numbers where they were counted."""
     if len(t_s) < FEWEST:
         return None
     tick, is_counted = _tick(t_s, number), number is not None

@@ -37,11 +37,7 @@ def enough_joints(accepted: BoolArray, needed: int) -> BoolArray:
     return accepted[:, forearm].sum(axis=1) >= needed
 
 
-def seen_by_any(
-    t_s: FloatArray,  # (F,) s
-    visible: BoolArray,  # bool (F,)
-    camera: CameraNumbers | None,  # int (F,)
-) -> BoolArray:
+def seen_by_any(t_s: FloatArray, visible: BoolArray, camera: CameraNumbers | None) -> BoolArray:
     """Frames at whose time some camera sees the forearm, (F,): their own, or one on both sides in time."""
     if camera is None:
         return visible
@@ -58,13 +54,8 @@ def seen_by_any(
     return seen
 
 
-def find_gaps(
-    t_s: FloatArray,  # (F,) s
-    visible: BoolArray,  # bool (F,)
-    start_s: float,
-    end_s: float,
-) -> tuple[Gap, ...]:
-    """Gaps between two times."""
+def find_gaps(t_s: FloatArray, visible: BoolArray, start_s: float, end_s: float) -> tuple[Gap, ...]:
+    """Gaps between two times, by the times (F,) of frames and which show the forearm."""
     inside = (t_s >= start_s) & (t_s <= end_s)
     t_s, visible = t_s[inside], visible[inside]
     visible_t = t_s[visible]

@@ -45,11 +45,7 @@ def near_impacts(signal: InertialSignal, t: FloatArray) -> BoolArray:
     return np.asarray(GROUPED_S * signal.velocity_error_between(first, last) > IMPACT_M)
 
 
-def group_frames(
-    t: FloatArray,  # (n,) s
-    visible: BoolArray,  # bool (n,)
-    near_impact: BoolArray,  # bool (n,)
-) -> IntArray:  # int (n,)
+def group_frames(t: FloatArray, visible: BoolArray, near_impact: BoolArray) -> IntArray:
     """Which frame's node each frame belongs to: its own, or that of the middle one of an odd group."""
     owner = np.arange(len(t))
     if len(t) < 3:

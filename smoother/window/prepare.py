@@ -222,13 +222,8 @@ def _imu_positions(
     return frame_t_imu[known], total[known] / count[known, None]
 
 
-def states_from_camera(
-    t: FloatArray,  # (n,) s
-    R: FloatArray,  # (n, 3, 3)
-    frame_t_imu: FloatArray,  # (k,) s
-    position: FloatArray,  # (k, 3) m
-) -> States:
-    """Position and velocity at the nodes from the IMU's positions at visible frames."""
+def states_from_camera(t: FloatArray, R: FloatArray, frame_t_imu: FloatArray, position: FloatArray) -> States:
+    """Position and velocity at nodes (n,) from the IMU's positions (k, 3) m at visible frames (k,)."""
     p, v = _local_lines(frame_t_imu, position)
     if len(frame_t_imu) == 1:
         return States(R, np.tile(p[0], (len(t), 1)), np.zeros((len(t), 3)))

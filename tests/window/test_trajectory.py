@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 from smoother.array_types import FloatArray
 from smoother.body import FOREARM, UPPER_ARM
 from smoother.graph.solve import solve
-from smoother.measurements.inertial import InertialSignal, integrate
+from smoother.measurements.inertial import InertialSignal
 from smoother.window.prepare import PreparedRun, PreparedSegment
 from smoother.window.problem import States
 from smoother.window.solution import SegmentSolution, Solution
@@ -103,15 +103,6 @@ def test_the_bias_of_each_interval_is_taken_off() -> None:
     a, b = at_times(motion, signal, t), at_times(stated, biased, t)
     np.testing.assert_allclose(a.p, b.p, atol=1e-9)
     np.testing.assert_allclose(a.R, b.R, atol=1e-9)
-
-
-def propagated(motion: SegmentSolution, signal: InertialSignal, k: int, t: float) -> FloatArray:
-    """A node's state propagated to a time by one integration, written out."""
-    step = integrate(signal, np.array([motion.t[k], t]), motion.bias[k])
-    h = t - motion.t[k]
-    states = motion.states
-    turned = Rotation.from_matrix(states.R[k]).apply(step.delta_p[0])
-    return np.asarray(states.p[k] + states.v[k] * h + 0.5 * motion.gravity * h**2 + turned)
 
 
 def test_a_joint_follows_from_the_pose_and_its_lever_arm() -> None:
