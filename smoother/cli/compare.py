@@ -119,11 +119,8 @@ def compare(
     compared = [(recording, comparison) for recording, (_, comparison) in answers]
     if report is not None:
         from ..report.method_comparison import comparison_page
-        from ..report.page import arms_comparison_page
 
-        recording, comparison = compared[0]
-        one = comparison_page(comparison, recording)
-        (arms_comparison_page(compared) if len(compared) > 1 else one).write(report, force)
+        comparison_page(compared).write(report, force)
     each, notes = [], []
     for recording, (graph, comparison) in answers:
         notes.append(list(dict.fromkeys([*recording.notes, *left_out, *comparison.notes])))

@@ -171,7 +171,7 @@ def smooth_figures(recording: Recording, recovery: Recovery) -> dict[str, Any]:
         "usable": int(usable(recovery).sum()),
         "found": None if found is None else found.figures,
         "not_determined": [] if found is None else list(found.not_determined),
-        "rejected": [row.to_dict() for row in rejected(recovery)],
+        "rejected": rejected(recovery),
         "advice": advice(recovery, found),
     }
 

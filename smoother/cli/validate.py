@@ -110,10 +110,10 @@ def print_validation(recovery: Recovery, validation: Validation, verbose: bool =
         session = [pair.key for pair in comparison.pairs if pair.scope == "session"]
         chosen = None if verbose else first_of(session, FEW_MEASURES)
         if verbose or not several:
-            show(pair_table(validation.title("Measures of the session"), comparison, chosen))
+            show(pair_table(validation.alignment.titled("Measures of the session"), comparison, chosen))
         if verbose or several:  # agreement is that of several recordings
             title = "Agreement of the measures (answer minus truth) over recordings and movements"
-            show(agreement_table(validation.title(title), comparison, chosen))
+            show(agreement_table(validation.alignment.titled(title), comparison, chosen))
     print_notes(validation.notes if verbose else validation.notes[:FEW_NOTES])
     if not verbose:
         say("--verbose prints every gap, part, measure and note; --json has them all")

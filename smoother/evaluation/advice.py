@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from dataclasses import asdict, dataclass
+from typing import Any
 
 import numpy as np
 
@@ -26,25 +26,12 @@ from ..result import Recovery
 from .summary import GapSummary, gap_summaries
 
 
-@dataclass(frozen=True)
-class Rejected:
-    """The samples of one joint that were rejected for one reason."""
+def rejected(recovery: Recovery) -> list[dict[str, Any]]:
+    """Rejected samples by reason and joint, the most frequent reason first, joints from the shoulder down.
 
-    reason: str  # The reason's name ("jump")
-    why: str  # The same in words
-    joint: str  # The joint
-    count: int  # Samples
-    share: float  # Their part of the joint's tracked ones
-    first_s: float  # Times of the first and the last, on the IMU's clock
-    last_s: float
-
-    def to_dict(self) -> dict[str, object]:
-        """Plain values by name."""
-        return asdict(self)
-
-
-def rejected(recovery: Recovery) -> list[Rejected]:
-    """One row per reason and joint, the most frequent reason first, joints from the shoulder down."""
+    `reason` and the same in words (`why`), `joint`, `count`, `share` of the joint's tracked samples, and
+    the times of the first and the last, on the IMU's clock.
+    """
     residuals = recovery.residuals
     if residuals is None:
         return []
@@ -59,9 +46,11 @@ def rejected(recovery: Recovery) -> list[Rejected]:
                 times[code, column] = count + len(t_s), first_s, float(t_s[-1])
     totals = {code: sum(row[0] for (other, _), row in times.items() if other == code) for code, _ in times}
     return [
-        Rejected(*reason, JOINTS[column], count, count / int(tracked[column]), first_s, last_s)
-        for _, reason, column, (count, first_s, last_s) in sorted(
-            (-totals[code], residuals.reasons[code], column, row) for (code, column), row in times.items()
+        {"reason": residuals.reasons[code].label, "why": residuals.reasons[code].words}
+        | {"joint": JOINTS[column], "count": count, "share": count / int(tracked[column])}
+        | {"first_s": first_s, "last_s": last_s}
+        for (code, column), (count, first_s, last_s) in sorted(
+            times.items(), key=lambda row: (-totals[row[0][0]], residuals.reasons[row[0][0]], row[0][1])
         )
     ]
 
@@ -233,7 +222,7 @@ def _inside(t_s: FloatArray, gaps: Iterable[Gap]) -> BoolArray:
     return inside
 
 
-def _towards_the_camera(recovery: Recovery, rows: list[Rejected]) -> Iterator[str]:
+def _towards_the_camera(recovery: Recovery, rows: list[dict[str, Any]]) -> Iterator[str]:
     if not {"elbow", "wrist"} <= recovery.joints.keys():
         return
     visible = along = 0
@@ -242,7 +231,7 @@ def _towards_the_camera(recovery: Recovery, rows: list[Rejected]) -> Iterator[st
         pointing = pointing[~batch.occluded & np.isfinite(pointing)]
         visible, along = visible + len(pointing), along + int((pointing < RAY_DEG).sum())
     share = along / max(visible, 1)
-    lost = sum(row.count for row in rows if (row.reason, row.joint) == ("viewing ray", "wrist"))
+    lost = sum(row["count"] for row in rows if (row["reason"], row["joint"]) == ("viewing ray", "wrist"))
     if share >= RAY_SHARE or lost >= RAY_REJECTED * max(int(_tracked(recovery, "wrist").sum()), 1):
         yield (
             "Stand a little sideways to the camera, or put it higher: the forearm pointed at it"
@@ -260,7 +249,7 @@ def towards_the_camera(elbow: FloatArray, wrist: FloatArray) -> FloatArray:
         return np.degrees(np.arccos(np.clip(cosine, 0.0, 1.0)))
 
 
-def _camera(recovery: Recovery, estimates: ArmEstimates | None, rows: list[Rejected]) -> Iterator[str]:
+def _camera(recovery: Recovery, estimates: ArmEstimates | None, rows: list[dict[str, Any]]) -> Iterator[str]:
     tracked = 0
     if recovery.residuals is not None:
         batches = recovery.residuals.batches()
@@ -268,7 +257,7 @@ def _camera(recovery: Recovery, estimates: ArmEstimates | None, rows: list[Rejec
 
     def share(*reasons: str) -> float:
         """Part of all tracked samples."""
-        return sum(row.count for row in rows if row.reason in reasons) / max(tracked, 1)
+        return sum(row["count"] for row in rows if row["reason"] in reasons) / max(tracked, 1)
 
     if (frozen := share("frozen")) > FREEZES:
         yield (

@@ -12,10 +12,6 @@ from ..recording import JOINTS
 from ..result import Recovery
 from .metrics import squared_sigmas
 
-#: Probabilities at which coverage is read.
-LEVELS = np.linspace(0.02, 0.98, 49)
-#: Bins of stated sigma, and the least of samples in one.
-BINS, FEWEST = 10, 30
 #: Most samples of a joint that are looked at, evenly spaced over the recording.
 MOST = 50_000
 
@@ -28,26 +24,9 @@ class StatedAndActual:
     sigma_m: FloatArray  # (n,) m: stated standard deviation, mean over the axes
     error_m: FloatArray  # (n,) m: length of the error over the square root of 3: the part per axis
 
-    def coverage(self) -> FloatArray:
-        """Share of the errors inside the region of each of `LEVELS`; nan without samples."""
-        if not len(self.squared):
-            return np.full(len(LEVELS), np.nan)
-        inside = np.sort(chdtr(3.0, self.squared))
-        return np.searchsorted(inside, LEVELS, side="right") / len(inside)
-
     def inside(self, level: float) -> float:
         """Share of the errors inside the region of one level; nan without samples."""
         return float((chdtr(3.0, self.squared) <= level).mean()) if len(self.squared) else float("nan")
-
-    def binned(self) -> tuple[FloatArray, FloatArray]:
-        """Stated sigma and rms error, m per axis, in bins of equally many samples by stated sigma."""
-        count = min(BINS, len(self.squared) // FEWEST)
-        if count < 1:
-            return np.zeros(0), np.zeros(0)
-        parts = np.array_split(np.argsort(self.sigma_m), count)
-        stated = [np.sqrt(np.mean(self.sigma_m[part] ** 2)) for part in parts]
-        actual = [np.sqrt(np.mean(self.error_m[part] ** 2)) for part in parts]
-        return np.array(stated), np.array(actual)
 
 
 def stated_and_actual(error_m: FloatArray, covariance: FloatArray) -> StatedAndActual:

@@ -129,10 +129,6 @@ class Validation:
             "notes": list(self.notes),
         }
 
-    def title(self, text: str) -> str:
-        """The title of one of its results: states where the truth was aligned."""
-        return self.alignment.titled(text)
-
     def errors(self, recovery: Recovery) -> Table:
         """The errors of the sensor by part, with what was stated of them."""
         rows: list[dict[str, Any]] = []
@@ -142,7 +138,7 @@ class Validation:
             some = recovery.pose_covariance[chosen[:: max(1, len(chosen) // _MOST_POOLED)]]
             stated_m = pooled_radius(some[:, :3, :3]) if figures.position_p95_m is not None else None
             rows.append({"part": part, "stated_m": stated_m, **vars(figures)})
-        title = self.title("Error against the truth, with the measured and the stated 95 % bound")
+        title = self.alignment.titled("Error against the truth, with the measured and the stated 95 % bound")
         columns = {"95 % within, cm": "position_p95_m", "stated, cm": "stated_m", "rms, cm": "position_rms_m"}
         turns = {"rms, deg": "orientation_rms_deg", "95 %, deg": "orientation_p95_deg"}
         more = {"max, deg": "orientation_max_deg", "NEES": "nees", "inside 95 %": "coverage_95"}
@@ -159,7 +155,7 @@ class Validation:
         ]
         columns = {"joint": "joint", **{part: f"{part}_m" for part in PARTS}}
         columns |= {"95 %": "position_p95_m", "max": "position_max_m", "NEES": "nees"}
-        return tabulated(self.title("Joints, position rms, cm"), rows, columns)
+        return tabulated(self.alignment.titled("Joints, position rms, cm"), rows, columns)
 
     @property
     def gap_errors(self) -> Table:
@@ -172,7 +168,7 @@ class Validation:
         columns = {"gap at, s": "start", "length, s": "length", "rms, cm": "position_rms_m"}
         columns |= {"95 % within, cm": "position_p95_m", "max, cm": "position_max_m"}
         columns |= {"rms, deg": "orientation_rms_deg", "max, deg": "orientation_max_deg", "NEES": "nees"}
-        return tabulated(self.title("Error gap by gap"), rows, columns)
+        return tabulated(self.alignment.titled("Error gap by gap"), rows, columns)
 
     @property
     def angle_errors(self) -> Table:
@@ -192,7 +188,7 @@ class Validation:
             "ICC(A,1), 95 % interval": with_interval,
             "samples": "samples",
         }
-        return tabulated(self.title("Joint angles, degrees (answer minus truth)"), rows, columns)
+        return tabulated(self.alignment.titled("Joint angles, degrees (answer minus truth)"), rows, columns)
 
 
 def _parts(recovery: Recovery) -> dict[str, BoolArray]:

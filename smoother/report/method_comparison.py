@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -14,7 +15,7 @@ from ..evaluation.gaps import GapTable
 from ..measurements.visibility import Gap
 from ..recording import Recording
 from ..table import tabulated
-from .sheet import Page, Section, label, notes, rendered
+from .sheet import Page, Section, capitalised, label, notes, rendered
 from .style import CAMERA, SHADE, TRUTH, axis_names, curve, dots, dress, interval_bars
 
 #: Colour and plotly dash of each method; strong methods in strong colours.
@@ -46,14 +47,20 @@ MOST_GAPS = 6
 AROUND_S = 0.6
 
 
-def comparison_page(comparison: Comparison, recording: Recording) -> Page:
-    """A comparison on one page."""
+def comparison_page(compared: Sequence[tuple[Recording, Comparison]]) -> Page:
+    """The comparisons of a recording's arms on one page, arm by arm."""
+    recording, first = compared[0]
+    names = [f"{capitalised(one.arm_label)}: " if len(compared) > 1 else "" for one, _ in compared]
+    arms = f", {len(compared)} arms" if len(compared) > 1 else f", {len(first.gaps)} gaps"
     return Page(
-        comparison.alignment.titled(f"Methods compared: {recording.name}"),
-        f"{len(comparison.rows)} methods, {len(comparison.gaps)} gaps, the {_point(comparison)} compared"
-        " with the truth.",
-        verdict(comparison),
-        sections(comparison, recording),
+        first.alignment.titled(f"Methods compared: {recording.name}"),
+        f"{len(first.rows)} methods{arms}; the {_point(first)} compared with the truth.",
+        [f"{name}{text}" for name, (_, one) in zip(names, compared, strict=True) for text in verdict(one)],
+        [
+            replace(section, heading=f"{name}{section.heading}")
+            for name, (recording, one) in zip(names, compared, strict=True)
+            for section in sections(one, recording)
+        ],
     )
 
 
@@ -143,11 +150,22 @@ def gap_curves_page(table: GapTable, name: str, remarks: Sequence[str] = ()) -> 
     reference = (
         "the truth" if against == "truth" else f"what the camera saw of the {against}, its noise included"
     )
+    rows = [
+        {"length_s": length, "method": name, **spread, "failed": spread["failed"] or None}
+        for length, methods in spreads.items()
+        for name, spread in sorted(methods.items(), key=lambda each: each[1]["median_m"] or np.inf)
+    ]
+    columns = {"gap, s": "length_s", "method": "method", "median of gaps, cm": "median_m", "25 %": "low_m"}
+    columns |= {"75 %": "high_m", "rms over gaps": "rms_m", "worst gap": "worst_m", "gaps": "gaps"}
     return Page(
         f"Error against gap length: {name}",
         f"{gaps} gaps were made where the camera saw the arm, and recovered; compared with {reference}.",
         gap_verdict(spreads),
-        _sections(spreads, (*remarks, *table.notes)),
+        [
+            Section("Error against gap length", _GAP_CURVES, curves(spreads)),
+            rendered(tabulated("The figures", rows, columns | {"failed": "failed"}, _TABLE)),
+            notes(dict.fromkeys((*remarks, *table.notes))),
+        ],
     )
 
 
@@ -199,24 +217,6 @@ def curves(spreads: Spreads) -> go.Figure:
     plot.update_yaxes(type="log", title_text="error in a gap, rms, cm", exponentformat="none")
     dress(plot, 620, head=70)
     return plot.update_layout(legend={"traceorder": "reversed"}, showlegend=True)
-
-
-def _sections(spreads: Spreads, remarks: Iterable[str]) -> Iterator[Section]:
-    yield Section("Error against gap length", _GAP_CURVES, curves(spreads))
-    rows = [
-        {"length_s": length, "method": name, **spread, "failed": spread["failed"] or None}
-        for length, methods in spreads.items()
-        for name, spread in sorted(methods.items(), key=_by_median)
-    ]
-    columns = {"gap, s": "length_s", "method": "method", "median of gaps, cm": "median_m", "25 %": "low_m"}
-    columns |= {"75 %": "high_m", "rms over gaps": "rms_m", "worst gap": "worst_m", "gaps": "gaps"}
-    yield rendered(tabulated("The figures", rows, columns | {"failed": "failed"}, _TABLE))
-    yield notes(dict.fromkeys(remarks))
-
-
-def _by_median(entry: tuple[str, dict[str, Any]]) -> float:
-    median = entry[1]["median_m"]
-    return float("inf") if median is None else float(median)
 
 
 _GAP_CURVES = (

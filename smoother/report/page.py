@@ -14,8 +14,6 @@ from calib.motion import found_in
 
 from ..angles import joint_angles
 from ..evaluation.advice import advice
-from ..evaluation.compare import Comparison
-from ..evaluation.coverage import camera_residuals
 from ..evaluation.summary import trust_word
 from ..evaluation.validate import Validation
 from ..recording import CameraFrame, Recording, Truth
@@ -23,8 +21,6 @@ from ..result import Recovery, arm_tags
 from ..result.untrusted import untrusted_gaps
 from ..table import Table
 from . import tables, traces
-from .method_comparison import sections as of_comparison
-from .method_comparison import verdict
 from .player import player, points
 from .sheet import NOT_TRUSTED, Fold, Html, Page, Section, badge, capitalised, notes, rendered
 from .style import MOST_POINTS, decimate
@@ -214,7 +210,7 @@ class _ArmReport:
         yield rendered(tables.settings(recovery.config))
 
     def _against_reference(self, found: Validation) -> Iterator[Section]:
-        heading = found.title("Errors against the reference")
+        heading = found.alignment.titled("Errors against the reference")
         if (
             found.joint_errors.rows
             and found.all.position_rms_m is None
@@ -228,11 +224,9 @@ class _ArmReport:
         yield from map(rendered, (found.joint_errors, found.gap_errors))
         yield from map(rendered, tables.measured(found))
         if found.angles is not None and found.angles.compared:
-            plot = traces.bland_altman(self.recovery, found.angles, found.angle_figures["all"])
             carrying = found.angles.carrying_truth_deg
             said = "" if carrying is None else f"Carrying angle of the reference: {carrying:.1f} degrees."
-            heading = found.title("Agreement of the joint angles")
-            yield Section(heading, _BLAND_ALTMAN, plot, tables=[found.angle_errors], below=said)
+            yield replace(rendered(found.angle_errors, _ANGLES), below=said)
 
     def _curves(self) -> Iterator[Section]:
         decimated = ""
@@ -275,12 +269,7 @@ class _ArmReport:
     def _trust(self) -> Iterator[Section]:
         """Whether what is stated holds, against the camera and a reference; which samples were rejected."""
         if self.recovery.estimates.trusted is not False:
-            camera = camera_residuals(self.recovery)
-            reference = traces.against_truth(self.recovery, self.truth)
-            caption = _CONSISTENT + (_OF_REFERENCE if reference else "")
-            caption += traces.share_inside(camera, reference)
-            plot = traces.calibration_curves(camera, reference)
-            yield Section("Whether sigma is consistent with the errors", caption, plot)
+            yield rendered(tables.consistency(self.recovery, self.truth))
         if self.recovery.residuals is not None:
             rejected = tables.rejections(self.recovery)
             nothing = "" if rejected.rows else "Nothing: all tracked samples were used."
@@ -289,34 +278,8 @@ class _ArmReport:
 
 _BAND = "The pale blue band contains 95 of 100 true values of each coordinate."
 _NO_BAND = "No band is drawn: it would not be valid."
-_CONSISTENT = (
-    "Left: for every probability, the share of samples that lie inside the region in which this probability"
-    " is stated to lie. Right: the stated standard deviation of samples against their actual root mean"
-    " square. On the dashed line both are consistent; under it on the left, or above it on the right, the"
-    " statement is over-confident. For the camera, the statement is of the distance between a sample that"
-    " was used and the recovered joint: the camera's noise, and the joint's own sigma as far as it is not"
-    " the same all the time. "
+_ANGLES = (
+    "Bias and limits of agreement (Bland and Altman, bias -+ 1.96 standard deviations): 95 of 100 differences"
+    " lie between. Angles are in the order of the ISB's recommendation (Wu et al. 2005). The thorax is not"
+    " seen: shoulder angles are relative to gravity and to a person who faces the camera."
 )
-_OF_REFERENCE = "For the reference, it is the sigma of the sensor's position. "
-_BLAND_ALTMAN = (
-    "Bland and Altman: answer minus reference over the mean of both, a dot a sample. The solid line is the"
-    " bias, the dashed lines the limits of agreement (bias -+ 1.96 standard deviations): 95 of 100"
-    " differences lie between. Angles are in the order of the ISB's recommendation (Wu et al. 2005). The"
-    " thorax is not seen: shoulder angles are relative to gravity and to a person who faces the camera."
-)
-
-
-def arms_comparison_page(compared: Sequence[tuple[Recording, Comparison]]) -> Page:
-    """The comparisons of several arms on one page, arm by arm."""
-    arms = [(capitalised(recording.arm_label), recording, comparison) for recording, comparison in compared]
-    _, recording, comparison = arms[0]
-    return Page(
-        comparison.alignment.titled(f"Methods compared: {recording.name}"),
-        f"{len(comparison.rows)} methods, {len(compared)} arms, each compared with its own truth.",
-        [f"{name}: {text}" for name, _, one in arms for text in verdict(one)],
-        [
-            replace(section, heading=f"{name}: {section.heading}")
-            for name, recording, one in arms
-            for section in of_comparison(one, recording)
-        ],
-    )

@@ -5,8 +5,8 @@ from __future__ import annotations
 import json
 import os
 import re
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from html import escape
 from importlib import resources
 from typing import Any
@@ -46,17 +46,16 @@ class Section:
     below: str = ""  # A paragraph at the end
     terms: Sequence[tuple[str, str]] = ()
     player: Mapping[str, Any] | None = None  # What the player in space is given; see `player`
+    anchor: str = ""  # For the list of contents; the page gives each heading its own
 
-    def shown(self, anchors: _Anchors) -> dict[str, Any] | None:
-        """What the template is given; None where there is nothing to show."""
-        tables = [each for each in self.tables if each.rows]
-        sentences = list(dict.fromkeys(self.sentences))
-        if not any((self.plot, self.panels, tables, sentences, self.below, self.terms, self.player)):
-            return None
-        plot = None if self.plot is None else _plotted(self.plot)
-        panels = [(title, _plotted(each)) for title, each in self.panels]
-        given = vars(self) | {"plot": plot, "panels": panels, "tables": tables, "sentences": sentences}
-        return given | {"anchor": anchors.named(self.heading)}
+    def __post_init__(self) -> None:
+        self.tables = [each for each in self.tables if each.rows]
+        self.sentences = list(dict.fromkeys(self.sentences))
+
+    def __bool__(self) -> bool:
+        """Whether there is anything to show."""
+        shown = (self.plot, self.panels, self.tables, self.sentences, self.below, self.terms, self.player)
+        return any(shown)
 
 
 @dataclass
@@ -67,29 +66,6 @@ class Fold:
     words: str = "Details"
     anchor: str = ""
     has_contents: bool = False  # The list of contents stands here
-
-    def shown(self, anchors: _Anchors) -> dict[str, Any]:
-        """What the template is given."""
-        return vars(self) | {"sections": _shown(self.sections, anchors)}
-
-
-@dataclass
-class _Anchors:
-    """Names of a page's headings, each its own, for the list of contents."""
-
-    headings: dict[str, str] = field(default_factory=dict)
-
-    def named(self, heading: str) -> str:
-        stem = name = re.sub("[^a-z0-9]+", "-", heading.lower()).strip("-") or "section"
-        while name in self.headings:
-            name = f"{stem}-{len(self.headings)}"
-        if heading:
-            self.headings[name] = heading
-        return name
-
-
-def _shown(sections: Iterable[Section | Fold], anchors: _Anchors) -> list[dict[str, Any]]:
-    return [shown for each in sections if (shown := each.shown(anchors)) is not None]
 
 
 @dataclass(frozen=True)
@@ -111,18 +87,29 @@ class Page:
 
         from .. import __version__
 
-        anchors = _Anchors()
-        beside = None if self.beside is None else self.beside.shown(anchors)
-        sections = _shown(self.sections, anchors)
-        page = vars(self) | {"beside": beside, "sections": sections, "verdict": list(self.verdict)}
-        page["headings"] = list(anchors.headings.items())
+        sections: list[Section | Fold] = []
+        every = [self.beside] if self.beside else []
+        for each in self.sections:
+            if isinstance(each, Fold):
+                each = replace(each, sections=list(filter(None, each.sections)))
+            if each:
+                sections.append(each)
+                every += each.sections if isinstance(each, Fold) else [each]
+        headings: dict[str, str] = {}
+        for section in every:
+            stem = name = re.sub("[^a-z0-9]+", "-", section.heading.lower()).strip("-") or "section"
+            while name in headings:
+                name = f"{stem}-{len(headings)}"
+            section.anchor = name
+            headings |= {name: section.heading} if section.heading else {}
         environment = Environment(autoescape=True)
-        environment.filters |= {"cell": _cell, "sentence": _sentence}
+        environment.filters |= {"cell": _cell, "sentence": _sentence, "plotted": _plotted}
+        programs = [PLOTLY] if any(section.plot or section.panels for section in every) else []
         parts = environment.from_string(_web("page.html")).generate(
-            page=page,
+            page=vars(self) | {"sections": sections, "headings": list(headings.items())},
             version=__version__,
             style=Html(_web("style.css")),
-            scripts=[Html(_web(name)) for name in _programs(sections)],
+            scripts=[Html(_web(name)) for name in (*programs, *_PROGRAMS)],
             most_rows=MOST_ROWS,
             fewest_contents=FEWEST_CONTENTS,
             signs=_SIGNS,
@@ -136,14 +123,6 @@ class Page:
 
 def _web(name: str) -> str:
     return resources.files(__package__).joinpath("web", name).read_text(encoding="utf-8")
-
-
-def _programs(sections: Sequence[Mapping[str, Any]]) -> Iterator[str]:
-    """The page's own programs; Plotly's where something is plotted."""
-    inside = [part for each in sections for part in each.get("sections", [each])]
-    if any(each["plot"] or each["panels"] for each in inside):
-        yield PLOTLY
-    yield from _PROGRAMS
 
 
 def _plotted(plot: go.Figure) -> dict[str, Any]:

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -12,12 +13,15 @@ from calib.motion import ArmEstimates
 
 from ..error_radius import error_radius
 from ..evaluation.advice import rejected
+from ..evaluation.coverage import camera_residuals, stated_and_actual
 from ..evaluation.measure_agreement import agreement_table, pair_table
+from ..evaluation.metrics import rms
 from ..evaluation.summary import GapSummary, error_figures, gap_summaries, recovery_figures
-from ..evaluation.validate import Validation
+from ..evaluation.validate import Validation, sample_errors
+from ..recording import Truth
 from ..result import Estimates, Recovery
 from ..result.untrusted import certain
-from ..table import Table, centimetres, fixed, percent
+from ..table import Table, centimetres, fixed, percent, tabulated
 from .sheet import NOT_TRUSTED, badge
 from .summary import WIDE_M
 
@@ -101,85 +105,111 @@ def _too_uncertain(recovery: Recovery) -> str | None:
 
 def rejections(recovery: Recovery) -> Table:
     """Rejected camera samples, one row per reason and joint."""
-    rows = [
-        (
-            *(row.reason, row.why, row.joint, row.count, percent(row.share)),
-            *(f"{row.first_s:.2f}", f"{row.last_s:.2f}"),
-        )
-        for row in rejected(recovery)
-    ]
-    columns = ("reason", "in words", "joint", "samples", "of its tracked ones", "first, s", "last, s")
-    return Table("Rejected camera samples", columns, rows, _REJECTED)
+    columns: dict[str, str | Callable[[Any], object]] = {
+        "reason": "reason",
+        "in words": "why",
+        "joint": "joint",
+        "samples": "count",
+        "of its tracked ones": lambda row: percent(row["share"]),
+        "first, s": lambda row: f"{row['first_s']:.2f}",
+        "last, s": lambda row: f"{row['last_s']:.2f}",
+    }
+    caption = "Tracked camera samples that were not used; the plot above shows when."
+    return tabulated("Rejected camera samples", rejected(recovery), columns, caption)
 
 
-_REJECTED = "Tracked camera samples that were not used; the plot above shows when."
+def consistency(recovery: Recovery, truth: Truth | None) -> Table:
+    """Whether what is stated holds: for the camera's joints, and for the sensor against a reference."""
+    parts = {f"camera's {joint}": each for joint, each in camera_residuals(recovery).items()}
+    if truth is not None and len(truth):
+        errors = sample_errors(recovery, truth).difference_m
+        for name, rows in (("in gaps", recovery.occluded), ("while seen", ~recovery.occluded)):
+            found = stated_and_actual(errors[rows], recovery.pose_covariance[rows, :3, :3])
+            parts |= {f"errors {name}": found} if len(found.squared) else {}
+    return tabulated(
+        "Whether sigma is consistent with the errors",
+        parts.items(),
+        {
+            "of": lambda row: row[0],
+            "samples": lambda row: len(row[1].squared),
+            "inside 50 %": lambda row: percent(row[1].inside(0.5)),
+            "inside 95 %": lambda row: percent(row[1].inside(0.95)),
+            "stated sigma, cm per axis": lambda row: centimetres(rms(row[1].sigma_m)),
+            "actual rms, cm per axis": lambda row: centimetres(rms(row[1].error_m)),
+        },
+        _CONSISTENT,
+    )
+
+
+_CONSISTENT = (
+    "The share of samples inside the region in which 50 and 95 % are stated to lie; fewer inside, or an"
+    " actual error above the stated one, is over-confident. For the camera, the statement is of the distance"
+    " between a sample that was used and the recovered joint: the camera's noise, and the joint's own sigma"
+    " as far as it is not the same all the time. For a reference, it is the sigma of the sensor's position."
+)
 
 
 def camera(estimates: ArmEstimates) -> Table:
     """Noise and constant errors of the camera's joints."""
-    rows = [
-        (joint, centimetres(error.sample_m), centimetres(error.bias_m) if error.bias_m > 0 else None)
-        for joint, error in estimates.camera.items()
-    ]
-    columns = ("camera's joint", "noise of a sample, cm per axis", "constant error against the others, cm")
-    return Table("Errors of the camera's joints", columns, rows)
+    return tabulated(
+        "Errors of the camera's joints",
+        estimates.camera.items(),
+        {
+            "camera's joint": lambda row: row[0],
+            "noise of a sample, cm per axis": lambda row: centimetres(row[1].sample_m),
+            "constant error against the others, cm": lambda row: centimetres(row[1].bias_m or None),
+        },
+    )
 
 
 def cameras(recovery: Recovery) -> Table:
     """Where each camera of several stands, and what it saw, one per row."""
     length_s = float(recovery.t_s[-1] - recovery.t_s[0]) if len(recovery) > 1 else float("nan")
-    rows = [
-        (
-            each.name,
-            None if each.p_K_C_m is None else _vector(each.p_K_C_m, 0),
-            centimetres(each.sigma_m),
-            fixed(each.sigma_deg),
-            None if each.offset_s is None else f"{1000 * each.offset_s:.1f}",
-            percent(sum(b - a for a, b in each.seen_s) / length_s) if each.takes_part else None,
-            f"left out: {each.reason}" if each.reason else "is used",
-        )
-        for each in recovery.estimates.cameras
-    ]
-    columns = (
-        *("camera", "place in the first one's frame, cm", "sigma, cm per axis", "sigma, degrees per axis"),
-        *("first clock less its own, ms", "saw the forearm", "remark"),
+    return tabulated(
+        "Cameras",
+        recovery.estimates.cameras,
+        {
+            "camera": "name",
+            "place in the first one's frame, cm": lambda each: _vector(each.p_K_C_m, 0),
+            "sigma, cm per axis": "sigma_m",
+            "sigma, degrees per axis": lambda each: fixed(each.sigma_deg),
+            "first clock less its own, ms": lambda each: fixed(each.offset_s and 1000 * each.offset_s, 1),
+            "saw the forearm": lambda each: (
+                percent(sum(b - a for a, b in each.seen_s) / length_s) if each.takes_part else None
+            ),
+            "remark": lambda each: f"left out: {each.reason}" if each.reason else "is used",
+        },
+        "Each camera was placed by the joints that it and the first one saw. A gap is a time in which none of"
+        " them saw the forearm.",
     )
-    return Table("Cameras", columns, rows, _CAMERAS)
-
-
-_CAMERAS = (
-    "Each camera was placed by the joints that it and the first one saw. A gap is a time in which none of"
-    " them saw the forearm."
-)
 
 
 def gaps(recovery: Recovery, validation: Validation | None = None) -> Table:
     """The gaps, one per row; with the errors in them where there is a reference."""
     errors = {} if validation is None else {gap.start_s: figures for gap, figures in validation.gaps}
     true = {start: centimetres(figures.position_p95_m) for start, figures in errors.items()}
-    with_errors = any(each is not None for each in true.values())
-    rows = []
-    for number, summary in enumerate(gap_summaries(recovery), start=1):
-        stated = summary.trusted is not False  # else it is withdrawn
-        flexion_deg = summary.sigma_max_flexion_deg
-        rows.append(
-            (
-                *(number, f"{summary.gap.start_s:.2f}", f"{summary.gap.length_s:.2f}"),
-                centimetres(summary.error_95_m) if stated else None,
-                *([true.get(summary.gap.start_s)] if with_errors else []),
-                fixed(summary.orientation_95_deg, 1) if stated else None,
-                fixed(1.96 * flexion_deg, 1) if stated and flexion_deg is not None else None,
-                "one side only" if summary.one_sided else "both sides",
-                percent(summary.answered),
-                _remark(summary),
-            )
-        )
-    columns = (
-        *("gap", "start, s", "length, s", "position within, cm"),
-        *(["against the reference, cm"] if with_errors else []),
-        *("orientation within, degrees", "elbow flexion ±, degrees", "camera saw the arm on", "answered", ""),
-    )
-    return Table("Gaps", columns, rows, _GAPS)
+
+    def stated(summary: GapSummary, value: float | None, digits: int = 1) -> str | None:
+        """What is not withdrawn."""
+        return None if summary.trusted is False else fixed(value, digits)
+
+    columns: dict[str, Callable[[tuple[int, GapSummary]], object]] = {
+        "gap": lambda row: row[0],
+        "start, s": lambda row: f"{row[1].gap.start_s:.2f}",
+        "length, s": lambda row: f"{row[1].gap.length_s:.2f}",
+        "position within, cm": lambda row: stated(row[1], row[1].error_95_m and 100 * row[1].error_95_m, 2),
+        "against the reference, cm": lambda row: true.get(row[1].gap.start_s),
+        "orientation within, degrees": lambda row: stated(row[1], row[1].orientation_95_deg),
+        "elbow flexion ±, degrees": lambda row: stated(
+            row[1], row[1].sigma_max_flexion_deg and 1.96 * row[1].sigma_max_flexion_deg
+        ),
+        "camera saw the arm on": lambda row: "one side only" if row[1].one_sided else "both sides",
+        "answered": lambda row: percent(row[1].answered),
+        "": lambda row: _remark(row[1]),
+    }
+    if not any(true.values()):
+        del columns["against the reference, cm"]
+    return tabulated("Gaps", enumerate(gap_summaries(recovery), start=1), columns, _GAPS)
 
 
 _GAPS = (
@@ -204,9 +234,9 @@ def _remark(summary: GapSummary) -> str:
 def measured(comparison: Validation) -> Iterator[Table]:
     """The measures of answer and reference, and how well they agree; none where there are none."""
     if (measures := comparison.measures) is not None:
-        pairs = pair_table(comparison.title("Measures against the reference"), measures)
+        pairs = pair_table(comparison.alignment.titled("Measures against the reference"), measures)
         yield replace(pairs, caption=" ".join((_MEASURED, *measures.notes)))
-        agreement = agreement_table(comparison.title("How well the measures agree"), measures)
+        agreement = agreement_table(comparison.alignment.titled("How well the measures agree"), measures)
         yield replace(agreement, caption=_AGREED)
 
 
@@ -252,8 +282,8 @@ _CALIBRATION = (
 )
 
 
-def _vector(metres: Iterable[float], decimals: int) -> str:
-    return ", ".join(f"{100 * item:.{decimals}f}" for item in metres)
+def _vector(metres: Iterable[float] | None, decimals: int) -> str | None:
+    return None if metres is None else ", ".join(f"{100 * item:.{decimals}f}" for item in metres)
 
 
 def settings(config: dict[str, object]) -> Table:

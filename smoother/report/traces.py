@@ -4,14 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import plotly.graph_objects as go
-from plotly.subplots import make_subplots
 
 from ..angles import AngleTable
 from ..array_types import BoolArray, FloatArray
 from ..error_radius import error_radius
-from ..evaluation.agreement import WORDS, Agreement, AngleComparison, unwound_deg
-from ..evaluation.coverage import LEVELS, StatedAndActual, stated_and_actual
-from ..evaluation.metrics import truth_at
 from ..evaluation.validate import sample_errors
 from ..joint_angles import arm_angles
 from ..recording import JOINTS, CameraFrame, Truth
@@ -30,7 +26,6 @@ from .style import (
     curve,
     decimate,
     dots,
-    dress,
     over_time,
     seen_and_recovered,
 )
@@ -39,8 +34,8 @@ from .style import (
 Z_95 = 1.96
 #: Samples of an angle farther apart than this are not joined, degrees.
 MOST_STEP_DEG = 120.0
-#: Most residuals of a joint, and most differences of an angle, that are drawn.
-MOST_RESIDUALS, MOST_DIFFERENCES = 1200, 1500
+#: Most residuals of a joint that are drawn.
+MOST_RESIDUALS = 1200
 
 
 def _thinned(chosen: BoolArray, most: int) -> np.ndarray:
@@ -185,101 +180,3 @@ def residuals(recovery: Recovery) -> go.Figure | None:
     if not rows:
         return None
     return over_time(recovery, rows, 120, head=60).update_yaxes(rangemode="tozero")
-
-
-def against_truth(recovery: Recovery, truth: Truth | None) -> dict[str, StatedAndActual]:
-    """Position errors with what was stated of them, in gaps and while seen; empty without a reference."""
-    if truth is None or not len(truth):
-        return {}
-    reference = truth_at(truth, recovery.t_s)
-    error = np.where(reference.score[:, None], recovery.position - reference.position, np.nan)
-    parts = {"in gaps": recovery.occluded, "while seen": ~recovery.occluded}
-    by_part = {
-        name: stated_and_actual(error[part], recovery.pose_covariance[part, :3, :3])
-        for name, part in parts.items()
-    }
-    return {name: errors for name, errors in by_part.items() if len(errors.squared)}
-
-
-def calibration_curves(
-    camera: dict[str, StatedAndActual], truth: dict[str, StatedAndActual]
-) -> go.Figure | None:
-    """Coverage curve, and actual error against stated sigma: a row for the camera, one for a reference."""
-    colours = {**JOINT_COLOURS, "in gaps": OCCLUDED, "while seen": VISIBLE}
-    of = {"distance to camera samples": camera, "errors against the reference": truth}
-    rows = {name: parts for name, parts in of.items() if parts}
-    if not rows:
-        return None
-    figure = make_subplots(
-        rows=len(rows),
-        cols=2,
-        subplot_titles=[
-            f"{w}<br>({n})" for n in rows for w in ("inside the stated region", "stated and actual")
-        ],
-        vertical_spacing=0.2,
-        horizontal_spacing=0.1,
-    )
-    for row, parts in enumerate(rows.values(), start=1):
-        binned = {name: [100 * each for each in errors.binned()] for name, errors in parts.items()}
-        ends = [0, 1.08 * max(0.1, *(each.max(initial=0.0) for both in binned.values() for each in both))]
-        for column, ideal in ((1, [0, 100]), (2, ends)):
-            line = curve(ideal, ideal, "consistent", CAMERA, 1.2, "dash", showlegend=row == column == 1)
-            figure.add_trace(line, row=row, col=column)
-        for name, errors in parts.items():
-            words = f"errors {name}" if name not in JOINT_COLOURS else name
-            inside = curve(100 * LEVELS, 100 * errors.coverage(), words, colours[name], 2)
-            stated, actual = binned[name]
-            sizes = curve(stated, actual, words, colours[name], 2, showlegend=False)
-            figure.add_trace(inside.update(legendgroup=words), row=row, col=1)
-            figure.add_trace(sizes.update(legendgroup=words, mode="lines+markers"), row=row, col=2)
-        figure.update_xaxes(title_text="stated to lie inside, %", range=[0, 100], row=row, col=1)
-        figure.update_yaxes(title_text="do lie inside, %", range=[0, 100], row=row, col=1)
-        figure.update_xaxes(title_text="stated sigma, cm per axis", range=ends, row=row, col=2)
-        figure.update_yaxes(title_text="actual rms, cm per axis", range=ends, row=row, col=2)
-    return dress(figure, 110 + 350 * len(rows), head=80)
-
-
-def share_inside(camera: dict[str, StatedAndActual], truth: dict[str, StatedAndActual]) -> str:
-    """The shares inside the 95 % region, in a sentence."""
-    parts = []
-    if camera:
-        squared = np.concatenate([errors.squared for errors in camera.values()])
-        whole = StatedAndActual(squared, squared, squared)
-        parts.append(f"{100 * whole.inside(0.95):.0f} % of the camera's samples")
-    parts += [f"{100 * errors.inside(0.95):.0f} % of the errors {name}" for name, errors in truth.items()]
-    return f"Inside the region that should contain 95 % are {', '.join(parts)}." if parts else ""
-
-
-def bland_altman(recovery: Recovery, angles: AngleComparison, figures: dict[str, Agreement]) -> go.Figure:
-    """Difference over mean, a panel an angle."""
-    names = angles.compared
-    columns = min(2, len(names))
-    rows = -(-len(names) // columns)
-    figure = make_subplots(
-        rows=rows,
-        cols=columns,
-        subplot_titles=[WORDS[name] for name in names],
-        vertical_spacing=0.28 / rows,
-        horizontal_spacing=0.1,
-    )
-    for number, name in enumerate(names):
-        place = {"row": number // columns + 1, "col": number % columns + 1}
-        answer, true = angles.answer[name].copy(), angles.truth[name].copy()
-        both = np.isfinite(answer) & np.isfinite(true)
-        answer[both], true[both] = unwound_deg(answer[both], true[both])
-        for which, part, colour in (
-            ("while seen", ~recovery.occluded, VISIBLE),
-            ("in gaps", recovery.occluded, OCCLUDED),
-        ):
-            chosen = _thinned(part & both, MOST_DIFFERENCES)
-            mean, difference = 0.5 * (answer + true)[chosen], (answer - true)[chosen]
-            samples = dots(mean, difference, which, colour, 4, legendgroup=which, showlegend=number == 0)
-            figure.add_trace(samples.update(marker_opacity=0.5), **place)
-        each = figures[name]
-        for line_of, dash in (("bias", "solid"), ("limits_low", "dash"), ("limits_high", "dash")):
-            if (value := each[line_of]) is not None:
-                line = {"color": TRUTH, "width": 1.2, "dash": dash}
-                figure.add_hline(value, line=line, annotation_text=f"{value:+.1f}", **place)
-    figure.update_xaxes(title_text="mean of both, degrees")
-    figure.update_yaxes(title_text="answer - reference, degrees")
-    return dress(figure, 80 + 330 * rows, head=70)

@@ -82,7 +82,7 @@ class TestValidation:
         figures = found.to_dict()
         assert figures["alignment"] == "none"
         assert figures["clock"]["offset_s"] == 0
-        assert found.title("Error") == "Error"
+        assert found.alignment.titled("Error") == "Error"
 
     def test_angles_agree_and_the_lag_is_nil(self, found):
         angles = found.angle_figures["all"]
