@@ -8,6 +8,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy.signal import butter, sosfiltfilt
 
 from ..array_types import BoolArray, FloatArray
@@ -180,24 +181,14 @@ def state_model(
 
 #: Published values in SI units.
 Q_STILL = 2000e-6  # m^2/s^5
-POSITION_SIGMA_M = 0.008
-ACC_SIGMA_STILL = 0.010  # m/s^2
-ACC_SIGMA_MOVING = 0.100
+#: Of a position, and of an acceleration of a still and of a moving hand, m and m/s^2.
+FENG_SIGMAS = (0.008, 0.010, 0.100)
 MOVING_SPEED = 0.150  # m/s
 #: Process noises of a moving hand that are tried, m^2/s^5.
 Q_MOVING = tuple(2000e-6 * 10.0 ** np.arange(0, 7))
 #: What is known of velocity and acceleration before the first frame, m/s and m/s^2.
 START_SIGMA = (1.0, 10.0)
 LEAST_CAMERA_SIGMA_M = 1e-4
-
-
-@dataclass(frozen=True)
-class FilterNoise:
-    """Standard deviations of the measurements."""
-
-    sigma_m: float = POSITION_SIGMA_M  # Of a position
-    acc_still: float = ACC_SIGMA_STILL  # m/s^2: of an acceleration of a still and of a moving hand
-    acc_moving: float = ACC_SIGMA_MOVING
 
 
 @dataclass(frozen=True)
@@ -223,14 +214,13 @@ def multirate_kalman(scene: Scene) -> Path:
     covariance = np.full((n, 3, 3), np.nan)
     after = np.flatnonzero(scene.t >= frame_t[0])
     leak = scene.attitude_sigma_rad * float(np.linalg.norm(scene.gravity))
-    noise = FilterNoise(
-        max(scene.point_sigma_m, LEAST_CAMERA_SIGMA_M), *np.hypot((ACC_SIGMA_STILL, ACC_SIGMA_MOVING), leak)
-    )
+    sigmas = np.hypot(FENG_SIGMAS, (0.0, leak, leak))
+    sigmas[0] = max(scene.point_sigma_m, LEAST_CAMERA_SIGMA_M)
     events = merge(frame_t, point, scene.t[after], scene.acceleration[after])
     moving = np.ones(len(events.t), dtype=bool)
-    q_moving, filtered = likeliest(events, moving, noise)
+    q_moving, filtered = likeliest(events, moving, sigmas)
     moving = np.linalg.norm(filtered.mean[:, 1], axis=1) > MOVING_SPEED
-    filtered, _ = kalman_filter(multirate_model(events, moving, noise, q_moving))
+    filtered, _ = kalman_filter(multirate_model(events, moving, sigmas, q_moving))
     row = np.flatnonzero(np.isfinite(events.acceleration[:, 0]))
     position[after], velocity[after] = filtered.mean[row, 0], filtered.mean[row, 1]
     covariance[after] = filtered.covariance[row, 0, 0][:, None, None] * np.eye(3)
@@ -248,12 +238,12 @@ def merge(frame_t: FloatArray, point: FloatArray, t: FloatArray, acceleration: F
     )
 
 
-def likeliest(events: Events, moving: BoolArray, noise: FilterNoise) -> tuple[float, FilterEstimates]:
+def likeliest(events: Events, moving: BoolArray, sigmas: FloatArray) -> tuple[float, FilterEstimates]:
     """The process noise of a moving hand under which the camera's samples are likeliest, and its filter."""
     candidates = np.array(Q_MOVING)
-    filtered, predicted = kalman_filter(multirate_model(events, moving, noise, candidates))
+    filtered, predicted = kalman_filter(multirate_model(events, moving, sigmas, candidates))
     is_frame = np.isfinite(events.position[:, 0])
-    variance = predicted.covariance[is_frame, :, 0, 0] + noise.sigma_m**2
+    variance = predicted.covariance[is_frame, :, 0, 0] + sigmas[0] ** 2
     innovation = events.position[is_frame, None] - predicted.mean[is_frame, :, 0]
     loss = np.sum(3.0 * np.log(variance) + np.sum(innovation**2, axis=2) / variance, axis=0)
     best = int(np.argmin(loss))
@@ -261,10 +251,10 @@ def likeliest(events: Events, moving: BoolArray, noise: FilterNoise) -> tuple[fl
 
 
 def multirate_model(
-    events: Events, moving: BoolArray, noise: FilterNoise, q_moving: FloatArray | float
+    events: Events, moving: BoolArray, sigmas: ArrayLike, q_moving: FloatArray | float
 ) -> Chain:
     """Equations 3.1-3.7; Q's entry [2, 2] is dt^3/3 (Bar-Shalom et al. 2004; misprinted as dt^3/6 in 3.3)."""
-    q = np.asarray(q_moving, dtype=np.float64)
+    q, (sigma_m, acc_still, acc_moving) = np.asarray(q_moving, dtype=np.float64), np.asarray(sigmas)
 
     def for_all(stack: FloatArray) -> FloatArray:
         """A stack (m, 3, 3) that is the same for all candidates."""
@@ -276,10 +266,10 @@ def multirate_model(
     shares = np.array([[1 / 20, 1 / 8, 1 / 6], [1 / 8, 1 / 3, 1 / 2], [1 / 6, 1 / 2, 1.0]])
     Q = for_all(shares * dt[:, None, None] ** powers) * q_t[..., None, None]
     is_frame, is_sample = np.isfinite(events.position[:, 0]), np.isfinite(events.acceleration[:, 0])
-    acc_weight = np.where(moving, noise.acc_moving, noise.acc_still) ** -2.0
+    acc_weight = np.where(moving, acc_moving, acc_still) ** -2.0
     information, vector = np.zeros((len(events.t), 3, 3)), np.zeros((len(events.t), 3, 3))
-    information[is_frame, 0, 0] = noise.sigma_m**-2.0
-    vector[is_frame, 0] = events.position[is_frame] / noise.sigma_m**2
+    information[is_frame, 0, 0] = sigma_m**-2.0
+    vector[is_frame, 0] = events.position[is_frame] / sigma_m**2
     information[is_sample, 2, 2] = acc_weight[is_sample]
     vector[is_sample, 2] = events.acceleration[is_sample] * acc_weight[is_sample, None]
     start = np.zeros((*q.shape, 3, 3))
@@ -291,5 +281,5 @@ def multirate_model(
         information=for_all(information),
         vector=for_all(vector),
         mean=start,
-        covariance=np.diag([noise.sigma_m**2, START_SIGMA[0] ** 2, START_SIGMA[1] ** 2]),
+        covariance=np.diag([sigma_m**2, START_SIGMA[0] ** 2, START_SIGMA[1] ** 2]),
     )

@@ -152,29 +152,24 @@ def comotti(samples: EvenSamples) -> FloatArray:
 
 def observed(predicted: Quaternion, up: Vector, field: Vector | None) -> Quaternion:
     """The attitude that gravity and field show (eq 1), of the sign nearer to the prediction (eq 2)."""
-    if field is None or field[0] != field[0]:
-        field = _north(predicted)
-    west = _normalised(_cross(up, field))
-    north = _cross(west, up)
-    # rows of R_E_A: the earth's axes in the sensor
-    z = quaternion_of(north, west, up)
-    return z if sum(a * b for a, b in zip(z, predicted, strict=True)) >= 0 else (-z[0], -z[1], -z[2], -z[3])
-
-
-def quaternion_of(x: Vector, y: Vector, z: Vector) -> Quaternion:
-    """Quaternion of the matrix with these rows, from its largest component (van Waveren 2005)."""
-    trace = x[0] + y[1] + z[2]
-    if trace > 0:
-        s = 2.0 * math.sqrt(1.0 + trace)
-        return 0.25 * s, (z[1] - y[2]) / s, (x[2] - z[0]) / s, (y[0] - x[1]) / s
-    if x[0] >= y[1] and x[0] >= z[2]:
-        s = 2.0 * math.sqrt(1.0 + x[0] - y[1] - z[2])
-        return (z[1] - y[2]) / s, 0.25 * s, (x[1] + y[0]) / s, (x[2] + z[0]) / s
-    if y[1] >= z[2]:
-        s = 2.0 * math.sqrt(1.0 + y[1] - x[0] - z[2])
-        return (x[2] - z[0]) / s, (x[1] + y[0]) / s, 0.25 * s, (y[2] + z[1]) / s
-    s = 2.0 * math.sqrt(1.0 + z[2] - x[0] - y[1])
-    return (y[0] - x[1]) / s, (x[2] + z[0]) / s, (y[2] + z[1]) / s, 0.25 * s
+    w, x, y, z = predicted
+    if field is None or field[0] != field[0]:  # x of {E} in {A} as predicted
+        field = 1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - w * z), 2.0 * (x * z + w * y)
+    b = _normalised(_cross(up, field))
+    a, c = _cross(b, up), up
+    # rows of R_E_A: the earth's axes in the sensor. With its quaternion q, 4 q q' is linear in them
+    # (Shepperd 1978), and that times the prediction is q of the wanted sign, but for its length
+    less = 1.0 - (a[0] + b[1] + c[2])
+    dx, dy, dz = c[1] - b[2], a[2] - c[0], b[0] - a[1]
+    xy, xz, yz = a[1] + b[0], a[2] + c[0], b[2] + c[1]
+    return _normalised(
+        (
+            (2.0 - less) * w + dx * x + dy * y + dz * z,
+            dx * w + (less + 2.0 * a[0]) * x + xy * y + xz * z,
+            dy * w + xy * x + (less + 2.0 * b[1]) * y + yz * z,
+            dz * w + xz * x + yz * y + (less + 2.0 * c[2]) * z,
+        )
+    )
 
 
 def product(a: Quaternion, b: Quaternion) -> Quaternion:
@@ -187,12 +182,6 @@ def product(a: Quaternion, b: Quaternion) -> Quaternion:
         aw * by - ax * bz + ay * bw + az * bx,
         aw * bz + ax * by - ay * bx + az * bw,
     )
-
-
-def _north(q: Quaternion) -> Vector:
-    """X of {E} in {A}: the first row of `R_E_A`."""
-    w, x, y, z = q
-    return 1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - w * z), 2.0 * (x * z + w * y)
 
 
 def _cross(a: Vector, b: Vector) -> Vector:

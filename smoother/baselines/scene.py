@@ -17,7 +17,7 @@ from ..cameras import join_cameras
 from ..cameras.joining import FOREARM_M
 from ..config import CameraNoise
 from ..errors import SolveError
-from ..linalg import interpolate, rotate_covariance, skew
+from ..linalg import interpolate
 from ..measurements.alignment import Alignment, VectorPairs, align, lever_of, pairs
 from ..measurements.inertial import InertialSignal, inertial_attitude
 from ..measurements.segment import FEWEST_SAMPLES, Segment
@@ -26,6 +26,7 @@ from ..measurements.visibility import Gap, enough_joints, find_gaps, joints_need
 from ..recording import FOREARM_JOINTS, JOINTS, ImuStream, JointState, Recording
 from ..result import Estimates, Recovery
 from ..units import GRAVITY
+from ..window.trajectory import joint_from_pose
 from .orientation import attitude_by
 
 #: The note of a path where a method has too little to begin with.
@@ -269,19 +270,8 @@ def _point_sigma(sigma_m: dict[str, float] | None, used: BoolArray) -> float:
 
 #: What of the graph's figures a baseline gets, and its result repeats.
 GRAPH_ESTIMATES = (
-    "camera_sigma_m",
-    "camera_effective_sigma_m",
-    "joint_bias_m",
-    "joint_bias_sigma_m",
-    "trusted",
-    "reasons",
-    "cautions",
-    "cause",
-    "remedies",
-    "untrusted",
-    "findings",
-    "pairing",
-    "clock_given_s",
+    *("camera_sigma_m", "camera_effective_sigma_m", "joint_bias_m", "joint_bias_sigma_m", "clock_given_s"),
+    *("trusted", "reasons", "cautions", "cause", "remedies", "untrusted", "findings", "pairing"),
 )
 #: The note of every baseline's result.
 GRAPH_NOTE = (
@@ -342,15 +332,20 @@ def _write(recovery: Recovery, recording: Recording, scene: Scene, path: Path) -
         return values if same else interpolate(scene.t, values, stamps)
 
     R = scene.R_K_A if path.R_K_A is None else path.R_K_A
-    pose_covariance = _pose_covariance(scene, path)
+    place, turn = (
+        np.full((len(scene.t), 3, 3), np.nan) if each is None else each
+        for each in (path.covariance, path.attitude_covariance)
+    )
     recovery.position[rows] = at_stamps(path.position)
     recovery.quaternion[rows] = _quaternion(scene.t, R, stamps)
-    recovery.pose_covariance[rows] = at_stamps(pose_covariance)
+    recovery.pose_covariance[rows] = at_stamps(_independent(place, turn))
     if path.velocity is not None:
         recovery.velocity[rows] = at_stamps(path.velocity)
+    if path.attitude_covariance is None:  # the scene's orientation, with the sigma that the scene states
+        turn = np.tile(np.eye(3) * scene.attitude_sigma_rad**2, (len(scene.t), 1, 1))
     joints = {"strap": _strap(scene, path, R)}
     for joint in recovery.joints:
-        joints[joint], covariance = _joint(joint, scene, path, R, pose_covariance)
+        joints[joint], covariance = _joint(joint, scene, path, R, _independent(place, turn))
         recovery.joints[joint][rows] = at_stamps(joints[joint])
         recovery.joint_covariance[joint][rows] = at_stamps(covariance)
     frames = (frame_t >= scene.t[0]) & (frame_t <= scene.t[-1])
@@ -360,39 +355,26 @@ def _write(recovery: Recovery, recording: Recording, scene: Scene, path: Path) -
         recovery.residuals.residual[frames, column] = recording.arm.position[frames, column] - at_frames
 
 
-def _pose_covariance(scene: Scene, path: Path) -> FloatArray:
-    """(n, 6, 6) of position and orientation, independent of each other; nan where the path states none."""
-    covariance = np.full((len(scene.t), 6, 6), np.nan)
-    if path.covariance is not None:
-        covariance[:, :3, :3] = path.covariance
-    if path.attitude_covariance is not None:
-        covariance[:, 3:, 3:] = path.attitude_covariance
-    if path.covariance is not None and path.attitude_covariance is not None:
-        covariance[:, :3, 3:] = covariance[:, 3:, :3] = 0.0
-    return covariance
+def _independent(place: FloatArray, turn: FloatArray) -> FloatArray:
+    """(n, 6, 6) of position and orientation (n, 3, 3), independent; nan where one is unknown."""
+    none = 0.0 * (place + turn)
+    return np.block([[place, none], [none, turn]])
 
 
 def _joint(
     joint: str, scene: Scene, path: Path, R: FloatArray, pose_covariance: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """A joint's position (n, 3) and covariance (n, 3, 3) at the scene's times."""
-    unknown = np.full((len(scene.t), 3, 3), np.nan)
+    unknown, lever = np.full((len(scene.t), 3, 3), np.nan), lever_of(scene.calibration, joint)
     if joint in path.joints:
         return path.joints[joint], unknown
     if joint == "shoulder":
         return scene.shoulder, unknown
-    lever = lever_of(scene.calibration, joint)
     if lever is None:
         return unknown[:, 0], unknown
-    arm = R @ lever
-    attitude_covariance = pose_covariance[:, 3:, 3:]
-    if path.attitude_covariance is None:  # the scene's orientation, with the sigma that the scene states
-        attitude_covariance = np.tile(np.eye(3) * scene.attitude_sigma_rad**2, (len(arm), 1, 1))
-    covariance = pose_covariance[:, :3, :3] + rotate_covariance(skew(arm), attitude_covariance)
-    if joint in scene.calibration.lever_arms:
-        sigma = scene.calibration.lever_arms[joint].sigma_m
-        covariance = covariance + rotate_covariance(R, np.diag(sigma**2))
-    return path.position + arm, covariance
+    known = scene.calibration.lever_arms.get(joint)
+    spread = None if known is None else np.diag(known.sigma_m**2)
+    return joint_from_pose(R, path.position, pose_covariance, lever, spread)
 
 
 def _strap(scene: Scene, path: Path, R: FloatArray) -> FloatArray:

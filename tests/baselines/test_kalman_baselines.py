@@ -7,9 +7,9 @@ import pytest
 
 from smoother.array_types import FloatArray
 from smoother.baselines.kalman import (
+    FENG_SIGMAS,
     Chain,
     Events,
-    FilterNoise,
     deviations_at_rest,
     kalman_filter,
     merge,
@@ -100,10 +100,9 @@ def test_multirate_states_smaller_sigmas_as_published():
     1.4 mm/s (still) and 2.8 mm and 7.3 mm/s (moving), so that the mean depends on how long the hand moved.
     """
     both, single, speed = feng_move(0)
-    noise = FilterNoise()
-    one, _ = kalman_filter(wiener_model(single, np.zeros(len(single.t), dtype=bool), noise, 2000e-6))
+    one, _ = kalman_filter(wiener_model(single, np.zeros(len(single.t), dtype=bool), FENG_SIGMAS, 2000e-6))
     moving = np.interp(both.t, np.arange(450) / 90.0, speed) > 0.150
-    two, _ = kalman_filter(wiener_model(both, moving, noise, 2000e-6))
+    two, _ = kalman_filter(wiener_model(both, moving, FENG_SIGMAS, 2000e-6))
     # the single-rate filter's sigma is constant once it has converged
     late_one, late_two = single.t > 3.0, (both.t > 0.5) & np.isfinite(both.acceleration[:, 0])
     sigma_one = 1000.0 * np.sqrt(np.einsum("nii->ni", one.covariance[late_one])).mean(axis=0)
