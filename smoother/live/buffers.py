@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from bisect import bisect_left, insort
+from bisect import bisect_left
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -204,28 +204,30 @@ class FrameBuffer:
     def __len__(self) -> int:
         return len(self._frames)
 
-    @property
-    def end_s(self) -> float:
-        """Stamp of the newest frame, s on the camera's clock; -inf without any."""
-        return self._frames[-1].t_s if self._frames else -np.inf
+    def _at(self, t_s: float) -> int:
+        """How many frames are before a stamp."""
+        return bisect_left(self._frames, t_s, key=lambda frame: frame.t_s)
+
+    def _has(self, index: int, t_s: float) -> bool:
+        return index < len(self._frames) and self._frames[index].t_s == t_s
 
     def add(self, frame: SkeletonFrame) -> bool:
         """Sort a frame in; False where it is too late or was here already."""
-        if not np.isfinite(frame.t_s) or frame.t_s < self.end_s - LATE_S:
+        t_s, newest_s = frame.t_s, self._frames[-1].t_s if self._frames else -np.inf
+        if not np.isfinite(t_s) or t_s < newest_s - LATE_S:
             self.late += 1
             return False
-        index = bisect_left(self._frames, frame.t_s, key=_stamp)
-        if index < len(self._frames) and self._frames[index].t_s == frame.t_s:
+        if self._has(index := self._at(t_s), t_s):
             self.duplicate += 1
             return False
-        insort(self._frames, frame, key=_stamp)
-        if frame.t_s - self._frames[0].t_s > 1.25 * self._capacity_s:
-            del self._frames[: bisect_left(self._frames, frame.t_s - self._capacity_s, key=_stamp)]
+        self._frames.insert(index, frame)
+        if t_s - self._frames[0].t_s > 1.25 * self._capacity_s:
+            del self._frames[: self._at(t_s - self._capacity_s)]
         return True
 
     def leave_out(self, since_s: float, until_s: float) -> None:
         """Take the joints of frames out, as long as they are not restored."""
-        for index in range(*(bisect_left(self._frames, t, key=_stamp) for t in (since_s, until_s))):
+        for index in range(self._at(since_s), self._at(until_s)):
             frame = self._frames[index]
             if frame.state.any():
                 self._left_out.append(frame)
@@ -234,10 +236,9 @@ class FrameBuffer:
     def restore(self) -> None:
         """Put those back that were left out: it was not the camera that was wrong."""
         for frame in self._left_out:
-            index = bisect_left(self._frames, frame.t_s, key=_stamp)
-            if index < len(self._frames) and self._frames[index].t_s == frame.t_s:
+            if self._has(index := self._at(frame.t_s), frame.t_s):
                 self._frames[index] = frame
-        self._left_out = []
+        self.confirm()
 
     def confirm(self) -> None:
         """Those that were left out stay out."""
@@ -245,7 +246,7 @@ class FrameBuffer:
 
     def since(self, t_s: float) -> list[SkeletonFrame]:
         """Frames from a stamp on, s on the camera's clock."""
-        return self._frames[bisect_left(self._frames, t_s, key=_stamp) :]
+        return self._frames[self._at(t_s) :]
 
     def tracks(self, start_s: float) -> JointTracks:
         """The frames from a stamp on as tracks of joints."""
@@ -256,7 +257,3 @@ class FrameBuffer:
             np.array([frame.position for frame in frames], dtype=float).reshape(-1, len(JOINTS), 3),
             np.array([frame.state for frame in frames], dtype=np.int8).reshape(-1, len(JOINTS)),
         )
-
-
-def _stamp(frame: SkeletonFrame) -> float:
-    return frame.t_s

@@ -22,13 +22,7 @@ from ..measurements.outliers import reject_by_camera
 from ..measurements.segment import Timeline
 from ..measurements.visibility import joints_needed
 from ..recording import CameraFrame, Recording
-from ..runtime.pool import (
-    Pool,
-    end_if_one_died,
-    end_workers,
-    prepare_worker,
-    starting_processes,
-)
+from ..runtime.pool import Pool, end_if_one_died, end_workers, prepare_worker, starting_processes
 from ..selfcal.excerpts import informative_excerpts
 from ..selfcal.further_imu import calibrate_further_imus, without_joints_of
 from ..selfcal.pairing import coarse_clock
@@ -57,8 +51,9 @@ class CalibrationJob:
 class LiveCalibration:
     """What a self-calibration answered."""
 
-    from_s: float = math.nan  # The first and the last IMU sample that it read, on the IMU's clock
-    until_s: float = math.nan  # The first and the last IMU sample that it read, on the IMU's clock
+    # The first and the last IMU sample that it read, on the IMU's clock
+    from_s: float = math.nan
+    until_s: float = math.nan
     model: SelfCalibration | None = None  # None where the motion did not suffice
     clock: Clock | None = None  # t_imu = t_camera + offset, of the camera's own stamps; None without a model
     reason: str = ""  # Why there is no model, one sentence; "" where there is one
@@ -82,9 +77,8 @@ def _calibrated(job: CalibrationJob, before: Clock) -> LiveCalibration:
     arm = job.recording.arm
     recording = replace(job.recording, arm=replace(arm, t_s=before.to_imu(arm.t_s)))
     try:
-        excerpts = [
-            reject_by_camera(excerpt) for excerpt in informative_excerpts(recording, Timeline.of(recording))
-        ]
+        found = informative_excerpts(recording, Timeline.of(recording))
+        excerpts = [reject_by_camera(excerpt) for excerpt in found]
         if not excerpts:
             return LiveCalibration(reason="the IMU and a visible forearm do not overlap yet")
         config = with_measured_noise(job.config, recording.imu)

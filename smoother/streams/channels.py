@@ -59,21 +59,6 @@ class StreamLabels:
             channel = channel.next_sibling("channel")
         return cls(info.name(), info.type(), labels, types, units, info.channel_format() == _STRINGS)
 
-    def difference(self, other: StreamLabels) -> str:
-        """What another description says otherwise; "" where both mean the same."""
-        if other.is_text != self.is_text:
-            return "text instead of numbers" if other.is_text else "numbers instead of text"
-        if len(other.labels) != len(self.labels):
-            return f"{len(other.labels)} channels instead of {len(self.labels)}"
-        if sorted(other.labels) == sorted(self.labels) and other.labels != self.labels:
-            return f"its channels in another order ({', '.join(other.labels[:6])} ..)"
-        for what in ("labels", "types", "units"):
-            for at, (before, now) in enumerate(zip(getattr(self, what), getattr(other, what), strict=True)):
-                if before != now:
-                    name = self.labels[at] or f"channel {at + 1}"
-                    return f"the {what[:-1]} {now or 'nothing'} instead of {before or 'nothing'} for {name}"
-        return ""
-
     def check_numbers(self) -> None:
         """Refuse a stream of text."""
         if self.is_text:

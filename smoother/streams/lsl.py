@@ -24,8 +24,8 @@ import numpy as np
 
 from ..array_types import FloatArray
 from ..errors import UnoccludeError
+from ..joint_angles import arm_angles
 from ..live.answers import LiveEstimate, LiveOutput, LiveState
-from ..live.arm_angles import ANGLES, live_angles
 from ..recording import JOINTS
 from ..runtime.packages import extra_module
 from ..runtime.pool import prepare_worker, starting_processes
@@ -60,6 +60,34 @@ def lsl_module() -> ModuleType:
     if user_settings() is None and hasattr(pylsl, "set_config_content"):
         pylsl.set_config_content(_NO_LOG)
     return pylsl
+
+
+#: Angles that are sent; that of the forearm is above level.
+ANGLES = ("elbow_flexion", "shoulder_elevation", "forearm_elevation")
+#: A step for slopes, m.
+_STEP_M = 1e-4
+
+
+def live_angles(estimate: LiveEstimate, down: FloatArray | None) -> dict[str, tuple[float, float]]:
+    """Angles and their sigmas, degrees, by name; errors of joints count as independent: the safe side."""
+    joints = [joint for joint in ("shoulder", "elbow", "wrist") if joint in estimate.joints]
+    # the arm, and once more with each coordinate of each joint moved by a step
+    moved = np.concatenate([np.zeros((1, 3 * len(joints))), _STEP_M * np.eye(3 * len(joints))])
+    at = {joint: estimate.joints[joint] + moved[:, 3 * k : 3 * k + 3] for k, joint in enumerate(joints)}
+    angles = arm_angles(at, len(moved), down=down)
+    if down is not None and {"elbow", "wrist"} <= at.keys():
+        fore = at["wrist"] - at["elbow"]
+        angles["forearm_elevation"] = np.degrees(
+            np.arctan2(-fore @ down, np.linalg.norm(np.cross(fore, down), axis=1))
+        )
+    found = {}
+    for name in ANGLES:
+        if name in angles and np.isfinite(angles[name]).all():
+            slopes = ((angles[name][1:] - angles[name][0]) / _STEP_M).reshape(-1, 3)
+            covariances = (estimate.joint_covariance[joint] for joint in joints)
+            variance = sum(g @ C @ g for g, C in zip(slopes, covariances, strict=True))
+            found[name] = float(angles[name][0]), float(np.sqrt(variance))
+    return found
 
 
 #: What the channel `state` says.

@@ -134,18 +134,13 @@ class LslInlet:
         return None
 
     def _compare(self, before: StreamLabels, now: StreamLabels, stream: Any) -> None:
-        """Refuse a stream that came back as another one; warn of other changes."""
-        difference = before.difference(now)
-        if difference:
+        """Refuse a stream that came back as another one."""
+        if now != before:
             raise UnoccludeError(
-                f"the stream {printable(now.name)} came back with {printable(difference)};"
-                " begin a new session"
+                f"the stream {self.name} came back with other labels, units or channels; begin a new session"
             )
         if stream.source_id() != self.stream.source_id():
-            self._events.put(f"{printable(now.name)}: found again by its name, its source_id is another")
-        rates = [float(each.nominal_srate()) for each in (self.stream, stream)]
-        if rates[0] != rates[1]:
-            self._events.put(f"{printable(now.name)}: states {rates[1]:g} /s instead of {rates[0]:g} /s")
+            self._events.put(f"{self.name}: found again by its name, its source_id is another")
 
     def _matching(self) -> Any:
         """The stream that is meant among those that answered; None where it is not there."""

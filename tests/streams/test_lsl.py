@@ -231,7 +231,7 @@ def test_an_outlet_that_comes_back_is_known_by_its_name_and_refused_with_another
     assert answers["first"] and answers["second"]
     assert answers["events"] == ["wrist: found again by its name, its source_id is another"]
     assert answers["refused"] == (
-        "the stream wrist came back with the unit g instead of m/s^2 for acc_x; begin a new session"
+        "the stream wrist came back with other labels, units or channels; begin a new session"
     )
 
 

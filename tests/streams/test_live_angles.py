@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from live_answers import answer
 
-from smoother.live.arm_angles import live_angles
+from smoother.streams.lsl import live_angles
 
 
 def test_angles_and_their_sigmas_agree_with_drawn_joints():
