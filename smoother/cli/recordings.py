@@ -67,9 +67,7 @@ def info(
 def topic_table(about: RecordingInfo) -> Table:
     """The topics of a recording."""
     title = f"{about.path}, {about.size_bytes / 1e6:.1f} MB"
-    return tabulated(
-        title, map(vars, about.topics), "name=topic schema count=messages rate_hz duration_s=length_s"
-    )
+    return tabulated(title, about.topics, "name=topic schema count=messages rate_hz duration_s=length_s")
 
 
 def _streams(about: RecordingInfo) -> Iterator[tuple[str, object]]:

@@ -27,23 +27,23 @@ from .result.write import RESULT
 
 @dataclass(frozen=True)
 class ArmInfo:
-    """An arm that would be recovered."""
+    """An arm that would be recovered, and what would be taken of it."""
 
     label: str  # As "left arm"
-    imu: str  # What would be taken
-    skeleton: str  # What would be taken
-    side: str  # What would be taken
+    imu: str
+    skeleton: str
+    side: str
     body: int | None  # The camera's number of the person, where there are several
-    upper_imu: str  # The IMUs on the same upper arm, hand and trunk that would be used; empty without one
-    hand_imu: str  # The IMUs on the same upper arm, hand and trunk that would be used; empty without one
-    trunk_imu: str  # The IMUs on the same upper arm, hand and trunk that would be used; empty without one
+    upper_imu: str  # On the same upper arm, hand and trunk; "" without one
+    hand_imu: str
+    trunk_imu: str
     joints: list[str]  # Of the skeleton
     imu_rate_hz: float | None  # Median rates
-    camera_rate_hz: float | None  # Median rates
+    camera_rate_hz: float | None
     duration_s: float  # Time that IMU and camera share
-    gaps: int  # Number of gaps
-    gap_total_s: float  # Their length together, and the longest
-    gap_longest_s: float  # Their length together, and the longest
+    gaps: int
+    gap_total_s: float
+    gap_longest_s: float
     allows: str  # What the recording allows, in a line
     ready: bool  # There is no sign that no answer could be trusted
     cameras: list[str] = field(default_factory=list)  # Further cameras that saw the arm, a line each
@@ -54,6 +54,7 @@ def describe_arm(recording: Recording) -> ArmInfo:
     arm, imu = recording.arm, recording.imu
     start, end = max(imu.t_s[0], arm.t_s[0]), min(imu.t_s[-1], arm.t_s[-1])
     gaps = find_gaps(arm.t_s, visible_frames(arm, accepted_samples(arm)), float(start), float(end))
+    lengths_s = [0.0, *(gap.length_s for gap in gaps)]
     allowed = allowance(recording)
     names = {segment: stream.name for segment, stream in recording.further_imus.items()}
     return ArmInfo(
@@ -69,8 +70,8 @@ def describe_arm(recording: Recording) -> ArmInfo:
         camera_rate_hz=finite(arm.rate_hz),
         duration_s=round(float(end - start), 3),
         gaps=len(gaps),
-        gap_total_s=round(sum((gap.length_s for gap in gaps), 0.0), 3),
-        gap_longest_s=round(max((gap.length_s for gap in gaps), default=0.0), 3),
+        gap_total_s=round(sum(lengths_s), 3),
+        gap_longest_s=round(max(lengths_s), 3),
         allows=allowed.sentence,
         ready=allowed.ready,
         cameras=[camera_words(camera) for camera in recording.cameras],
@@ -95,32 +96,20 @@ _DEPTH = ("sensor_msgs/msg/Image", "sensor_msgs/Image", "foxglove.RawImage", "fo
 
 
 @dataclass(frozen=True)
-class TopicRow:
-    """A topic."""
-
-    name: str  # The topic and its schema
-    schema: str  # The topic and its schema
-    count: int  # Number of messages
-    rate_hz: float | None  # Mean rate
-    duration_s: float  # First to last log time
-
-
-@dataclass(frozen=True)
 class RecordingInfo:
     """What `unocclude info` shows."""
 
     path: str
-    size_bytes: int  # The file
-    topics: list[TopicRow]  # All topics
+    size_bytes: int
+    topics: list[dict[str, Any]]  # All topics: name, schema, count, mean rate_hz, duration_s of log times
     imus: list[str]  # Streams found, as sentences a line each
-    skeletons: list[str]  # Streams found, as sentences a line each
-    poses: list[str]  # Streams found, as sentences a line each
-    camera_frame: str | None  # Convention of the camera's axes, or None
+    skeletons: list[str]
+    poses: list[str]
+    camera_frame: str | None  # Convention of the camera's axes
     # Per stream, first and last stamp (s) and how far log times lie behind stamps
     clocks: dict[str, dict[str, float]]
     missing: dict[str, str]  # By step, what is missing for it, one sentence
-    # What the file lacks and recovering does not need, with what it would be good for
-    optional: dict[str, str]
+    optional: dict[str, str]  # What recovering does not need, with what it would be good for
     ready: bool  # All arms can be recovered, and there is no sign that no answer could be trusted
     result: bool  # The file contains a recovery already
     verdicts: list[dict[str, object]]  # On each arm of that
@@ -166,8 +155,9 @@ def describe(
         path=str(file.path),
         size_bytes=Path(path).stat().st_size,
         topics=[
-            TopicRow(topic.name, topic.schema, topic.count, _rate_hz(file, topic), round(topic.duration_s, 3))
-            for topic in file.topics
+            {"name": each.name, "schema": each.schema, "count": each.count}
+            | {"rate_hz": _rate_hz(file, each), "duration_s": round(each.duration_s, 3)}
+            for each in file.topics
         ],
         imus=[
             f"{stream.topic}: {len(stream.stamp_ns)} samples, {role(stream) or 'no limb named'}"

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import codecs
-import errno
 import os
 import re
 import stat
@@ -21,28 +20,16 @@ def check_input(path: str | os.PathLike[str], error: type[UnoccludeError] = Unoc
     try:
         mode = os.stat(path).st_mode
     except OSError as reason:
-        if trouble := _link_trouble(path, reason):
-            raise error(trouble) from reason
+        if os.path.islink(path):
+            leads = os.readlink(path)
+            raise error(
+                f"{path} is a link to {leads}, which cannot be read; name the file itself."
+            ) from reason
         return
     except ValueError:
         return
     if not (stat.S_ISREG(mode) or stat.S_ISDIR(mode)):
         raise error(f"{path} is a pipe, a socket or a device; save what it gives as a file first.")
-
-
-def _link_trouble(path: str | os.PathLike[str], reason: OSError) -> str:
-    """Why a link cannot be followed, as a sentence; "" where `path` is not a link, or is missing."""
-    if reason.errno == errno.ELOOP:
-        return f"{path}: a link leads back to itself; name the file itself."
-    try:
-        target = os.readlink(path)
-    except (OSError, ValueError):
-        return ""
-    if reason.errno in (errno.ENOENT, errno.ENOTDIR):
-        return f"{path} is a link to {target}, which does not exist; correct it, or name the file itself."
-    if reason.errno in (errno.EACCES, errno.EPERM):
-        return f"{path} is a link to {target}, which this user may not read; request access, or name a copy."
-    return f"{path} is a link to {target}, which cannot be followed: {reason.strerror or reason}."
 
 
 def inside(folder: str | os.PathLike[str], name: str) -> Path | None:

@@ -12,8 +12,6 @@ import re
 import secrets
 import shutil
 import stat
-import sys
-import tempfile
 import time
 import zlib
 from collections.abc import Iterator
@@ -22,8 +20,6 @@ from pathlib import Path
 
 from ..errors import UnoccludeError
 
-#: How long a pipe's reader may take to come, s.
-READER_S = 3.0
 _ENDING = ".unocclude.tmp"
 #: This computer and the process that writes, in the name of a temporary file.
 _HOST = f"{zlib.crc32(platform.node().encode()):08x}"
@@ -40,10 +36,6 @@ _swept: set[Path] = set()
 def writing(path: str | os.PathLike[str], force: bool = False) -> Iterator[Path]:
     """Yield a hidden name beside `path` to write to; it becomes `path` when all went well."""
     check_output(path, force)
-    if is_stream(path):
-        with _sending(path) as temporary:
-            yield temporary
-        return
     # A link keeps pointing at the file it named, which is the one replaced.
     target = Path(path).resolve()
     temporary = temporary_name(target)
@@ -101,64 +93,7 @@ def could_not_be_written(path: str | os.PathLike[str], error: OSError, where: st
         reason, remedy = "no space left on the disk", "; make room and run again"
     elif error.errno in (errno.EACCES, errno.EPERM, errno.EROFS):
         remedy = "; write to a folder of your own"
-    elif error.errno == errno.ENXIO:
-        return UnoccludeError(f"{path} is a pipe without a reader; start the reader first, or name a file.")
     return UnoccludeError(f"{path} could not be written: {reason}{f' ({where})' if where else ''}{remedy}.")
-
-
-def is_stream(path: str | os.PathLike[str]) -> bool:
-    """Whether a name refers to a pipe, for this program's own standard output, or for the null device."""
-    try:
-        about = os.stat(path)
-    except (OSError, ValueError):
-        return False
-    if stat.S_ISFIFO(about.st_mode) or _is_standard_output(path, about):
-        return True
-    return stat.S_ISCHR(about.st_mode) and os.path.samestat(about, os.stat(os.devnull))
-
-
-def _is_standard_output(path: str | os.PathLike[str], about: os.stat_result) -> bool:
-    """Such as /dev/stdout, also where it leads to a file."""
-    named = os.fspath(path).startswith(("/dev/", "/proc/"))
-    with suppress(OSError):
-        return named and os.path.samestat(about, os.fstat(1))
-    return False
-
-
-@contextmanager
-def _sending(path: str | os.PathLike[str]) -> Iterator[Path]:
-    """Yield a temporary file to write to; its content goes to the stream `path` when all went well."""
-    try:
-        with tempfile.TemporaryDirectory(prefix="unocclude-") as folder:  # for its owner alone
-            temporary = Path(folder) / "output"
-            temporary.touch(mode=0o600)
-            yield temporary
-            with open(temporary, "rb") as content, os.fdopen(_handle(path), "wb") as stream:
-                shutil.copyfileobj(content, stream)
-    except BrokenPipeError as error:
-        raise UnoccludeError(f"{path} could not be written: its reader went away.") from error
-    except OSError as error:
-        raise could_not_be_written(path, error) from error
-
-
-def _handle(path: str | os.PathLike[str]) -> int:
-    """Open a pipe or device; without O_NONBLOCK a pipe without a reader would block this program for ever."""
-    if _is_standard_output(path, os.stat(path)):
-        with suppress(OSError, ValueError):
-            sys.stdout.flush()  # what was printed comes first
-        return os.dup(1)  # opened anew, a file would be written from its beginning
-    deadline = time.monotonic() + READER_S
-    while True:
-        try:
-            handle = os.open(path, os.O_WRONLY | getattr(os, "O_NONBLOCK", 0))
-            break
-        except OSError as error:
-            if error.errno != errno.ENXIO or time.monotonic() > deadline:
-                raise
-        time.sleep(0.05)
-    if hasattr(os, "set_blocking"):
-        os.set_blocking(handle, True)
-    return handle
 
 
 def temporary_name(target: Path, process: int | None = None) -> Path:
@@ -202,8 +137,6 @@ def _is_stale(entry: os.DirEntry[str]) -> bool:
 def check_output(path: str | os.PathLike[str], force: bool = False) -> None:
     """Refuse an output that could not be written in the end, before any work is done for it."""
     target = Path(path)
-    if is_stream(target):
-        return
     _check_kind(target)
     if target.exists() and not force:
         raise UnoccludeError(f"{target} exists already; give another name, or force=True to overwrite it.")
@@ -226,7 +159,7 @@ def _check_kind(target: Path) -> None:
     if stat.S_ISDIR(mode):
         raise UnoccludeError(f"{target} is a folder; name a file to write to.")
     if not stat.S_ISREG(mode):
-        raise UnoccludeError(f"{target} is a device or a socket, not a file; name a file to write to.")
+        raise UnoccludeError(f"{target} is a pipe, a socket or a device; name a file to write to.")
 
 
 def _give_name(temporary: Path, target: Path, force: bool) -> None:
@@ -250,20 +183,13 @@ def _give_name(temporary: Path, target: Path, force: bool) -> None:
 
 
 def _give_mode(temporary: Path, target: Path) -> None:
-    """The mode (and, where allowed, the owner) of the file that is replaced, else what the umask says."""
+    """The mode of the file that is replaced, else what the umask says."""
     try:
         before = os.stat(target)
     except OSError:
         os.chmod(temporary, 0o666 & ~umask())
         return
-    mode = stat.S_IMODE(before.st_mode) & 0o777
-    now = os.stat(temporary)
-    if hasattr(os, "chown") and (now.st_uid, now.st_gid) != (before.st_uid, before.st_gid):
-        try:
-            os.chown(temporary, before.st_uid if os.geteuid() == 0 else -1, before.st_gid)
-        except OSError:  # another group must not read what this one could
-            mode &= ~0o070 | (mode & 0o007) << 3
-    os.chmod(temporary, mode)
+    os.chmod(temporary, stat.S_IMODE(before.st_mode) & 0o777)
 
 
 def umask() -> int:

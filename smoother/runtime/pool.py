@@ -135,7 +135,6 @@ class Pool:
         count = processes or os.cpu_count() or 1
         self._executor: ProcessPoolExecutor | None = None
         self._count = count
-        self._may_restart = True
         if count > 1 and frames > WORTH_FRAMES:
             self._executor = self._started()
 
@@ -155,13 +154,26 @@ class Pool:
         if self._executor is None:
             yield from map(job, items)
             return
-        waiting: deque[tuple[Item, Future[Answer] | None]] = deque()
-        for item in items:
-            waiting.append((item, self._submit(job, item)))
-            if len(waiting) > self._count + 1:
-                yield self._answer(job, waiting)
-        while waiting:
-            yield self._answer(job, waiting)
+        waiting: deque[Future[Answer]] = deque()
+        try:
+            for item in items:
+                with starting_processes():
+                    waiting.append(self._executor.submit(job, item))
+                if len(waiting) > self._count + 1:
+                    yield self._answer(waiting.popleft())
+            while waiting:
+                yield self._answer(waiting.popleft())
+        except BrokenProcessPool:
+            raise UnoccludeError(
+                "A worker process was killed; perhaps there is not enough memory: use fewer of them"
+                " (--processes), or a larger machine."
+            ) from None
+
+    def _answer(self, future: Future[Answer]) -> Answer:
+        assert self._executor is not None
+        while not wait_for([future], _LOOK_S).done:
+            end_if_one_died(self._executor)
+        return future.result()
 
     def _started(self) -> ProcessPoolExecutor:
         """Workers that load their libraries, where they have to, while the caller prepares."""
@@ -171,43 +183,6 @@ class Pool:
             for _ in range(self._count):
                 executor.submit(_wake)
         return executor
-
-    def _submit(self, job: Callable[[Item], Answer], item: Item) -> Future[Answer] | None:
-        """The future of a job; None where a worker has died meanwhile."""
-        assert self._executor is not None
-        try:
-            with starting_processes():
-                return self._executor.submit(job, item)
-        except BrokenProcessPool:
-            return None
-
-    def _answer(
-        self, job: Callable[[Item], Answer], waiting: deque[tuple[Item, Future[Answer] | None]]
-    ) -> Answer:
-        """The answer of the job that waits longest; where a worker died, all are started once more."""
-        assert self._executor is not None
-        while True:
-            future = waiting[0][1]
-            try:
-                if future is not None:
-                    while not wait_for([future], _LOOK_S).done:
-                        end_if_one_died(self._executor)
-                    answer = future.result()
-                    waiting.popleft()
-                    return answer
-            except BrokenProcessPool:
-                pass
-            self._executor.shutdown(wait=True, cancel_futures=True)
-            if not self._may_restart:
-                raise UnoccludeError(
-                    "Worker processes were killed twice; perhaps there is not enough memory: use fewer of"
-                    " them (--processes), or a larger machine."
-                )
-            self._may_restart, self._executor = False, self._started()
-            for _ in range(len(waiting)):
-                item, future = waiting.popleft()
-                is_done = future is not None and future.done() and future.exception() is None
-                waiting.append((item, future if is_done else self._submit(job, item)))
 
 
 def _workers(executor: ProcessPoolExecutor) -> list[BaseProcess]:

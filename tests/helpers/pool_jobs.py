@@ -9,20 +9,8 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 
 
-def double(number: int) -> int:
-    return 2 * number
-
-
-def die_once(mark: str) -> str:
-    """The end of the worker that does it first, as the system's OOM killer ends it."""
-    path = Path(mark)
-    if path.suffix == ".once" and not path.exists():
-        path.touch()
-        os.kill(os.getpid(), signal.SIGKILL)
-    return path.name
-
-
-def die_always(_: int) -> None:
+def die_always(_: str) -> None:
+    """As the system's OOM killer ends it."""
     os.kill(os.getpid(), signal.SIGKILL)
 
 

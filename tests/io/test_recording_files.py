@@ -194,8 +194,8 @@ def test_the_rate_of_frames_whose_arms_are_messages_of_their_own(
     both = [rows[0], *(line for row in rows[1:] for line in (row, row.replace("_right", "_left")))]
     (folder / "skeleton.csv").write_text("\n".join(both) + "\n")
     write_recording(open_csv(folder), tmp_path / "a.mcap")
-    (row,) = [topic for topic in describe(tmp_path / "a.mcap").topics if topic.name == "/skeleton"]
-    assert row.count == 2 * len(recording.arm) and row.rate_hz == pytest.approx(30, rel=0.01)
+    (row,) = [topic for topic in describe(tmp_path / "a.mcap").topics if topic["name"] == "/skeleton"]
+    assert row["count"] == 2 * len(recording.arm) and row["rate_hz"] == pytest.approx(30, rel=0.01)
 
 
 def test_nothing_visible(recording: Recording, tmp_path: Path) -> None:

@@ -23,11 +23,11 @@ from smoother.io import (
     write_recording,
     write_recovery,
 )
-from smoother.io.recording.bodies import join_bodies, people, unswap_bodies
+from smoother.io.recording.bodies import join_bodies, unswap_bodies
 from smoother.io.recording.choose import choose_arms
 from smoother.io.recording.streams import ArmFrames, ImuSamples, RecordingFile
 from smoother.io.recording.write import as_file, as_session
-from smoother.recording import JOINTS, JointState
+from smoother.recording import JOINTS
 from smoother.result import Recoveries, arm_tags
 from smoother.simulation import (
     ArmSimulation,
@@ -264,42 +264,6 @@ def test_who_comes_back_where_they_were_is_joined_by_place(crowd: Crowd) -> None
     rows = np.flatnonzero(np.arange(len(away[0].stamp_ns)) / len(away[0].stamp_ns) >= 0.5)
     assert_same_arms(found, file.arms, rows)
     assert len(notes) == 2 and all("where it was" in note for note in notes)
-
-
-def exchanged_places(file: RecordingFile) -> RecordingFile:
-    """Both are lost; one comes back where the other stood, both under new numbers."""
-    new = {0: 5, 1: 6}
-    arms = renumbered(
-        file.arms, lambda body, share: body if share < 0.48 else None if share < 0.52 else new[body]
-    )
-    place = {arm.body: np.nanmean(arm.position[:, 0], axis=0) for arm in arms if arm.side == "right"}
-    for arm in arms:
-        if arm.body in (5, 6):
-            there = arm.state != JointState.NOT_TRACKED
-            arm.position[there] += place[1 if arm.body == 5 else 0] - place[arm.body]
-    return replace(file, arms=arms)
-
-
-@pytest.mark.slow
-def test_imus_tell_who_came_back_where_the_other_stood() -> None:
-    arm = ArmSimulation.preset("white", protocol="random", duration_s=30.0)
-    who = PeopleSimulation(people=2, sensors=4, on_table=0, hanging=0.0, in_time=0.0, clocks_apart_s=0.2)
-    made = simulate_people(who, arm, 2)
-    assert {body for body, _ in made.truth.values()} == {0, 1}  # both wear something
-    file = as_session(made.name, [one.stream for one in made.worn], made.arms, made.camera_frame)
-    moved = exchanged_places(file)
-    by_place, _ = join_bodies(moved.arms)
-    by_imu, notes = people(moved)
-    assert {one.body for one in by_imu} == {one.body for one in by_place} == {0, 1}
-    last = len(moved.arms[0].stamp_ns) - 1
-    for one in by_imu:
-        (origin,) = [a for a in moved.arms if (a.body, a.side) == ({0: 5, 1: 6}[one.body], one.side)]
-        np.testing.assert_array_equal(one.position[last], origin.position[last])
-    wrong = next(a for a in by_place if a.body == 0 and a.side == "right")
-    (other,) = [a for a in moved.arms if (a.body, a.side) == (6, "right")]
-    np.testing.assert_array_equal(wrong.position[last], other.position[last])  # place alone is fooled
-    assert any("the IMU that both wear" in note for note in notes)
-    assert any("they wear different IMUs" in note for note in notes)
 
 
 def scene(shift_s: float, same: bool = False) -> RecordingFile:

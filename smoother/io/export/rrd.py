@@ -6,6 +6,7 @@ Rerun reads our MCAP files too, but shows neither curves nor drawn arms of them.
 from __future__ import annotations
 
 import hashlib
+import itertools
 import os
 from collections.abc import Sequence
 from types import ModuleType
@@ -59,7 +60,6 @@ class _Arm:
         self.places, self.covariance = recovery.position, recovery.pose_covariance[:, :3, :3]
         if self.point == "wrist":
             self.places, self.covariance = recovery.joints["wrist"], recovery.joint_covariance["wrist"]
-        self.sigma = np.sqrt(np.einsum("nii->ni", self.covariance))
         table = recovery.angles()
         self.angles = {
             angle.name: (f"{angle.title}, degrees", table.values[angle.name], table.sigmas[angle.name])
@@ -75,22 +75,21 @@ class _Arm:
         """The arm in space and its curves; seen, occluded, not trusted or without an answer."""
         self._in_space()
         self._before()
-        r, look = self.recovery, self.rr.SeriesLines
+        r, look, sigma = self.recovery, self.rr.SeriesLines, np.sqrt(np.einsum("nii->ni", self.covariance))
         for axis, name in enumerate("xyz"):
-            self._value(f"{self.point}_{name}", r.t_s, self.places[:, axis], self.sigma[:, axis])
+            self._value(f"{self.point}_{name}", r.t_s, self.places[:, axis], sigma[:, axis])
         names = [f"{self.label}{self.point} {axis}" for axis in "xyz"]
         style = look(names=names, widths=[1.5] * 3, colors=_AXIS_COLORS)
-        self._curve("sigma", "", r.t_s, 100.0 * self.sigma, style)
-        for name, (_, angle, sigma) in self.angles.items():
+        self._curve("sigma", "", r.t_s, 100.0 * sigma, style)
+        for name, (_, angle, of) in self.angles.items():
             rows = slice(None, None, 1 if name == ELBOW_FLEXION.name else self.step)
-            self._value(name, r.t_s[rows], broken_at_turns(angle[rows]), sigma[rows])
+            self._value(name, r.t_s[rows], broken_at_turns(angle[rows]), of[rows])
         states = np.where(r.answered, self.kind, np.int8(len(ANSWER)))
         turns = np.flatnonzero(np.diff(states, prepend=-1))
-        columns = self.rr.StateChange.columns(state=[_STATES[state] for state in states[turns]])
         colors = np.array([packed(color) for color in (*ANSWER, GUESSED)], np.uint32)
-        self._send(f"gaps/{self.name}", r.t_s[turns], columns)
+        columns = self.rr.StateChange.columns(state=[_STATES[state] for state in states[turns]])
         style = self.rr.StateConfiguration(values=_STATES, colors=colors)
-        self.stream.log(f"gaps/{self.name}", style, static=True)
+        self._send(f"gaps/{self.name}", r.t_s[turns], columns, style)
 
     def _in_space(self) -> None:
         """The arm, its uncertainty and the trail, some pictures a second."""
@@ -98,9 +97,9 @@ class _Arm:
         t_s, nothing = r.t_s[rows], np.full((len(r), 3), np.nan)
         joints = [r.joints.get(JOINTS[i], nothing)[rows] for i in CHAIN]
         shade = np.array([packed(color) for color in ANSWER])[self.kind[rows]]
+        point, covariance = self.places[rows], self.covariance[rows]
         self._bones("after", t_s, np.stack(joints, axis=1), shade, _BONE_M)
         self._dots("after/joints", t_s, np.stack([*joints, r.position[rows]], axis=1), shade, _JOINT_M)
-        point, covariance = self.places[rows], self.covariance[rows]
         self._dots("trail", t_s, point[:, None], shade, _TRAIL_M)
         good = np.isfinite(point).all(axis=1) & np.isfinite(covariance).all(axis=(1, 2))
         variance, turn = np.linalg.eigh(covariance[good])
@@ -122,9 +121,8 @@ class _Arm:
         shades = np.where(frames.state == JointState.INFERRED, packed(GUESSED), packed(CAMERA))
         self._bones("before", frames.t_s, places[:, CHAIN], np.full(len(frames), packed(CAMERA)), _THIN_M)
         self._dots("before/joints", frames.t_s, places, shades, _JOINT_M / 2)
-        style = self.rr.SeriesPoints(
-            colors=[packed(CAMERA)], marker_sizes=[1.5], names=[f"{self.label}camera"]
-        )
+        names = [f"{self.label}camera"]
+        style = self.rr.SeriesPoints(colors=[packed(CAMERA)], marker_sizes=[1.5], names=names)
         for axis, name in enumerate("xyz" if self.point == "wrist" else ""):
             wrist = places[:, JOINTS.index("wrist"), axis, None]
             self._curve(f"wrist_{name}", "camera", frames.t_s, wrist, style)
@@ -132,8 +130,8 @@ class _Arm:
     def _value(self, curve: str, t_s: FloatArray, value: FloatArray, sigma: FloatArray) -> None:
         """A curve (n,) with its 2 sigma lines."""
         look, color = self.rr.SeriesLines, ARM_COLORS[self.color_name]
-        style = look(colors=[packed(color)], widths=[2.0], names=[f"{self.label}after"])
         names, faint = [f"{self.label}{sign} 2 sigma" for sign in "-+"], [packed((*color[:3], 0.45))] * 2
+        style = look(colors=[packed(color)], widths=[2.0], names=[f"{self.label}after"])
         self._curve(curve, "after", t_s, value[:, None], style)
         band = value[:, None] + sigma[:, None] * np.array([-2.0, 2.0])
         self._curve(curve, "two_sigma", t_s, band, look(colors=faint, widths=[1.0] * 2, names=names))
@@ -142,8 +140,7 @@ class _Arm:
         """Values (n, lines); nan breaks a line."""
         columns = self.rr.Scalars.columns(scalars=values.ravel())
         path = "/".join(part for part in ("curves", curve, self.name, line) if part)
-        self._send(path, t_s, columns.partition(np.full(len(values), values.shape[1])))
-        self.stream.log(path, style, static=True)
+        self._send(path, t_s, columns.partition(np.full(len(values), values.shape[1])), style)
 
     def _bones(self, path: str, t_s: FloatArray, places: FloatArray, shade: IntArray, radius: float) -> None:
         """A line through the joints (n, J, 3) that are there; nothing where it is less than two."""
@@ -162,9 +159,11 @@ class _Arm:
         columns = self.rr.Points3D.columns(positions=places[has], colors=shades, radii=radii)
         self._send(f"scene/camera/{self.name}/{path}", t_s, columns.partition(has.sum(axis=1)))
 
-    def _send(self, path: str, t_s: FloatArray, columns: Any) -> None:
+    def _send(self, path: str, t_s: FloatArray, columns: Any, style: Any = None) -> None:
         if len(t_s):
             self.stream.send_columns(path, [self.rr.TimeColumn(TIMELINE, duration=t_s)], columns)
+        if style is not None:
+            self.stream.log(path, style, static=True)
 
 
 def broken_at_turns(angle: FloatArray) -> FloatArray:
@@ -245,14 +244,14 @@ def write_rrd(
     # The same for the same recording: Rerun shows a file that was made anew in place of the older one.
     text = "|".join(f"{each.name} {each.side} {each.origin_ns} {len(each)}" for each in recoveries)
     identity = hashlib.sha256(text.encode()).hexdigest()[:32]
-    sides = [recovery.side or "arm" for recovery in recoveries]
+    sides, colors = [recovery.side or "arm" for recovery in recoveries], itertools.cycle(ARM_COLORS)
+    names = [side if sides.count(side) == 1 else f"{side}_{k}" for k, side in enumerate(sides, 1)]
     with writing(path, force) as temporary:
         stream = rr.RecordingStream("unocclude", recording_id=identity, send_properties=False)
-        arms = []
-        for k, (recovery, side) in enumerate(zip(recoveries, sides, strict=True)):
-            name, color = side if sides.count(side) == 1 else f"{side}_{k + 1}", list(ARM_COLORS)
-            label = f"{name} " if len(sides) > 1 else ""
-            arms.append(_Arm(rr, stream, recovery, name, color[k % len(color)], label))
+        arms = [
+            _Arm(rr, stream, recovery, name, color, f"{name} " if len(names) > 1 else "")
+            for recovery, name, color in zip(recoveries, names, colors, strict=False)
+        ]
         stream.save(str(temporary), default_blueprint=_views(rr, arms))
         stream.send_recording_name(recoveries[0].name)
         if down is not None:

@@ -2,28 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
-from functools import cache
 from itertools import combinations
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from ...array_types import BoolArray, FloatArray, IntArray
-from ...errors import RecordingError
 from ...linalg import runs
 from ...recording import FOREARM_JOINTS, JOINTS, JointState
 from ...runtime.store import by_rows
-from .names import role
 from .streams import ArmFrames, RecordingFile
-
-if TYPE_CHECKING:
-    from ...matching import ImuMatch
-
-
-#: Whether a body of a topic wears what others wore; None where that is not known.
-SameWearer = Callable[[str, list[int], int], bool | None]
 
 #: A body that comes back within this time and distance is treated as the same one.
 _AWAY_S = 30.0
@@ -32,44 +20,30 @@ _APART_M = 0.4
 _ASKED = [JOINTS.index(joint) for joint in ("shoulder", "elbow", "wrist", "hand", "strap")]
 
 
-def join_bodies(arms: list[ArmFrames], worn: SameWearer | None = None) -> tuple[list[ArmFrames], list[str]]:
+def join_bodies(arms: list[ArmFrames]) -> tuple[list[ArmFrames], list[str]]:
     """Join arms of one topic and side that are never seen together and take over where the other was lost."""
     joined: list[ArmFrames] = []
     numbers: list[list[int]] = []  # that each of them had so far
     notes = []
     for arm in sorted(arms, key=lambda arm: _first_and_last(arm)[0]):
-        follows = {
-            place: _continues(earlier, arm)
-            for place, earlier in enumerate(joined)
-            if _comes_after(earlier, arm, numbers[place])
-        }
-        agreed = {
-            place: None if worn is None else worn(arm.topic, numbers[place], arm.body) for place in follows
-        }
-        by_imu = [place for place, agrees in agreed.items() if agrees]
-        by_place = [place for place, agrees in agreed.items() if follows[place] and agrees is None]
-        notes += [
-            f"{joined[place].label} and body {arm.body} were not joined: one came where the other was lost,"
-            " but they wear different IMUs."
-            for place, agrees in agreed.items()
-            if agrees is False and follows[place]
-        ]
-        if not by_imu and not by_place:
+        place = next(
+            (
+                place
+                for place, earlier in enumerate(joined)
+                if _comes_after(earlier, arm, numbers[place]) and _continues(earlier, arm)
+            ),
+            None,
+        )
+        if place is None:
             joined.append(arm)
             numbers.append([arm.body])
             continue
-        place = (by_imu or by_place)[0]
         earlier = joined[place]
         joined[place] = _merged(earlier, arm, arm.state != JointState.NOT_TRACKED)
         numbers[place].append(arm.body)
-        how = (
-            "numbered it anew where it was"
-            if follows[place]
-            else "numbered it anew elsewhere, as shown by the IMU that both wear"
-        )
         notes.append(
-            f"{earlier.label} and body {arm.body} were joined: the camera lost the body and {how};"
-            " --body takes one alone."
+            f"{earlier.label} and body {arm.body} were joined: the camera lost the body and numbered it anew"
+            " where it was; --body takes one alone."
         )
     return joined, notes
 
@@ -176,57 +150,8 @@ def _swaps(first: list[ArmFrames], second: list[ArmFrames]) -> IntArray:
     return np.asarray(rows[1:][jumps])
 
 
-#: With more bodies than this the camera counts shadows, and comparing all of them costs more than it shows.
-MOST_BODIES = 12
-#: An IMU that is on none of a body's limbs with this probability is on somebody else.
-NOT_WORN_FROM = 0.95
-
-
-def worn_imus(file: RecordingFile) -> SameWearer | None:
-    """Who wears the same IMUs, by the motion; None where people are not told apart by that."""
-    from .match import match_streams
-
-    imus = [imu for imu in file.imus if role(imu) not in ("base", "trunk")]
-    bodies = {arm.key[:2] for arm in file.arms if arm.tracked}
-    if len(imus) < 2 or not 1 < len(bodies) <= MOST_BODIES:
-        return None
-
-    @cache
-    def on_limbs(topic: str, body: int) -> dict[str, ImuMatch]:
-        """What every IMU is on if this body is the only one; nothing where too little was seen of it."""
-        arms = [arm for arm in file.arms if (arm.topic, arm.body) == (topic, body)]
-        try:
-            return {match.imu: match for match in match_streams(file, imus, _seen_frames(arms))[0]}
-        except RecordingError:
-            return {}
-
-    def same_wearer(topic: str, earlier: list[int], later: int) -> bool | None:
-        before = {n: m for body in earlier for n, m in on_limbs(topic, body).items() if m.is_sure and m.limb}
-        now, verdicts = on_limbs(topic, later), set()
-        for name, match in before.items():
-            other = now.get(name)
-            if other is not None and other.is_sure and other.limb is not None and match.limb is not None:
-                verdicts.add(other.limb.joint == match.limb.joint)
-            elif other is not None and other.limb is None and other.is_known:
-                verdicts |= {False} if other.probability > NOT_WORN_FROM else set()
-        return verdicts.pop() if len(verdicts) == 1 else None
-
-    return same_wearer
-
-
-def _seen_frames(arms: list[ArmFrames]) -> list[ArmFrames]:
-    """The arms in the frames in which anything of a body is there."""
-    ends = [_first_and_last(arm) for arm in arms]
-    start, stop = min((first for first, _ in ends), default=0), max((last + 1 for _, last in ends), default=0)
-    rows = slice(start, stop)
-    return [
-        replace(arm, stamp_ns=arm.stamp_ns[rows], position=arm.position[rows], state=arm.state[rows])
-        for arm in arms
-    ]
-
-
 def people(file: RecordingFile) -> tuple[list[ArmFrames], list[str]]:
     """The arms of every person, each under one number."""
     arms, swapped = unswap_bodies(file.arms)
-    arms, joined = join_bodies(arms, worn_imus(replace(file, arms=arms)))
+    arms, joined = join_bodies(arms)
     return arms, swapped + joined
