@@ -10,19 +10,24 @@ import multiprocessing
 import os
 import threading
 from collections.abc import Callable, Iterator
-from concurrent.futures import FIRST_COMPLETED, Executor, Future, ThreadPoolExecutor, wait
+from concurrent.futures import (
+    FIRST_COMPLETED,
+    Executor,
+    Future,
+    ProcessPoolExecutor,
+    ThreadPoolExecutor,
+    wait,
+)
+from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager, suppress
-from multiprocessing.connection import Connection
 from typing import TYPE_CHECKING, Any
 
 from ..errors import UnoccludeError, debugging
-from ..runtime.pool import check_allowance, prepare_worker, starting_processes
+from ..runtime.pool import check_allowance, end_workers, prepare_worker, starting_processes
 from .folder import Row
 from .job import Job, run_job
 
 if TYPE_CHECKING:
-    from multiprocessing.context import SpawnProcess
-
     from distributed import Client
 
 #: How long a scheduler may take to answer, and how long to wait for its first worker, s.
@@ -38,52 +43,35 @@ _DIED = (
 Workers = tuple[Executor, Callable[[Job], Row | None], Callable[[], int]]
 _own = threading.local()
 _starting = threading.Lock()
-_started: list[SpawnProcess] = []
+_started: list[ProcessPoolExecutor] = []
 _ended = threading.Event()
 
 
-def do_jobs(pipe: Connection) -> None:
-    """Do the jobs that arrive in a process of a study, until it ends."""
+def _prepare() -> None:
+    """Prepare a process of a study: what a library prints is not for the terminal."""
     prepare_worker()
-    if not debugging():  # what a library prints is not for the terminal
+    if not debugging():
         null = os.open(os.devnull, os.O_WRONLY)
         os.dup2(null, 1)
         os.dup2(null, 2)
-    with suppress(EOFError):
-        while True:
-            pipe.send(run_job(pipe.recv()))
 
 
 def run_apart(job: Job) -> Row | None:
     """Do a job in this thread's own process; None where that died."""
-    if getattr(_own, "process", None) is None or not _own.process.is_alive():
-        _own.process, _own.pipe = _start()
-    limit_s = job.settings.time_limit_s or None
     try:
-        _own.pipe.send(job)
-        if _own.pipe.poll(limit_s):
-            row: Row = _own.pipe.recv()
-            return row
-        late = True
-    except (EOFError, OSError):
-        late = False
-    _own.process.kill()
-    _own.process.join()
-    return job.failed(_LATE) if late else None
-
-
-def _start() -> tuple[SpawnProcess, Connection]:
-    """A process that does jobs, and the pipe to it."""
-    context = multiprocessing.get_context("spawn")
-    with _starting, starting_processes():
-        pipe, theirs = context.Pipe()
-        process = context.Process(target=do_jobs, args=(theirs,))
-        process.start()
-        theirs.close()
-        _started.append(process)
-        if _ended.is_set():
-            process.kill()
-    return process, pipe
+        with _starting, starting_processes():
+            if _ended.is_set():
+                return None
+            if getattr(_own, "process", None) is None:
+                context = multiprocessing.get_context("spawn")
+                _own.process = ProcessPoolExecutor(1, context, _prepare)
+                _started.append(_own.process)
+            future = _own.process.submit(run_job, job)
+        return future.result(job.settings.time_limit_s or None)
+    except (BrokenProcessPool, TimeoutError) as error:
+        end_workers(_own.process)
+        _own.process = None
+        return job.failed(_LATE) if isinstance(error, TimeoutError) else None
 
 
 @contextmanager
@@ -100,7 +88,7 @@ def local(processes: int = 0) -> Iterator[Workers]:
             with _starting:
                 _ended.set()
                 for process in _started:
-                    process.kill()
+                    end_workers(process)
                 _started.clear()
 
 

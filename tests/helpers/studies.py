@@ -10,13 +10,14 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
-from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
+from unittest.mock import patch
 
 import duckdb
 
 from smoother.cli.run import run
+from smoother.study.job import _recover
 
 NAMES = ("day1/a.mcap", "day1/b.mcap", "day2/c.mcap", "day2/d.mcap")
 BROKEN = "day2/broken.mcap"
@@ -122,20 +123,18 @@ def is_alive(process: int) -> bool:
 
 @dataclass(frozen=True)
 class Instead:
-    """A process of a study in which the recordings of a name do something else."""
+    """`run_job` of a study in which the recordings of a name do something else."""
 
     name: str
     what: str
 
-    def __call__(self, pipe: Connection) -> None:
-        from smoother.study import job, workers
+    def __call__(self, mine: Any) -> Any:
+        from smoother.study.job import run_job
 
-        recover = job._recover
+        with patch("smoother.study.job._recover", self.instead):
+            return run_job(mine)
 
-        def instead(mine: job.Job, *rest: Any) -> Any:
-            if mine.name == self.name:
-                eval(self.what, {"os": os, "signal": signal, "time": time})
-            return recover(mine, *rest)
-
-        job._recover = instead
-        workers.do_jobs(pipe)
+    def instead(self, mine: Any, *rest: Any) -> Any:
+        if mine.name == self.name:
+            eval(self.what, {"os": os, "signal": signal, "time": time})
+        return _recover(mine, *rest)

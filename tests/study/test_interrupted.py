@@ -63,7 +63,7 @@ GONE = 2**30
 
 def others_too(job: Job, made: Path, monkeypatch: pytest.MonkeyPatch, what: str) -> list[dict]:
     """The rows of four recordings and of one in which a process does something else."""
-    monkeypatch.setattr(workers, "do_jobs", Instead("other.mcap", what))
+    monkeypatch.setattr(workers, "run_job", Instead("other.mcap", what))
     jobs = [replace(job, name=name, source=str(made / name), settings=StudySettings()) for name in NAMES]
     jobs.insert(2, replace(job, name="other.mcap"))
     with workers.local(2) as ready:
