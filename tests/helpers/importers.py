@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from imu_files import motion
 
-from smoother.io.registry import recognise
+from smoother.io.registry import FileReader, recognise
 from smoother.io.tables.imu import ImuTable
 from smoother.io.tables.skeletons import SkeletonTable
 from smoother.io.tables.table import read_head
@@ -33,7 +33,7 @@ def tables(path: Path, key: str) -> list[Any]:
     """What a file holds, read by its importer, which must be the one of that key."""
     importer = recognise(read_head(path))
     assert importer is not None and importer.key == key, importer
-    return list(importer.read(path))
+    return list(FileReader().read(path, importer))
 
 
 def streams(path: Path, key: str) -> tuple[list[SkeletonTable], list[ImuTable]]:

@@ -183,7 +183,6 @@ class TestC3d:
         assert np.isnan(found.position[5, 2]).all()
         assert np.isfinite(found.position).all(axis=2).sum() == 58
         np.testing.assert_allclose(found.position[3], position[3] / 1000, rtol=1e-6)  # single precision
-        assert np.isnan(found.residual_m[4, 1])
         in_metres = read_markers(make_c3d(tmp_path / "b.c3d", position / 1000, unit="m"))
         np.testing.assert_allclose(in_metres.position[3], position[3] / 1000, rtol=1e-6)
 
@@ -237,7 +236,8 @@ class TestRealFiles:
                 frames, markers, rate, seen = REAL[name]
                 assert (len(found), len(found.names)) == (frames, markers), name
                 assert found.rate_hz == pytest.approx(rate, abs=0.01), name
-                assert 100 * found.seen.mean() == pytest.approx(seen, abs=0.06), name
+                there = np.isfinite(found.position).all(axis=2)
+                assert 100 * there.mean() == pytest.approx(seen, abs=0.06), name
 
     def test_the_same_trial_in_both_formats(self):
         folder = Path(DATASETS) / "mocap" / "opensim-core"

@@ -7,7 +7,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import strategies as st
 from made_recordings import make, plain_texts
 
 from smoother.errors import RecordingError
@@ -33,19 +32,6 @@ def test_a_plain_recording(plain_folder: Folder, tmp_path: Path) -> None:
     np.testing.assert_array_equal(again.imu.t_s, found.imu.t_s)
     np.testing.assert_array_equal(again.arm.position, found.arm.position)
     assert again.origin_ns == 0
-
-
-def test_windows_ends_marks_spaces_and_blank_lines(plain_folder: Folder) -> None:
-    texts = plain_texts()
-    plain = import_csv(plain_folder())
-    dressed = {
-        "imu": "\ufeff" + texts["imu"].replace(",", ", ").replace("\n", "\r\n") + "\r\n",
-        "skeleton": "\ufeff" + texts["skeleton"].replace("\n", " \r\n"),
-        "recording": "\ufeff" + texts["recording"].replace("\n", "\r\n"),
-    }
-    found = import_csv(plain_folder(**dressed))
-    np.testing.assert_array_equal(found.imu.acc, plain.imu.acc)
-    np.testing.assert_array_equal(found.arm.position, plain.arm.position)
 
 
 def test_units_are_converted(plain_folder: Folder) -> None:
@@ -157,37 +143,12 @@ def test_the_wrong_line_of_a_table_is_named(tmp_path: Path, rows: str, said: str
         read_exact(path, ("x", "word"), ("z",), words=("word",), empty=("z",))
 
 
-cells = st.floats(allow_nan=False, allow_infinity=False)
-
-
 def test_a_camera_without_skeleton_leaves_the_imus(plain_folder: Folder) -> None:
     folder = plain_folder(recording=plain_texts()["recording"].replace('skeleton = "skeleton.csv"\n', ""))
     found = open_csv(folder)
     assert not found.arms and [imu.topic for imu in found.imus] == ["/imu/forearm_right"]
     with pytest.raises(RecordingError, match="has no skeleton"):
         import_csv(folder)
-
-
-@pytest.mark.parametrize("by_s", [1 / 3, 1.5, 60.0])  # 1/3: frames of both sides have the same stamps
-def test_clocks_that_were_set_back_go_on(plain_folder: Folder, by_s: float) -> None:
-    """Of the camera and of the IMU, each alone."""
-
-    def later(text: str, from_s: float) -> str:
-        head, *rows = text.strip().split("\n")
-        cells = [row.split(",", 1) for row in rows]
-        times = [float(t) - by_s * (float(t) >= from_s) + 100 for t, _ in cells]
-        rows = [f"{t:.6f},{rest}" for t, (_, rest) in zip(times, cells, strict=True)]
-        return "\n".join([head, *rows]) + "\n"
-
-    texts, plain = plain_texts(), import_csv(plain_folder())
-    file = open_csv(plain_folder(skeleton=later(texts["skeleton"], 5.0)))
-    (arm,) = file.arms
-    assert any("skeleton.csv: The clock was set back by" in note for note in file.notes)
-    np.testing.assert_allclose(arm.stamp_ns / 1e9 - 100, plain.arm.t_s, atol=3e-6)
-    np.testing.assert_array_equal(arm.position, plain.arm.position)
-    file = open_csv(plain_folder(imu=later(texts["imu"], 5.0)))
-    assert any("imu.forearm_right: The clock was set back by" in note for note in file.notes)
-    np.testing.assert_allclose(file.imus[0].stamp_ns / 1e9 - 100, plain.imu.t_s, atol=3e-6)
 
 
 def test_a_skeleton_listed_joint_by_joint_is_no_clock_that_was_set_back(plain_folder: Folder) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from pathlib import Path
 from typing import Any
-from xml.etree.ElementTree import ParseError, iterparse
+from xml.etree.ElementTree import iterparse
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,20 +13,15 @@ from numpy.typing import NDArray
 from ...array_types import FloatArray
 from ...errors import RecordingError
 from ...runtime.inputs import crashes_in_subprocess
+from ...runtime.packages import extra_module
 from ...units import STANDARD_GRAVITY
 from .imu import ImuTable, holds_gravity
-from .table import Format, amount, begins, shown
+from .table import Format, begins, read_bytes
 
 
 def _read_apdm_hdf(path: Path) -> list[ImuTable]:
     """Each sensor one IMU: m/s^2, rad/s, time in us since 1970."""
-    try:
-        import h5py
-    except ImportError:
-        raise RecordingError(
-            f"{path} is HDF5, which is read by the library h5py; install it with: pip install h5py"
-            " (or export CSV)."
-        ) from None
+    h5py = extra_module("h5py", "h5py", "apdm")
 
     def read(file: Path) -> list[ImuTable]:
         with h5py.File(file, "r") as opened:
@@ -34,10 +29,7 @@ def _read_apdm_hdf(path: Path) -> list[ImuTable]:
 
     if crashes_in_subprocess(path, read):  # of damaged lengths HDF5 takes all memory
         raise RecordingError(f"{path} is a damaged HDF5 file; export it again.")
-    try:
-        tables = read(path)
-    except (OSError, LookupError, ValueError, RuntimeError, TypeError, AttributeError) as error:
-        raise RecordingError(f"{path} cannot be read as HDF5: {shown(str(error), 100)}.") from error
+    tables = read(path)
     if not tables:
         raise RecordingError(
             f"{path} has no raw sensors of an Opal; export 'raw data' as HDF5, or CSV, from the APDM program."
@@ -46,12 +38,12 @@ def _read_apdm_hdf(path: Path) -> list[ImuTable]:
 
 
 APDM_HDF = Format(
-    key="apdm-hdf5",
-    title="APDM Opal HDF5",
-    kind="imu",
-    recognised_by="HDF5 with Sensors/<id>/Accelerometer or <id>/Calibrated/Accelerometers",
-    recognises=begins(b"\x89HDF\r\n\x1a\n"),
-    read=_read_apdm_hdf,
+    "apdm-hdf5",
+    "APDM Opal HDF5",
+    "imu",
+    "HDF5 with Sensors/<id>/Accelerometer or <id>/Calibrated/Accelerometers",
+    begins(b"\x89HDF\r\n\x1a\n"),
+    _read_apdm_hdf,
 )
 
 
@@ -62,7 +54,9 @@ def _sensors(file: Any) -> list[ImuTable]:
         groups = [
             (name, group["Calibrated"], group) for name, group in file.items() if _has(group, "Calibrated")
         ]
-    labels = _labels(file)
+    # what the wearer's places are called ("Right Wrist"): by monitor in older versions
+    listed = (np.ravel(file.attrs.get(key, [])) for key in ("CaseIdList", "MonitorLabelList"))
+    labels = {_text(monitor): _text(label) for monitor, label in zip(*listed, strict=False)}
     tables = []
     for name, values, group in groups:
         acc, gyro, mag = (_vector(values, kind) for kind in ("Accelerometer", "Gyroscope", "Magnetometer"))
@@ -71,9 +65,11 @@ def _sensors(file: Any) -> list[ImuTable]:
         time = np.asarray(group["Time"], dtype=float).ravel() if _has(group, "Time") else None
         count = min(len(values) for values in (acc, gyro, time) if values is not None)
         rate = group.attrs.get("SampleRate", file.attrs.get("SampleRate"))
+        configured = group["Configuration"].attrs if _has(group, "Configuration") else {}
+        label = _text(configured.get("Label 0", "") if configured else group.attrs.get("MonitorLabel", ""))
         tables.append(
             ImuTable(
-                name=_label(group) or labels.get(name, "") or name,
+                name=label or labels.get(name, "") or name,
                 t_s=None if time is None else time[:count] * 1e-6,
                 acc=acc[:count],
                 gyro=gyro[:count],
@@ -91,25 +87,12 @@ def _has(group: Any, key: str) -> bool:
 
 def _vector(group: Any, kind: str) -> FloatArray | None:
     """A sensor's samples (N, 3), whether its name has a plural s or not."""
-    for key in (kind, f"{kind}s"):
-        if _has(group, key):
-            values = np.asarray(group[key], dtype=float)
-            values = values.T if values.ndim == 2 and values.shape[0] == 3 != values.shape[1] else values
-            return values if values.ndim == 2 and values.shape[1] == 3 else None
-    return None
-
-
-def _label(group: Any) -> str:
-    """What the wearer's place is called ("Right Wrist")."""
-    if _has(group, "Configuration"):
-        return _text(group["Configuration"].attrs.get("Label 0", ""))
-    return _text(group.attrs.get("MonitorLabel", ""))
-
-
-def _labels(file: Any) -> dict[str, str]:
-    """What the wearer's places are called, by monitor (older versions)."""
-    monitors, labels = (np.ravel(file.attrs.get(key, [])) for key in ("CaseIdList", "MonitorLabelList"))
-    return {_text(monitor): _text(label) for monitor, label in zip(monitors, labels, strict=False)}
+    key = next((key for key in (kind, f"{kind}s") if _has(group, key)), None)
+    if key is None:
+        return None
+    values = np.asarray(group[key], dtype=float)
+    values = values.T if values.ndim == 2 and values.shape[0] == 3 != values.shape[1] else values
+    return values if values.ndim == 2 and values.shape[1] == 3 else None
 
 
 def _text(value: Any) -> str:
@@ -128,39 +111,37 @@ _USUAL_RANGE = 2000.0
 
 def _read_axivity(path: Path) -> list[ImuTable]:
     """Gyroscope in deg/s and accelerometer in g, 16 bits, in blocks with a time stamp each."""
-    try:
-        raw = path.read_bytes()
-    except OSError as error:
-        raise RecordingError(f"{path} cannot be read: {error.strerror or error}.") from error
+    raw = read_bytes(path)
     blocks = np.frombuffer(raw, _BLOCK, count=len(raw) // _BLOCK.itemsize)
     data = blocks[(blocks["mark"] == b"AX") & (blocks["length"] == 508)]
     whole = (
         (data["axes"] & 15 == 2) & (data["axes"] >> 4 == 6) & (data["count"] * 6 <= 240) & (data["count"] > 0)
     )
-    intact = _sums(data) == 0
-    usable = data[whole & intact]
+    words = np.ascontiguousarray(data).view("<u2").reshape(len(data), 256)
+    usable = data[
+        whole & (words.sum(axis=1, dtype=np.uint64).astype(np.uint16) == 0)
+    ]  # the checksum is right
     if not len(usable):
         axes = int(data["axes"][0] >> 4) if len(data) else 0
         what = f"has {axes} axes, no gyroscope" if axes == 3 else "has no intact blocks of samples"
         raise RecordingError(
-            f"{path} is an {AXIVITY.title} that {what}; set up an AX6 with its gyroscope on, and download"
-            " it again."
+            f"{path} is an {AXIVITY.title} that {what}; set up an AX6 with its gyroscope on."
         )
     cut = len(raw) % _BLOCK.itemsize != 0
-    return [_table(usable, len(data) - len(usable), cut)]
+    return [_samples(usable, len(data) - len(usable), cut)]
 
 
 AXIVITY = Format(
-    key="axivity",
-    title="Axivity AX6 (CWA)",
-    kind="imu",
-    recognised_by="a binary header that begins with MD, and blocks that begin with AX",
-    recognises=begins(b"MD\xfc\x03", b"AX\xfc\x01"),
-    read=_read_axivity,
+    "axivity",
+    "Axivity AX6 (CWA)",
+    "imu",
+    "a binary header that begins with MD, and blocks that begin with AX",
+    begins(b"MD\xfc\x03", b"AX\xfc\x01"),
+    _read_axivity,
 )
 
 
-def _table(blocks: NDArray[np.void], left_out: int, cut: bool) -> ImuTable:
+def _samples(blocks: NDArray[np.void], left_out: int, cut: bool) -> ImuTable:
     """Samples of intact blocks with six axes."""
     # A sample is in the rows of its block that are filled.
     filled = np.arange(40) < blocks["count"][:, None]
@@ -173,17 +154,11 @@ def _table(blocks: NDArray[np.void], left_out: int, cut: bool) -> ImuTable:
     acc = values[:, :, 3:] * (STANDARD_GRAVITY / per_g)[:, None, None]
     rate = 3200.0 / (1 << (15 - (blocks["rate"] & 15).astype(int)))
     t_s = _starts(blocks, rate)[:, None] + np.arange(40) / rate[:, None]
-    notes = [f"{amount(left_out, 'damaged block was', 'damaged blocks were')} left out."] if left_out else []
+    notes = [f"Damaged blocks, left out: {left_out}."] if left_out else []
     if cut:  # a file is a whole number of blocks
         notes.append("The file is cut off within a block; what follows is lost. Download it again.")
-    return ImuTable(
-        name="",
-        t_s=_even(t_s, blocks)[filled],
-        acc=acc[filled],
-        gyro=gyro[filled],
-        units="g, deg/s",
-        notes=notes,
-    )
+    t_s = _even(t_s, blocks)[filled]
+    return ImuTable("", t_s, acc[filled], gyro[filled], units="g, deg/s", notes=notes)
 
 
 def _starts(blocks: NDArray[np.void], rate: FloatArray) -> FloatArray:
@@ -214,12 +189,6 @@ def _even(t_s: FloatArray, blocks: NDArray[np.void]) -> FloatArray:
     return starts[:, None] + np.arange(40) * tick[:, None]
 
 
-def _sums(blocks: NDArray[np.void]) -> NDArray[np.uint16]:
-    """Sums of each block's 16-bit words: 0 where its checksum is right."""
-    words = np.ascontiguousarray(blocks).view("<u2").reshape(len(blocks), 256)
-    return words.sum(axis=1, dtype=np.uint64).astype(np.uint16)
-
-
 _ACC, _GYRO, _MAG = "sensorAcceleration", "sensorAngularVelocity", "sensorMagneticField"
 _EXPORT = "export it again with sensor data 'acceleration' and 'angular velocity' (calibrated sensor data) on"
 
@@ -233,27 +202,22 @@ def _read_mvnx(path: Path) -> list[ImuTable]:
     names: list[str] = []
     times: list[float] = []
     rate, is_free = None, False
-    try:
-        for event, element in iterparse(path, events=("start", "end")):
-            tag = element.tag.rpartition("}")[2]
-            if event == "start":
-                if tag == "subject":
-                    rate = _number(element.get("frameRate"))
-                elif tag == "sensor":
-                    names.append(element.get("label", ""))
-            elif tag == "frame":
-                if element.get("type", "normal") == "normal":
-                    times.append(_number(element.get("time")) or 0.0)
-                    for child in element:
-                        tag = child.tag.rpartition("}")[2]
-                        is_free |= tag == "sensorFreeAcceleration"
-                        if tag in rows:
-                            rows[tag].append(child.text or "")
-                element.clear()
-    except ParseError as error:
-        raise RecordingError(f"{path} is damaged MVNX: {shown(str(error), 80)}; export it again.") from error
-    except (OSError, ValueError) as error:
-        raise RecordingError(f"{path} cannot be read as MVNX: {shown(str(error), 80)}.") from error
+    for event, element in iterparse(path, events=("start", "end")):
+        tag = element.tag.rpartition("}")[2]
+        if event == "start":
+            if tag == "subject":
+                rate = _number(element.get("frameRate"))
+            elif tag == "sensor":
+                names.append(element.get("label", ""))
+        elif tag == "frame":
+            if element.get("type", "normal") == "normal":
+                times.append(_number(element.get("time")) or 0.0)
+                for child in element:
+                    tag = child.tag.rpartition("}")[2]
+                    is_free |= tag == "sensorFreeAcceleration"
+                    if tag in rows:
+                        rows[tag].append(child.text or "")
+            element.clear()
     if not rows[_ACC] or not rows[_GYRO]:
         has = "free acceleration and orientation only" if is_free else "no raw sensors"
         raise RecordingError(f"{path} is an {MVNX.title} that contains {has}; {_EXPORT}.")
@@ -285,12 +249,12 @@ def _read_mvnx(path: Path) -> list[ImuTable]:
 
 
 MVNX = Format(
-    key="mvnx",
-    title="Xsens MVNX",
-    kind="imu",
-    recognised_by="XML whose root is mvnx",
-    recognises=lambda head: bool(_ROOT.match(head.text[:4000])),
-    read=_read_mvnx,
+    "mvnx",
+    "Xsens MVNX",
+    "imu",
+    "XML whose root is mvnx",
+    lambda head: bool(_ROOT.match(head.text[:4000])),
+    _read_mvnx,
 )
 
 
@@ -303,8 +267,7 @@ def _vectors(path: Path, key: str, texts: list[str]) -> FloatArray:
     except ValueError:
         pass
     raise RecordingError(
-        f"{path}: {key} is not three numbers per sensor in every frame, and equally many in all; export it"
-        " again."
+        f"{path}: {key} is not three numbers per sensor, as many in every frame; export it again."
     )
 
 

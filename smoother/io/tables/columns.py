@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-from ...array_types import FloatArray
+from ...array_types import BoolArray, FloatArray
 from ...errors import RecordingError
 from ...recording import CameraFrame, ImuStream, JointState
 from ...runtime.inputs import check_input
@@ -35,14 +35,9 @@ from .table import (
     CUT,
     SEPARATORS,
     Table,
-    check_lines,
-    file_text,
-    is_data,
-    layout_of,
     plain_label,
     read_table,
     shown,
-    split_line,
 )
 from .times import stated_time_unit, time_among, time_column
 from .units import (
@@ -126,24 +121,21 @@ class CameraKeys(TableKeys):
 # --------------------------------------------------------------------------------------- columns as stated
 
 IMU_COLUMNS = ("t", "ax", "ay", "az", "gx", "gy", "gz", "mx", "my", "mz")
-#: A header may be followed by this many lines of units and the like.
-_BELOW_HEADER = 3
 
 
 def read_imu_columns(folder: Path, keys: ImuKeys) -> list[ImuTable]:
     """The tables of an IMU, one per file, in SI units."""
     files = [keys.file] if isinstance(keys.file, str) else keys.file
-    given = keys.columns if isinstance(keys.columns, list) else [keys.columns] * len(files)
+    given = keys.columns if isinstance(keys.columns, list) else [keys.columns or {}] * len(files)
     if len(given) != len(files):
         raise RecordingError(
-            f"{folder / 'recording.toml'}: {len(files)} files have {len(given)} tables of columns; give one"
-            " for each, or one for all."
+            f"{folder}/recording.toml: {len(files)} files have {len(given)} tables of columns; give one each."
         )
     tables = []
     for file, columns in zip(files, given, strict=True):
-        _refuse_others(folder / file, columns or {}, IMU_COLUMNS)
-        table = _described(folder / file, keys, columns or {}, keys.is_plain)
-        tables.append(imu_by_columns(table, columns or {}, keys, len(files) > 1))
+        _refuse_others(folder / file, columns, IMU_COLUMNS)
+        table = _described(folder / file, keys, keys.is_plain)
+        tables.append(imu_by_columns(table, columns, keys, len(files) > 1))
     return tables
 
 
@@ -151,35 +143,30 @@ def imu_by_columns(
     table: Table, columns: Mapping[str, Column], keys: ImuKeys, is_part: bool = False
 ) -> ImuTable:
     """An IMU of the columns that are stated, or of the product's own."""
-    at = {}
-    for what, column in (columns or dict(zip(IMU_COLUMNS, ("t_s", *IMU_COLUMNS[1:]), strict=True))).items():
-        place = _place(table, column)
-        if place is not None:
-            at[what] = place
-        elif not is_part and (columns or what not in ("t", "mx", "my", "mz")):
-            raise _no_column(table, what, column)
-    acc, gyro, mag = (_vectors(table, at, letter) if f"{letter}x" in at else None for letter in "agm")
-    if acc is None and gyro is None:
+    own = {"t": "t_s", **{name: name for name in IMU_COLUMNS[1:]}}
+    optional = IMU_COLUMNS if is_part else () if columns else ("t", "mx", "my", "mz")
+    at = _placed(table, columns or own, optional)
+    vectors: dict[str, FloatArray] = {}
+    for letter in ("a", "g", "m"):
+        missing = [letter + axis for axis in "xyz" if letter + axis not in at]
+        if letter + "x" not in missing:
+            if missing:
+                raise RecordingError(f"{table.path}: columns lack {', '.join(missing)}; name all three axes.")
+            vectors[letter] = table.vectors([at[letter + axis][0] for axis in "xyz"])
+    if not {"a", "g"} & vectors.keys():
         raise RecordingError(
             f"{table.path}: columns name neither an accelerometer (ax, ay, az) nor a gyroscope (gx, gy, gz)"
             f" that is there; its columns are {_listed(table)}."
         )
-    t_s, counter = _times(table, at.get("t"), keys)
-    units = (
-        keys.accelerometer_unit if acc is not None else "",
-        keys.gyroscope_unit if gyro is not None else "",
-    )
-    return ImuTable(
-        "",
-        t_s,
-        None if acc is None else acc * ACCELERATION[keys.accelerometer_unit],
-        None if gyro is None else gyro * ANGULAR_VELOCITY[keys.gyroscope_unit],
-        mag,
-        keys.rate_hz,
-        counter,
-        units=", ".join(unit for unit in units if unit),
-        notes=table.notes,
-    )
+    t_s, counter = _times(table, at["t"][0] if "t" in at else None, keys)
+    imu = ImuTable("", t_s, None, None, vectors.get("m"), keys.rate_hz, counter, notes=table.notes)
+    if "a" in vectors:
+        imu.acc = vectors["a"] * ACCELERATION[keys.accelerometer_unit]
+    if "g" in vectors:
+        imu.gyro = vectors["g"] * ANGULAR_VELOCITY[keys.gyroscope_unit]
+    units = {"a": keys.accelerometer_unit, "g": keys.gyroscope_unit}
+    imu.units = ", ".join(unit for letter, unit in units.items() if letter in vectors)
+    return imu
 
 
 def _times(
@@ -207,69 +194,46 @@ def _times(
     times = from_1970(values, keys.time_unit) * SECONDS[keys.time_unit]
     if np.isfinite(times).any() and float(np.nanmedian(times)) > DATED_S[1]:
         raise RecordingError(
-            f"{table.path}: in {keys.time_unit} the times of {table.name(column)} are later than 2100;"
-            " correct time_unit."
+            f"{table.path}: {table.name(column)} is later than 2100 in {keys.time_unit}; correct time_unit."
         )
     return times, None
 
 
 def _described(
-    path: Path, keys: TableKeys, columns: Mapping[str, Column | list[Column]], strict: bool = False
+    path: Path, keys: TableKeys, strict: bool, expected: str = "the table that recording.toml describes"
 ) -> Table:
     """The table of a file, laid out as said."""
     check_input(path, RecordingError)
     if not path.is_file():
         raise RecordingError(f"{path} does not exist; add it, or correct the name.")
-    if keys.separator is None and keys.skip_rows is None:
-        return read_table(path, "the table that recording.toml describes", quote=False, strict=strict)
-    lines = file_text(path).split("\n")
-    check_lines(path, lines)
-    first = keys.skip_rows or 0
-    rest = [line for line in lines[first:] if line.strip()]
-    if not rest:
-        raise RecordingError(f"{path} has no rows below the first {first}; correct skip_rows.")
-    found = layout_of(rest)
-    separator = keys.separator or ("," if found is None else found.separator)
-    if separator not in SEPARATORS:
-        raise RecordingError(f'{path}: separator is {separator!r}; it is one of ",", ";", "\\t" and " ".')
-    while first < len(lines) - 1 and not lines[first].strip():
-        first += 1
-    cells = split_line(lines[first], separator)
-    flat = [c for each in columns.values() for c in (each if isinstance(each, list) else [each])]
-    has_header = any(isinstance(column, str) for column in flat) or not any(map(is_data, cells))
-    row = first
-    if has_header:
-        row += 1
-        for _ in range(_BELOW_HEADER):
-            below = split_line(lines[row], separator) if row < len(lines) else []
-            if row < len(lines) - 1 and not any(is_data(cell) for cell in below):
-                row += 1
-    width = max(len(cells), len(split_line(lines[min(row, len(lines) - 1)], separator)))
-    names = tuple(cells + [""] * (width - len(cells))) if has_header else ()
-    labels, header = tuple(map(plain_label, names)), first if has_header else -1
-    above = tuple(lines[:first])
-    units = ("",) * width
-    return Table(path, separator, above, names, units, labels, header, row, width, lines, strict=strict)
+    if keys.separator is not None and keys.separator not in SEPARATORS:
+        raise RecordingError(
+            f'{path}: separator is {keys.separator!r}; it is one of ",", ";", "\\t" and " ".'
+        )
+    return read_table(path, expected, False, strict, keys.separator, keys.skip_rows or 0)
 
 
-def _place(table: Table, column: Column | list[Column]) -> int | None:
-    """Number (from 0) of a column by its name, or by its number from 1; None where it is not there."""
-    if isinstance(column, int):
-        return column - 1 if 1 <= column <= table.width else None
-    if not isinstance(column, str):
-        return None
-    if column in table.names:
-        return table.names.index(column)
-    wanted = plain_label(column)  # as written, or without the unit in brackets
-    labels = list(map(plain_label, table.names))
-    return labels.index(wanted) if wanted in labels else table.find(wanted)
-
-
-def _needed(table: Table, what: str, column: Column | list[Column]) -> int:
-    place = _place(table, column)
-    if place is None:
-        raise _no_column(table, what, column)
-    return place
+def _placed(
+    table: Table, columns: Mapping[str, Column | list[Column]], optional: Sequence[str] = ()
+) -> dict[str, list[int]]:
+    """Numbers (from 0) of the columns that are there, by their names or by their numbers from 1."""
+    plain, at = list(map(plain_label, table.names)), {}
+    for what, column in columns.items():
+        places: list[int | None] = []
+        for each in column if isinstance(column, list) else [column]:
+            if isinstance(each, int):
+                places.append(each - 1 if 1 <= each <= table.width else None)
+            elif each in table.names:
+                places.append(table.names.index(each))
+            else:  # as written, or without the unit in brackets
+                wanted = plain_label(each)
+                places.append(plain.index(wanted) if wanted in plain else table.find(wanted))
+        found = [place for place in places if place is not None]
+        if len(found) == len(places):
+            at[what] = found
+        elif what not in optional:
+            raise _no_column(table, what, column)
+    return at
 
 
 def _no_column(table: Table, what: str, column: Column | list[Column]) -> RecordingError:
@@ -290,13 +254,6 @@ def _refuse_others(path: Path, columns: Mapping[str, object], known: Sequence[st
             raise RecordingError(f"{path}: columns.{name} is not known; it is one of {', '.join(known)}.")
 
 
-def _vectors(table: Table, at: Mapping[str, int], letter: str) -> FloatArray:
-    missing = [letter + axis for axis in "xyz" if letter + axis not in at]
-    if missing:
-        raise RecordingError(f"{table.path}: columns lack {', '.join(missing)}; name all three axes.")
-    return table.vectors([at[letter + axis] for axis in "xyz"])
-
-
 STATES = {state.name.lower(): state for state in JointState}
 _LONG_COLUMNS = ("t", "joint", "x", "y", "z", "state", "body")
 
@@ -304,8 +261,14 @@ _LONG_COLUMNS = ("t", "joint", "x", "y", "z", "state", "body")
 def read_skeleton_columns(path: Path, keys: CameraKeys) -> list[SkeletonTable]:
     """The bodies of a skeleton's table."""
     columns = keys.columns or dict(zip(_LONG_COLUMNS, ("t_s", *_LONG_COLUMNS[1:]), strict=True))
-    table = _described(path, keys, columns, keys.is_plain)
-    raw = _long_rows(table, keys, columns) if "joint" in columns else _wide_rows(table, keys, columns)
+    table = _described(path, keys, keys.is_plain)
+    if is_long := "joint" in columns:
+        _refuse_others(path, columns, _LONG_COLUMNS)
+        columns = {"x": "x", "y": "y", "z": "z", **columns}
+    at = _placed(table, columns, ("state", "body") if is_long else ())
+    t_s, counter = _times(table, at["t"][0] if "t" in at else None, keys)
+    t_s = t_s if counter is None else counter / (keys.rate_hz or 1.0)
+    raw = _long_rows(table, keys, at, t_s) if is_long else _wide_rows(table, keys, at, t_s)
     raw.notes = table.notes
     raw.position = {joint: values * METRES[keys.position_unit] for joint, values in raw.position.items()}
     hint = None if keys.gravity is None else np.array(keys.gravity)
@@ -334,50 +297,47 @@ def read_keypoint_columns(path: Path, keys: CameraKeys) -> list[SkeletonTable]:
     return tables
 
 
-def _lost(values: FloatArray) -> NDArray[np.bool_]:
+def _lost(values: FloatArray) -> BoolArray:
     return np.asarray((values == 0).all(axis=1) | ~np.isfinite(values).all(axis=1))
 
 
-def _wide_rows(table: Table, keys: CameraKeys, columns: dict[str, Column | list[Column]]) -> RawSkeleton:
+def _wide_rows(
+    table: Table, keys: CameraKeys, at: dict[str, list[int]], t_s: FloatArray | None
+) -> RawSkeleton:
     """One row per frame and body: three columns per joint."""
-    names = [name for name in columns if name not in ("t", "body")]
-    for name in names:
-        if joint_code(name.removesuffix("_state")) is None:
+    raw = RawSkeleton(table.path, time=np.arange(len(table), dtype=float) if t_s is None else t_s)
+    if "body" in at:
+        raw.body = table.numbers(at["body"][0])
+    for joint in (name for name in at if name not in ("t", "body")):
+        if joint_code(joint.removesuffix("_state")) is None:
             raise RecordingError(
-                f"{table.path}: columns.{name} is not a joint; joints are shoulder, elbow, wrist, hand or"
+                f"{table.path}: columns.{joint} is not a joint; joints are shoulder, elbow, wrist, hand or"
                 " strap with _left or _right, and t, body, JOINT_state."
             )
-    position, state = {}, {}
-    for joint in (name for name in names if not name.endswith("_state")):
-        three = columns[joint]
-        if not isinstance(three, list) or len(three) != 3:
+        if joint.endswith("_state"):
+            continue
+        if len(at[joint]) != 3:
             raise RecordingError(
-                f"{table.path}: columns.{joint} names {three!r}; give its three columns x, y, z in brackets."
+                f"{table.path}: columns.{joint}: give its three columns x, y, z in brackets."
             )
-        position[joint] = table.vectors([_needed(table, joint, column) for column in three])
-        lost = _lost(position[joint])
-        position[joint][lost] = np.nan
-        said: Any = JointState.TRACKED
-        if (column := columns.get(f"{joint}_state")) is not None:
-            said = _states(table, _needed(table, f"{joint}_state", column), keys)
-        state[joint] = np.where(lost, JointState.NOT_TRACKED, said).astype(np.int8)
-    body = columns.get("body")
-    bodies = None if body is None else table.numbers(_needed(table, "body", body))
-    t_s = _frame_times(table, keys, columns)
-    time = np.arange(len(table), dtype=float) if t_s is None else t_s
-    return RawSkeleton(table.path, position, state, time, body=bodies)
+        values = table.vectors(at[joint])
+        lost = _lost(values)
+        values[lost] = np.nan
+        said = _states(table, at[f"{joint}_state"][0], keys) if f"{joint}_state" in at else JointState.TRACKED
+        raw.position[joint] = values
+        raw.state[joint] = np.where(lost, JointState.NOT_TRACKED, said).astype(np.int8)
+    return raw
 
 
-def _long_rows(table: Table, keys: CameraKeys, columns: dict[str, Column | list[Column]]) -> RawSkeleton:
+def _long_rows(
+    table: Table, keys: CameraKeys, at: dict[str, list[int]], t_s: FloatArray | None
+) -> RawSkeleton:
     """One row per joint: the rows of one time and body become one."""
-    _refuse_others(table.path, columns, _LONG_COLUMNS)
-    t_s = _frame_times(table, keys, columns)
     if t_s is None:
         raise RecordingError(f"{table.path}: columns.t is missing; it defines which rows are one frame.")
-    values = table.vectors([_needed(table, axis, columns.get(axis, axis)) for axis in "xyz"])
-    body, place = (_place(table, columns[name]) if name in columns else None for name in ("body", "state"))
-    bodies = np.zeros(len(table)) if body is None else table.numbers(body)
-    names = table.texts(_needed(table, "joint", columns["joint"]))
+    values = table.vectors([at[axis][0] for axis in "xyz"])
+    bodies = table.numbers(at["body"][0]) if "body" in at else np.zeros(len(table))
+    names = table.texts(at["joint"][0])
     meaning = {name: _joint_of(name) for name in set(names)}
     unknown = sorted(name for name, joint in meaning.items() if not joint)
     if unknown and (table.strict or len(unknown) == len(meaning)):
@@ -386,13 +346,14 @@ def _long_rows(table: Table, keys: CameraKeys, columns: dict[str, Column | list[
             f" '{shown(', '.join(unknown), 120)}' is not known; it is shoulder, elbow, wrist, hand or strap"
             " with _left or _right."
         )
-    said = np.full(len(table), JointState.TRACKED) if place is None else _states(table, place, keys)
-    if (bare := (said != JointState.NOT_TRACKED) & _lost(values)).any():
+    said = _states(table, at["state"][0], keys) if "state" in at else np.full(len(table), JointState.TRACKED)
+    lost = _lost(values)
+    if (bare := (said != JointState.NOT_TRACKED) & lost).any():
         table.notes.append(
-            f"{int(bare.sum())} rows that are tracked or inferred have no position, the first at"
+            f"Rows that are tracked or inferred and have no position: {int(bare.sum())}, the first at"
             f" {t_s[bare][0]:.3f} s."
         )
-    said = np.where(_lost(values), JointState.NOT_TRACKED, said)
+    said = np.where(lost, JointState.NOT_TRACKED, said)
     first, position, state = gathered(t_s, bodies, [meaning[name] for name in names], values, said)
     for each in (position, state):
         each.pop("", None)
@@ -411,28 +372,16 @@ def _joint_of(name: str) -> str:
 
 def _states(table: Table, column: int, keys: CameraKeys) -> NDArray[np.int64]:
     """States (n,) of a joint by the words or numbers of a column."""
-    cells = table.texts(column)
     own = {cell.strip().lower(): STATES[state] for cell, state in (keys.states or {}).items()}
-    words, codes = {**STATES, **own}, {}
-    for cell in set(cells):
-        plain = cell.strip().lower()
-        plain = plain if plain in words else plain.removesuffix(".0")
-        if plain not in words:
-            raise RecordingError(
-                f"{table.path}: {table.name(column)} contains '{shown(cell, 40)}'; state its values' meaning,"
-                ' as in states = { "0" = "not_tracked", "1" = "inferred", "2" = "tracked" }.'
-            )
-        codes[cell] = int(words[plain])
-    return np.array([codes[cell] for cell in cells], np.int64)
-
-
-def _frame_times(
-    table: Table, keys: CameraKeys, columns: dict[str, Column | list[Column]]
-) -> FloatArray | None:
-    """Times (n,) of rows in s; None where there are none."""
-    place = _needed(table, "t", columns["t"]) if "t" in columns else None
-    t_s, counter = _times(table, place, keys)
-    return t_s if counter is None else counter / (keys.rate_hz or 1.0)
+    words = {**STATES, **own}
+    cells = [cell.lower() for cell in table.texts(column)]
+    cells = [cell if cell in words else cell.removesuffix(".0") for cell in cells]
+    if unknown := set(cells) - words.keys():
+        raise RecordingError(
+            f"{table.path}: {table.name(column)} contains '{shown(min(unknown), 40)}'; state its values'"
+            ' meaning, as in states = { "0" = "not_tracked", "1" = "inferred", "2" = "tracked" }.'
+        )
+    return np.array([words[cell] for cell in cells], np.int64)
 
 
 # ----------------------------------------------------------------------------------- columns as they appear
@@ -470,27 +419,21 @@ class Guess:
 
 def toml_of(path: Path, guess: Guess, name: str) -> str:
     """A recording.toml of a guess, with its reasons as comments."""
-    is_camera = guess.kind == "skeleton"
-    section = "camera" if is_camera else f"imu.{name}"
-    lines = [f"[{section}]", f"{'skeleton' if is_camera else 'file'} = {_toml_value(path.name)}"]
-    for key, value in guess.keys.items():
-        reason = guess.reasons.get(key, "")
-        lines.append(f"{key} = {_toml_value(value)}" + (f"  # {reason}" if reason else ""))
-    lines += ["", f"[{section}.columns]"]
-    for key, value in guess.columns.items():
-        reason = guess.reasons.get(key[0], "") if not is_camera and key[1:] == "x" else ""
-        lines.append(f"{key} = {_toml_value(value)}" + (f"  # {reason}" if reason else ""))
-    return "\n".join(lines) + "\n"
-
-
-def _toml_value(value: Any) -> str:
     import tomlkit
 
-    if isinstance(value, dict):
-        pairs = tomlkit.inline_table()
-        pairs.update(value)
-        return pairs.as_string()
-    return tomlkit.item(value).as_string()
+    def line(key: str, value: Any) -> str:
+        item: Any = tomlkit.item(value) if not isinstance(value, dict) else tomlkit.inline_table()
+        if isinstance(value, dict):
+            item.update(value)
+        reason = guess.reasons.get(key, "")
+        return f"{key} = {item.as_string()}" + (f"  # {reason}" if reason else "")
+
+    is_camera = guess.kind == "skeleton"
+    section = "camera" if is_camera else f"imu.{name}"
+    keys = {"skeleton" if is_camera else "file": path.name, **guess.keys}
+    lines = [f"[{section}]", *(line(*each) for each in keys.items())]
+    lines += ["", f"[{section}.columns]", *(line(*each) for each in guess.columns.items())]
+    return "\n".join(lines) + "\n"
 
 
 def guess_of(table: Table) -> Guess:
@@ -502,7 +445,7 @@ def guess_of(table: Table) -> Guess:
 def named(table: Table, column: int) -> str | int:
     """A column as recording.toml names it: by its name where it has one of its own, else by its number."""
     name = table.names[column] if table.names else ""
-    return name if name and list(table.names).count(name) == 1 else column + 1
+    return name if name and table.names.count(name) == 1 else column + 1
 
 
 def guess_sensor(table: Table, usual_gyro: str = "") -> Guess:
@@ -512,26 +455,36 @@ def guess_sensor(table: Table, usual_gyro: str = "") -> Guess:
     if not axes:
         return Guess(unsure=[_NO_SENSOR])
     for kind, columns in axes.items():
-        for axis, column in zip("xyz", columns, strict=True):
-            guess.columns[kind[0] + axis] = named(table, column)
-    used = {column for columns in axes.values() for column in columns}
-    t_s, rate = _guess_times(table, guess, used)
-    acc, gyro = axes.get("acc"), axes.get("gyro")
-    force = None if acc is None else _guess_acceleration(table, guess, acc)
-    if gyro is not None:
-        values = table.vectors(gyro)
-        unit, why = unit_of("gyro", values, table.unit(gyro[0]), usual_gyro, force, t_s, rate)
+        guess.columns |= {kind[0] + axis: named(table, at) for axis, at in zip("xyz", columns, strict=True)}
+    t_s, rate = _guess_times(table, guess, {at for columns in axes.values() for at in columns})
+    force = None
+    if "acc" in axes:
+        values = table.vectors(axes["acc"])
+        unit, why = unit_of("acc", values, table.unit(axes["acc"][0]))
+        if unit and holds_gravity(values * ACCELERATION[unit]):
+            guess.set("accelerometer_unit", unit, why)
+            force = values * ACCELERATION[unit]
+        else:
+            size = f"{usual_size(values):.3g}"
+            said = (
+                "The acceleration is without gravity, or its unit is not known: record the raw accelerometer,"
+            )
+            said += f" which reads 9.81 m/s^2 or 1 g at rest, and not {size}."
+            guess.set("accelerometer_unit", unit or "m/s^2", f"{UNKNOWN}: it reads {size} as a rule", said)
+    if "gyro" in axes:
+        values = table.vectors(axes["gyro"])
+        unit, why = unit_of("gyro", values, table.unit(axes["gyro"][0]), usual_gyro, force, t_s, rate)
         size = why or f"it reads up to {np.nanpercentile(np.abs(values), 99):.3g}"
         guess.set("gyroscope_unit", unit, size, "" if why else _NO_UNIT_NOTE)
-    if acc is None or gyro is None:
-        missing = "accelerometer" if acc is None else "gyroscope"
-        guess.unsure.append(
-            f"There is no {missing} here; name its file too: file = [.., ..], columns = [{{..}}, {{..}}]."
-        )
+    for kind, missing in (("acc", "accelerometer"), ("gyro", "gyroscope")):
+        if kind not in axes:
+            guess.unsure.append(
+                f"There is no {missing} here; name its file too: file = [.., ..], columns = [{{..}}, {{..}}]."
+            )
     return guess
 
 
-#: Stems of a vector that its columns' names do not tell, and the signs of its axes.
+#: Stems of a sensor's columns whose names do not tell, and the signs of its axes.
 _BARE, _SIGNS = ("", "value", "values", "v", "axis"), ("xyz", "012", "123")
 
 
@@ -557,18 +510,16 @@ def _sensor_axes(table: Table, guess: Guess) -> dict[str, Columns]:
     for kind, columns in axes.items():
         unit = table.unit(columns[0])
         by_unit = bool(unit) and kind_of_unit(unit) == kind
-        guess.reasons[kind[0]] = f"unit {unit}" if by_unit else f"name {table.name(columns[0])}"
-    bare = bare_vector(table)
-    if axes:
-        return axes
-    if bare is not None and (not table.labels or _is_of_numbers(table)):
-        kind = _kind_by_size(table, bare)
-        near = "its size is gravity's" if kind == "acc" else "it shows no gravity"
-        guess.reasons[kind[0]] = f"the only vector, and {near}"
-        if kind == "gyro":
-            guess.unsure.append(f"{table.path.name} names no columns: without gravity assumed a gyroscope.")
-        return {kind: bare}
-    return {} if table.names else _by_magnitude(table, guess)
+        guess.reasons[kind[0] + "x"] = f"unit {unit}" if by_unit else f"name {table.name(columns[0])}"
+    bare = None if axes else bare_vector(table)
+    if bare is None or (table.labels and not _is_of_numbers(table)):
+        return axes if table.names else _by_magnitude(table, guess)
+    kind = _kind_by_size(table, bare)
+    near = "its size is gravity's" if kind == "acc" else "it shows no gravity"
+    guess.reasons[kind[0] + "x"] = f"the only vector, and {near}"
+    if kind == "gyro":
+        guess.unsure.append(f"{table.path.name} names no columns: without gravity assumed a gyroscope.")
+    return {kind: bare}
 
 
 def _is_of_numbers(table: Table) -> bool:
@@ -590,22 +541,18 @@ _EXACT = 1e-4
 
 def _kind_by_size(table: Table, columns: Columns) -> str:
     """Which sensor a vector that is named after none is, by the size of its values."""
-    values = table.vectors(columns)
-    size = np.linalg.norm(values, axis=1)
+    size = np.linalg.norm(table.vectors(columns), axis=1)
     size = size[np.isfinite(size)]
     if not len(size):
         raise RecordingError(f"{table.path} has no samples; export it again.")
     low, median, high = np.percentile(size, (25, 50, 75))
-    unit = gravity_unit(float(median), 0.82, 1.22)
-    spread = high - low
-    if unit == "m/s^2" and spread < _EXACT * median:
+    spread, in_si = high - low, gravity_unit(float(median), 0.82, 1.22) == "m/s^2"
+    if in_si and spread < _EXACT * median:
         raise RecordingError(
-            f"{table.path} contains gravity as the system estimates it, not an accelerometer; log the raw"
-            " accelerometer."
+            f"{table.path} contains gravity as the system estimates it; log the raw accelerometer."
         )
-    if (unit == "m/s^2" and spread < median) or (
-        (size > _ABOUT_1_G[0]) & (size < _ABOUT_1_G[1])
-    ).mean() > 0.5:
+    about_1_g = (size > _ABOUT_1_G[0]) & (size < _ABOUT_1_G[1])
+    if (in_si and spread < median) or about_1_g.mean() > 0.5:
         return "acc"
     if _FIELD[0] < median < _FIELD[1] and spread < _FIELD_SPREAD * median:
         raise RecordingError(
@@ -619,42 +566,23 @@ def _by_magnitude(table: Table, guess: Guess) -> dict[str, Columns]:
     """Accelerometer and gyroscope of a table without names: three columns whose length stays near one g."""
     columns = [column for column in range(table.width) if table.is_numeric(column)]
     best, share, least = None, 0.0, np.inf
-    for at in range(len(columns) - 2):
-        three = (columns[at], columns[at + 1], columns[at + 2])
+    for three in zip(columns, columns[1:], columns[2:], strict=False):
         length = np.linalg.norm(table.vectors(three), axis=1)
-        ones = (float(np.mean(np.abs(length / one - 1) < 0.2)) for one in (1.0, 9.80665, 1000.0))
-        near, spread = max(ones), float(np.nanstd(length) / np.nanmedian(length))
+        near = max(float(np.mean(np.abs(length / one - 1) < 0.2)) for one in (1.0, 9.80665, 1000.0))
+        spread = float(np.nanstd(length) / np.nanmedian(length))
         # a part of a quaternion stays near 1 as well, and far more evenly than any force
         if near > 0.5 and 1e-3 < spread < least:
             best, share, least = three, near, spread
     if best is None:
         return {}
-    guess.reasons["a"] = f"the length of these three stays near one g in {100 * share:.0f} % of the rows"
+    guess.reasons["ax"] = f"the length of these three stays near one g in {100 * share:.0f} % of the rows"
     guess.unsure.append("The file names no columns; check which is which.")
     for first in (best[2] + 1, best[0] - 3):
         three = (first, first + 1, first + 2)
-        if all(column in columns for column in three) and (first > 0 or first + 3 == best[0] != 3):
-            guess.reasons["g"] = "the three columns beside the accelerometer"
+        if set(three) <= set(columns) and first > 0:
+            guess.reasons["gx"] = "the three columns beside the accelerometer"
             return {"acc": best, "gyro": three}
     return {"acc": best}
-
-
-def _guess_acceleration(table: Table, guess: Guess, acc: Columns) -> FloatArray | None:
-    """The unit by what the file states, or by gravity; values in m/s^2 where it is known."""
-    values = table.vectors(acc)
-    unit, why = unit_of("acc", values, table.unit(acc[0]))
-    if unit and holds_gravity(values * ACCELERATION[unit]):
-        guess.set("accelerometer_unit", unit, why)
-        return values * ACCELERATION[unit]
-    size = usual_size(values)
-    guess.set(
-        "accelerometer_unit",
-        unit or "m/s^2",
-        f"{UNKNOWN}: it reads {size:.3g} as a rule",
-        "The acceleration is without gravity, or its unit is not known: record the raw accelerometer, which"
-        f" reads 9.81 m/s^2 or 1 g at rest, and not {size:.3g}.",
-    )
-    return None
 
 
 #: Words in names of columns of times, and of counters.
@@ -687,15 +615,15 @@ def _guess_times(table: Table, guess: Guess, used: set[int]) -> tuple[FloatArray
             return _set_time(table, guess, found, unit, why), None
     except RecordingError as error:
         guess.unsure.append(str(error))
+    numeric = (at for at in counted if table.is_numeric(at))
+    if (
+        count := next((at for at in numeric if np.median(np.diff(table.numbers(at))) >= 1), None)
+    ) is not None:
+        guess.columns["t"] = named(table, count)
+        guess.set("time_unit", "counter", "a counter, and no column of times")
     lines = (line for line in table.preamble if re.search(r"rate|freq|hz", line, re.IGNORECASE))
     rates = (float(number[1]) for line in lines if (number := re.search(r"(\d+(?:\.\d+)?)", line)))
-    rate = next((each for each in rates if SENSOR_RATES[0] <= each <= SENSOR_RATES[1]), None)
-    for at in counted:
-        if table.is_numeric(at) and np.median(np.diff(table.numbers(at))) >= 1:
-            guess.columns["t"] = named(table, at)
-            guess.set("time_unit", "counter", "a counter, and no column of times")
-            break
-    if rate:
+    if rate := next((each for each in rates if SENSOR_RATES[0] <= each <= SENSOR_RATES[1]), None):
         guess.set("rate_hz", rate, "stated above the table")
         return None, rate
     if best is not None:
@@ -742,42 +670,38 @@ def _time_unit(table: Table, column: int, least: float) -> tuple[str, str]:
 
 def guess_skeleton(table: Table, joints: JointColumns) -> Guess:
     """Guess at a table with one row per frame, whose joints are known by their names."""
-    axes, states, time = joints.axes, joints.confidence, joints.time
     guess = Guess("skeleton")
-    for joint, columns in axes.items():
+    for joint, columns in joints.axes.items():
         guess.columns[joint] = [named(table, column) for column in columns]
-        if joint in states:
-            guess.columns[f"{joint}_state"] = named(table, states[joint])
-    guess.reasons["columns"] = "names of joints"
-    if states:
-        cells = sorted({cell for column in states.values() for cell in set(table.texts(column))})[:4]
+        if joint in joints.confidence:
+            guess.columns[f"{joint}_state"] = named(table, joints.confidence[joint])
+    if joints.confidence:
+        cells = {cell for column in joints.confidence.values() for cell in table.texts(column)}
+        meanings = ("not_tracked", "inferred", "tracked", "tracked")
         guess.set(
             "states",
-            dict(zip(cells, ("not_tracked", "inferred", "tracked", "tracked"), strict=False)),
+            dict(zip(sorted(cells)[:4], meanings, strict=False)),
             f"{UNKNOWN}: the order of the values that occur",
             "states: what the values of the confidence mean is in the program's manual.",
         )
-    position = {joint: table.vectors(columns) for joint, columns in axes.items()}
+    position = {joint: table.vectors(columns) for joint, columns in joints.axes.items()}
     unit = unit_by_arm(position)
     why = "gives plausible arm lengths" if unit else f"{UNKNOWN}: no unit fits"
     guess.set("position_unit", unit[0] if unit else "m", why)
-    scale, why = ("", "") if time is None else _time_unit(table, time, 0.3)
-    if time is not None and scale:
-        guess.columns["t"] = named(table, time)
+    scale, why = ("", "") if joints.time is None else _time_unit(table, joints.time, 0.3)
+    if joints.time is not None and scale:
+        guess.columns["t"] = named(table, joints.time)
         guess.set("time_unit", scale, why)
     else:
         said = "rate_hz is a guess: write the camera's frames per second."
         guess.set("rate_hz", 30.0, f"{UNKNOWN}: the file has no times", said)
-    downs = {"kinect": (1, -1), "optical": (1, 1), "zup": (2, -1)}
-    arms = [
-        position[f"elbow_{side}"] - position[f"shoulder_{side}"]
+    upper_arms = [
+        np.nansum(position[f"elbow_{side}"] - position[f"shoulder_{side}"], axis=0)
         for side in ("left", "right")
         if {f"shoulder_{side}", f"elbow_{side}"} <= position.keys()
     ]
-    score = {
-        name: sum(float(np.nansum(sign * arm[:, axis])) for arm in arms)
-        for name, (axis, sign) in downs.items()
-    }
+    down = np.sum(upper_arms, axis=0) if upper_arms else np.zeros(3)
+    score = {"kinect": -down[1], "optical": down[1], "zup": -down[2]}
     best = max(score, key=lambda name: score[name])
     said = "frame: the camera's axes; `smooth` reports if gravity contradicts them."
     guess.set("frame", best, "upper arms hang down so" if score[best] > 0 else UNKNOWN, said)
@@ -797,17 +721,12 @@ def read_exact(
 ) -> tuple[dict[str, FloatArray], dict[str, list[str]]]:  # numbers dict of (n,), texts
     """The named columns of a table whose first line is a header; a cell that is no number is refused."""
     path = Path(path)
-    table = _described(
-        path, TableKeys(separator=",", skip_rows=0, rate_hz=None), {name: name for name in required}, True
-    )
+    table = _described(path, TableKeys(rate_hz=None), True, f"a table of {', '.join(required)}")
     missing = [name for name in required if name not in table.names]
     if len(missing) == len(required):  # another kind of file, whose first line may be private
         raise RecordingError(f"{path} has none of the columns {', '.join(required)} in its first line.")
     if missing:
-        raise RecordingError(
-            f"{path} has no column {', '.join(missing)}; its columns are {_listed(table)}."
-            f" `unocclude import describe {path}` helps with other layouts."
-        )
+        raise _no_column(table, "needed here", ", ".join(missing))
     if len(table) and CUT in table.notes:
         raise RecordingError(f"{path} ends within a number of its last line; copy it again, or delete it.")
     numbers, texts = {}, {}

@@ -150,14 +150,14 @@ def _beginning(path: Path, head: FileHead) -> Iterator[tuple[Path, list[str]]]:
 
 def _no_stream(path: Path, head: FileHead) -> tuple[str, str] | None:
     """Kind and title of a file that is not a device's stream but is used."""
-    is_toml = path.suffix.lower() == ".toml"
-    kinds = (
-        ("video", "Video", is_video(head.raw)),
-        ("model", "Model of MediaPipe's pose landmarker", head.raw.startswith(b"PK") and is_model(path)),
-        ("description", "recording.toml", path.name == "recording.toml"),
-        ("calibration", "Calibration", is_toml and "unocclude calibration" in head.text[:4000]),
-    )
-    return next(((kind, title) for kind, title, fits in kinds if fits), None)
+    if is_video(head.raw):
+        return "video", "Video"
+    if head.raw.startswith(b"PK") and is_model(path):
+        return "model", "Model of MediaPipe's pose landmarker"
+    if path.name == "recording.toml":
+        return "description", "recording.toml"
+    is_calibration = path.suffix.lower() == ".toml" and "unocclude calibration" in head.text[:4000]
+    return ("calibration", "Calibration") if is_calibration else None
 
 
 def _stream(table: ImuTable | SkeletonTable, source: str) -> tuple[DescribedStream, list[str]]:
@@ -192,8 +192,8 @@ def _timing(t_s: FloatArray) -> tuple[int, float | None, float, float]:
     if not len(t_s):
         return 0, None, 0.0, 0.0
     rate = median_rate_hz(t_s)
-    stated = round(rate, 3) if math.isfinite(rate) else None
-    return len(t_s), stated, float(t_s[0]), round(float(t_s[-1] - t_s[0]), 3)
+    length = round(float(t_s[-1] - t_s[0]), 3)
+    return len(t_s), round(rate, 3) if math.isfinite(rate) else None, float(t_s[0]), length
 
 
 def _plot(title: str, unit: str, t_s: FloatArray, values: FloatArray) -> dict[str, Any]:

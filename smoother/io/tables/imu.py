@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 from ...array_types import BoolArray, FloatArray, IntArray
 from ...errors import RecordingError
 from ...linalg import interpolate, median_rate_hz
-from ...measurements.timestamps import PAUSE_S, PAUSE_SAMPLES
+from ...measurements.timestamps import pauses
 from ...units import STANDARD_GRAVITY
 from .joints import words_of
-from .table import amount, shown
+from .table import shown
 from .units import ACCELERATION, ANGULAR_VELOCITY, plain_unit
 
 Columns = tuple[int, int, int]
@@ -54,32 +54,31 @@ class ImuTable:
 
 # ------------------------------------------------------------------------- which columns are a sensor's axes
 
-#: All in lower case; English first.
-ACCELERATION_WORDS = (
-    *("acceleration", "accelerometer", "beschleunigung", "beschleunigungssensor", "aceleracion"),
-    "accelerazione",
+
+def _words(*listed: str) -> set[str]:
+    return {word for words in listed for word in words.split()}
+
+
+#: Words for the sensors, in lower case; English first.
+_ACC = _words(
+    "acc accel accelerations acce accelero acceleration accelerometer",
+    "beschleunigung beschleunigungssensor aceleracion accelerazione",
 )
-TURNING_WORDS = (
-    *("gyroscope", "gyroskop", "drehrate", "drehgeschwindigkeit", "winkelgeschwindigkeit", "giroscopio"),
-    *("angular", "angolare", "angulaire"),
+_GYRO = _words(
+    "gyr gyro gyros gyroscope gyroscopes angvel omega rotationrate gyration turn ang angular",
+    "gyroskop drehrate drehgeschwindigkeit winkelgeschwindigkeit giroscopio angolare angulaire",
 )
-_ACC = {"acc", "accel", "accelerations", "acce", "accelero", *ACCELERATION_WORDS}
-_GYRO = {
-    *("gyr", "gyro", "gyroscopes", "angvel", "omega", "rotationrate", "gyration", "turn", "gyros", "ang"),
-    *TURNING_WORDS,
-}
-_MAG = {"mag", "magn", "magnetometer", "magnetic", "magfield"}
+_MAG = _words("mag magn magnetometer magnetic magfield")
 _LETTERS = {"a": "acc", "g": "gyro", "w": "gyro", "m": "mag"}
 #: Words of columns that are not a raw signal of a sensor.
-_DERIVED = {
-    *("free", "linear", "lineare", "lineaire", "lineal", "linearacceleration", "linacc", "user", "gravity"),
-    *("quat", "quaternion", "euler", "orientation", "angle", "norm", "magnitude", "bias", "mat", "roll"),
-    *("pitch", "yaw"),
-}
-_NOISE = {
-    *("velocity", "rate", "field", "x", "y", "z", "channel", "ch", "cal", "calibrated", "raw", "wr", "ln"),
-    *("data", "stream", "lsl", "ms", "s", "deg", "rad", "g", "imu", "sensor", "total", "value", "values"),
-}
+_DERIVED = _words(
+    "free linear lineare lineaire lineal linearacceleration linacc user gravity quat quaternion euler",
+    "orientation angle norm magnitude bias mat roll pitch yaw",
+)
+_NOISE = _words(
+    "velocity rate field x y z channel ch cal calibrated raw wr ln data stream lsl ms s deg rad g imu sensor",
+    "total value values",
+)
 
 
 @dataclass(frozen=True)
@@ -132,15 +131,13 @@ def find_sensors(
             groups.setdefault(name, {}).setdefault(kind, {}).setdefault(axis, at)
     found = []
     for name, kinds in groups.items():
-        axes = {kind: three for kind, by_axis in kinds.items() if (three := _three(by_axis)) is not None}
+        axes: dict[str, Columns] = {}
+        for kind, by_axis in kinds.items():
+            if signs := next((signs for signs in ("xyz", "012", "123") if {*signs} <= by_axis.keys()), ""):
+                axes[kind] = (by_axis[signs[0]], by_axis[signs[1]], by_axis[signs[2]])
         if axes.keys() & {"acc", "gyro"}:
             found.append(SensorChannels(name, axes))
     return found
-
-
-def _three(by_axis: dict[str, int]) -> Columns | None:
-    signs = next((signs for signs in ("xyz", "012", "123") if set(signs) <= by_axis.keys()), None)
-    return None if signs is None else (by_axis[signs[0]], by_axis[signs[1]], by_axis[signs[2]])
 
 
 def joint_label(marker: str, kind: str) -> str:
@@ -256,21 +253,12 @@ def unit_of(
         size = usual_size(values)
         in_si = _NO_GRAVITY < size / STANDARD_GRAVITY < _MOST_GRAVITY
         return gravity_unit(size) or ("m/s^2" if in_si else ""), f"it reads {size:.3g} as a rule"
-    return turning_unit(values, force, t_s, rate)
-
-
-def turning_unit(
-    gyro: FloatArray, acc: FloatArray | None = None, t_s: FloatArray | None = None, rate: float | None = None
-) -> tuple[str, str]:
-    """Unit of a gyroscope (n, 3) that states none, and why; it is by its size alone where that is ""."""
-    if unit := _unit_by_resolution(gyro):
+    if unit := _unit_by_resolution(values):
         return unit, "its smallest step is that of a 16-bit sensor in this unit"
-    scale = turn_scale(ImuTable("", t_s, acc, gyro, rate_hz=rate))
-    if scale is not None:
-        return (
-            "deg/s" if scale < 1 / WRONG_SCALE else "rad/s"
-        ), "it then rotates as gravity does in the accelerometer"
-    finite = np.abs(gyro[np.isfinite(gyro)])
+    if (scale := turn_scale(ImuTable("", t_s, force, values, rate_hz=rate))) is not None:
+        unit = "deg/s" if scale < 1 / WRONG_SCALE else "rad/s"
+        return unit, "it then rotates as gravity does in the accelerometer"
+    finite = np.abs(values[np.isfinite(values)])
     return ("deg/s" if len(finite) and float(np.percentile(finite, 99)) > _FAST else "rad/s"), ""
 
 
@@ -290,38 +278,32 @@ def _unit_by_resolution(gyro: FloatArray) -> str:
     return ""
 
 
-def turn_notes(table: ImuTable) -> list[str]:
-    """A sentence where the gyroscope does not turn as gravity does in its sensor, by 57.3; else none."""
+def with_checked_turning(table: ImuTable) -> ImuTable:
+    """An IMU whose gyroscope turns as gravity does in its axes: by an assumed unit, or with a note."""
     if table.gyro is None or not np.isfinite(table.gyro).any():
-        return []
-    fast = float(np.nanpercentile(np.abs(table.gyro), 99))
+        return table
     scale = turn_scale(table)
+    if table.gyro_unit_assumed and scale is not None and not 1 / WRONG_SCALE < scale < WRONG_SCALE:
+        unit, other, factor = (
+            ("deg/s", "rad/s", np.pi / 180) if scale < 1 else ("rad/s", "deg/s", 180 / np.pi)
+        )
+        said = f"The accelerometer turns with the gyroscope only if that is in {unit}, so that unit counts."
+        gyro, units = table.gyro * factor, table.units.replace(other, unit)
+        notes = [*table.notes, said]
+        table = replace(table, gyro=gyro, units=units, notes=notes, gyro_unit_assumed=False)
+        scale /= factor
+    fast = float(np.nanpercentile(np.abs(table.gyro), 99))
     if fast > _FASTEST or (scale is not None and scale < 1 / WRONG_SCALE):
         how, stated, probable = "larger", "rad/s", "deg/s"
     elif scale is not None and scale > WRONG_SCALE:
         how, stated, probable = "smaller", "deg/s", "rad/s"
     else:
-        return []
-    return [
+        return table
+    said = (
         f"The gyroscope is some 57 times {how} than the accelerometer turns with it: the file's {stated} are"
         f" probably {probable}; check the export."
-    ]
-
-
-def with_settled_unit(table: ImuTable) -> ImuTable:
-    """An IMU whose gyroscope's unit, where it was assumed, is the one in which gravity turns with it."""
-    scale = turn_scale(table) if table.gyro_unit_assumed else None
-    if scale is None or table.gyro is None or 1 / WRONG_SCALE < scale < WRONG_SCALE:
-        return table
-    unit, other, factor = ("deg/s", "rad/s", np.pi / 180) if scale < 1 else ("rad/s", "deg/s", 180 / np.pi)
-    said = f"The accelerometer turns with the gyroscope only if that is in {unit}, so that unit counts."
-    return replace(
-        table,
-        gyro=table.gyro * factor,
-        units=table.units.replace(other, unit),
-        notes=[*table.notes, said],
-        gyro_unit_assumed=False,
     )
+    return table if said in table.notes else replace(table, notes=[*table.notes, said])
 
 
 def holds_gravity(acc: FloatArray) -> bool:
@@ -385,7 +367,7 @@ def with_halves_joined(
             joined.append(table)
         else:
             alone += mine
-    only = ["an accelerometer" if table.acc is not None else "a gyroscope" for table in alone]
+    only = ("a gyroscope" if table.acc is None else "an accelerometer" for table in alone)
     why = [f"{t.name} is {what} alone, and both are needed" for t, what in zip(alone, only, strict=True)]
     return joined, alone, why
 
@@ -394,87 +376,57 @@ def paired(tables: list[ImuTable], source: str) -> ImuTable:
     """One IMU of tables that each contain a part of it, on the gyroscope's times."""
     if len(tables) == 1 and tables[0].acc is not None and tables[0].gyro is not None:
         return tables[0]
-    acc, gyro = (_only(tables, part, name, source) for part, name in _PARTS)
+    acc, gyro = _only(tables, "acc", source), _only(tables, "gyro", source)
     if acc is gyro:
         raise RecordingError(f"{source}: one file contains the whole sensor already; name it alone.")
-    assert acc.t_s is not None and gyro.t_s is not None and acc.acc is not None
+    assert acc.t_s is not None and gyro.t_s is not None and acc.acc is not None and gyro.gyro is not None
     first, last = max(acc.t_s[0], gyro.t_s[0]), min(acc.t_s[-1], gyro.t_s[-1])
-    if not last > first:
-        raise RecordingError(
-            f"{source}: accelerometer and gyroscope do not overlap in time, they are {first - last:.1f} s"
-            " apart; export both from the same recording."
-        )
-    at = gyro.t_s
-    keep = (at >= first) & (at <= last) & ~_in_a_pause(acc.t_s, at)
+    in_pause = np.isin(np.searchsorted(acc.t_s, gyro.t_s, side="right"), pauses(acc.t_s))
+    keep = (gyro.t_s >= first) & (gyro.t_s <= last) & ~(in_pause & ~np.isin(gyro.t_s, acc.t_s))
     if keep.sum() < 2:
         raise RecordingError(
-            f"{source}: accelerometer and gyroscope share too few samples; export both from the same"
-            " recording."
+            f"{source}: accelerometer and gyroscope share too few samples ({last - first:.1f} s); export both"
+            " from the same recording."
         )
-    mag = next((t for t in tables if t.mag is not None and t.t_s is not None), None)
+    at = gyro.t_s[keep]
+    mags = (interpolate(t.t_s, t.mag, at) for t in tables if t.mag is not None and t.t_s is not None)
     notes = [note for table in tables for note in table.notes]
     notes.append(
         f"The accelerometer ({median_rate_hz(acc.t_s):.1f} Hz) was interpolated to the gyroscope's times"
-        f" ({median_rate_hz(at):.1f} Hz)."
+        f" ({median_rate_hz(gyro.t_s):.1f} Hz)."
     )
     if not keep.all():
-        count = int((~keep).sum())
-        samples = amount(
-            count,
-            "sample of the gyroscope has no accelerometer and was",
-            "samples of the gyroscope have no accelerometer and were",
-        )
-        notes.append(f"{samples} left out.")
+        notes.append(f"Samples of the gyroscope without accelerometer, left out: {int((~keep).sum())}.")
     table = replace(
         gyro,
         name=gyro.name or acc.name,
-        t_s=at[keep],
-        acc=interpolate(acc.t_s, acc.acc, at[keep]),
-        gyro=None if gyro.gyro is None else gyro.gyro[keep],
-        mag=None if mag is None else _at(mag.t_s, mag.mag, at[keep]),
+        t_s=at,
+        acc=interpolate(acc.t_s, acc.acc, at),
+        gyro=gyro.gyro[keep],
+        mag=next(mags, None),
         counter=None,
         units=", ".join(dict.fromkeys(unit for unit in (acc.units, gyro.units) if unit)),
         notes=notes,
     )
-    table = with_settled_unit(table)
-    table.notes.extend(note for note in turn_notes(table) if note not in table.notes)
-    return table
+    return with_checked_turning(table)
 
 
-_PARTS = (("acc", "accelerometer"), ("gyro", "gyroscope"))
-
-
-def _only(tables: list[ImuTable], part: str, name: str, source: str) -> ImuTable:
-    having = [table for table in tables if getattr(table, part) is not None]
-    if len(having) == 1:
-        return having[0]
-    if not having:
+def _only(tables: list[ImuTable], part: str, source: str) -> ImuTable:
+    """The one table that has a part."""
+    name = {"acc": "accelerometer", "gyro": "gyroscope"}[part]
+    having = {kind: [t for t in tables if getattr(t, kind) is not None] for kind in ("acc", "gyro")}
+    if len(having[part]) == 1:
+        return having[part][0]
+    if not having[part]:
         said = dict.fromkeys(note for table in tables for note in table.notes if note.startswith(UNUSED))
         unused = f" ({' '.join(said).rstrip('.')})" if said else ""
         raise RecordingError(
             f"{source} has no {name} that is recognised{unused}; export it as well and name both files:"
             " --imu forearm_right=acc.csv,gyro.csv."
         )
-    names = ", ".join(table.name for table in having)
-    one = f"{source}#{_first(tables, 'acc')},#{_first(tables, 'gyro')}"
-    command = f": --imu forearm_right={one}" if ", " not in source else ""
+    acc, gyro = (of[0].name if of else "" for of in having.values())
+    command = f": --imu forearm_right={source}#{acc},#{gyro}" if ", " not in source else ""
     raise RecordingError(
-        f"{source} has {len(having)} {name}s ({names}); name one accelerometer and one gyroscope{command}."
+        f"{source} has {len(having[part])} {name}s ({', '.join(table.name for table in having[part])}); name"
+        f" one accelerometer and one gyroscope{command}."
     )
-
-
-def _first(tables: list[ImuTable], part: str) -> str:
-    return next((table.name for table in tables if getattr(table, part) is not None), "")
-
-
-def _in_a_pause(t_s: FloatArray, at: FloatArray) -> BoolArray:
-    """Times (M,) that are in a pause of samples at `t_s` (N,)."""
-    dt = np.diff(t_s)
-    pause_s = max(PAUSE_S, PAUSE_SAMPLES * float(np.median(dt))) if len(dt) else PAUSE_S
-    row = np.clip(np.searchsorted(t_s, at, side="right") - 1, 0, max(len(dt) - 1, 0))
-    exact = at == t_s[np.clip(np.searchsorted(t_s, at), 0, len(t_s) - 1)]
-    return np.asarray((dt[row] > pause_s) & ~exact if len(dt) else np.zeros(len(at), bool))
-
-
-def _at(t_s: FloatArray | None, values: FloatArray | None, at: FloatArray) -> FloatArray | None:
-    return None if t_s is None or values is None else interpolate(t_s, values, at)

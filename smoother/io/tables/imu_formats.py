@@ -16,20 +16,12 @@ import numpy as np
 from ...array_types import FloatArray, IntArray
 from ...errors import RecordingError
 from .columns import Guess, ImuKeys, bare_vector, guess_sensor, imu_by_columns, sensors_named
-from .imu import (
-    UNUSED,
-    Columns,
-    ImuTable,
-    unit_of,
-    usual_size,
-)
-from .table import FileHead, Format, Table, is_data, read_table, shown, split_line
+from .imu import UNUSED, Columns, ImuTable, unit_of, usual_size
+from .table import FileHead, Format, Table, read_table, shown
 from .times import seconds, time_column
 from .units import ACCELERATION, ANGULAR_VELOCITY, plain_unit, time_unit
 
 Fits = Callable[[Table], bool]
-#: Whether a file without header is of a format.
-Headless = Callable[[FileHead, Table], bool]
 
 
 @dataclass(frozen=True)
@@ -40,7 +32,7 @@ class Device:
     title: str
     recognised_by: str
     fits: Fits  # Whether a table's columns are of this device
-    lacks: str | Callable[[Table, ImuTable], str] = ""  # What a table without both sensors is, and what to do
+    lacks: str = ""  # What a table without both sensors is, and what to do
     acc: tuple[str, ...] = ("acc",)  # Stems of the vectors' columns, the preferred one first
     gyro: tuple[str, ...] = ("gyr",)
     mag: tuple[str, ...] = ("mag",)
@@ -51,7 +43,6 @@ class Device:
     time_unit: str = "s"
     # Finds the times (n,), s, by what names the sensor and the stated rate, where `time` does not do
     times: Callable[[Table, str, float | None], FloatArray | None] | None = None
-    no_times: str = ""  # What a table without times and a rate is, and what to do
     name: tuple[str, ...] = ()  # Lines of the preamble that state the sensor's name and rate
     rate: tuple[str, ...] = ()
     counter: tuple[str, ...] = ()  # Labels of a packet counter, which starts anew at `counter_wraps`
@@ -69,10 +60,9 @@ def _read_device(path: Path, device: Device) -> list[ImuTable]:
     if device.sensor is not None:
         matches = [device.sensor.fullmatch(label) for label in table.labels]
         prefixes = list(dict.fromkeys(match.group(1) or "" for match in matches if match))
-    nothing = ImuTable("", None, None, None)
     found = [imu for prefix in prefixes if (imu := _sensor(table, device, prefix)) is not None]
     if not found:
-        raise _refused(table, device, nothing)
+        raise RecordingError(f"{path} ({device.title}) is {device.lacks}")
     for imu in found:
         imu.notes[:0] = table.notes
     return found
@@ -87,27 +77,20 @@ def _fitting(path: Path, title: str, fits: Fits) -> Table:
     return table
 
 
-def _refused(table: Table, device: Device, imu: ImuTable) -> RecordingError:
-    article = "an" if device.title[0] in "AXx" else "a"
-    lacks = device.lacks if isinstance(device.lacks, str) else device.lacks(table, imu)
-    return RecordingError(f"{table.path} is {article} {device.title} {lacks}")
-
-
 def _sensor(table: Table, device: Device, prefix: str) -> ImuTable | None:
     """One sensor; None where it lacks one of the two vectors."""
     acc, gyro, mag = (
         table.axes(*(stem.format(prefix, "{}") for stem in stems))
         for stems in (device.acc, device.gyro, device.mag)
     )
-    if (acc is None or gyro is None) and device.increments is None:
+    whole = acc is not None and gyro is not None
+    if not whole and device.increments is None:
         return None
     rate = table.stated_number(*device.rate)
     if device.times is not None:
         t_s = device.times(table, prefix, rate)
     else:
         t_s = seconds(table, table.find(*device.time), device.time_unit)
-    if device.no_times and t_s is None and rate is None:
-        raise RecordingError(f"{table.path} {device.no_times}")
     imu = ImuTable(
         table.names[acc[0]][: len(prefix) - 1] if prefix and acc else table.stated(*device.name),
         t_s,
@@ -119,19 +102,15 @@ def _sensor(table: Table, device: Device, prefix: str) -> ImuTable | None:
         notes=[] if device.notes is None else device.notes(table, prefix),
         gyro_unit_assumed=device.settles_unit and gyro is not None and not table.unit(gyro[0]),
     )
-    units = []
-    for kind, columns, usual in (("acc", acc, device.acc_unit), ("gyro", gyro, device.gyro_unit)):
-        if columns is not None:
-            values, unit = _in_si(table, kind, columns, usual)
-            setattr(imu, kind, values)
-            units.append(unit)
-            if not usual and unit != "m/s^2" and not table.unit(columns[0]):
-                imu.notes.append(f"The accelerometer states no unit; it reads gravity in {unit}.")
     if mag is not None and np.isfinite(field := table.vectors(mag)).all():
         imu.mag = field
-    imu.units = ", ".join(units)
     if acc is None or gyro is None:
-        _fill_from_increments(table, device, imu)
+        return imu if _fill_from_increments(table, device, imu) else None
+    imu.acc, acc_unit = _in_si(table, "acc", acc, device.acc_unit)
+    imu.gyro, gyro_unit = _in_si(table, "gyro", gyro, device.gyro_unit)
+    imu.units = f"{acc_unit}, {gyro_unit}"
+    if not device.acc_unit and acc_unit != "m/s^2" and not table.unit(acc[0]):
+        imu.notes.append(f"The accelerometer states no unit; it reads gravity in {acc_unit}.")
     return imu
 
 
@@ -147,34 +126,29 @@ def _in_si(table: Table, kind: str, columns: Columns, usual: str = "") -> tuple[
         )
     if not unit:
         raise RecordingError(
-            f"{table.path} states no unit of acceleration, and its usual size of"
-            f" {usual_size(values):.3g} is neither 9.81 m/s^2 nor 1 g (uncalibrated values?);"
-            " export calibrated acceleration with gravity, or describe it in a recording.toml."
+            f"{table.path} states no unit of acceleration, and reads {usual_size(values):.3g} as a rule, not"
+            " 9.81 m/s^2 or 1 g (uncalibrated?); export calibrated ones, or describe it in a recording.toml."
         )
     return values * known[unit], unit
 
 
 def _counter(table: Table, column: int | None) -> IntArray | None:
     """Packet counter of a column, (n,); None where there is none, or some packet has none."""
-    if column is None:
+    if column is None or not len(values := table.numbers(column)):
         return None
-    values = table.numbers(column)
-    usable = len(values) and np.isfinite(values).all() and np.abs(values).max() < 2**53
-    return np.round(values).astype(np.int64) if usable and (values == np.round(values)).all() else None
+    usable = np.isfinite(values).all() and np.abs(values).max() < 2**53 and (values % 1 == 0).all()
+    return values.astype(np.int64) if usable else None
 
 
-def _fill_from_increments(table: Table, device: Device, imu: ImuTable) -> None:
-    """Both vectors from velocity (m/s) and rotation over a sample; they must be there."""
+def _fill_from_increments(table: Table, device: Device, imu: ImuTable) -> bool:
+    """Set both vectors from velocity (m/s) and rotation over a sample, if they are there."""
     assert device.increments is not None
     stem, forms = device.increments
     velocity = table.axes(stem, signs=("123", "xyz"))
-    rotation = [
-        at
-        for number, axis in enumerate("wxyz")
-        if (at := table.find(*(form.format(axis=axis, at=number) for form in forms))) is not None
-    ]
+    parts = (table.find(*(form.format(axis=axis, at=at) for form in forms)) for at, axis in enumerate("wxyz"))
+    rotation = [column for column in parts if column is not None]
     if velocity is None or len(rotation) < 4:
-        raise _refused(table, device, imu)
+        return False
     rate = imu.rate_hz
     if rate is None and imu.t_s is not None:
         steps = np.diff(np.unique(imu.t_s[np.isfinite(imu.t_s)]))
@@ -191,6 +165,7 @@ def _fill_from_increments(table: Table, device: Device, imu: ImuTable) -> None:
         f"The increments ({names} ..) were multiplied by the rate of {rate:.4g} Hz to"
         " acceleration and angular velocity."
     )
+    return True
 
 
 def _angular_velocity(rotation: FloatArray, rate_hz: float) -> FloatArray:  # (n, 4) -> (n, 3) rad/s
@@ -199,11 +174,9 @@ def _angular_velocity(rotation: FloatArray, rate_hz: float) -> FloatArray:  # (n
 
     velocity = np.full((len(rotation), 3), np.nan)
     there = np.isfinite(rotation).all(axis=1) & rotation.any(axis=1)
-    velocity[there] = Rotation.from_quat(rotation[there][:, [1, 2, 3, 0]]).as_rotvec() * rate_hz
+    velocity[there] = Rotation.from_quat(rotation[there], scalar_first=True).as_rotvec() * rate_hz
     return velocity
 
-
-_RATE_INTO_TOML = "write rate_hz into a recording.toml (`unocclude import describe` prints one)."
 
 # ------------------------------------------------------------------------------ Xsens MTw, MTi (MT Manager)
 
@@ -228,18 +201,15 @@ def _mt_times(table: Table, _: str, rate: float | None) -> FloatArray | None:
     """Where no rate is stated: the UTC columns, else SampleTimeFine, else a column Time."""
     if rate is not None:
         return None
-    utc = [
-        at for part in ("hour", "minute", "second", "nano") if (at := table.find(f"utc_{part}")) is not None
-    ]
-    if len(utc) == 4:
-        t_s = table.vectors(utc) @ np.array([3600, 60, 1, 1e-9])
+    utc = [table.find(f"utc_{part}") for part in ("hour", "minute", "second", "nano")]
+    if None not in utc:
+        t_s = table.vectors([at for at in utc if at is not None]) @ np.array([3600, 60, 1, 1e-9])
         if np.isfinite(t_s).mean() > 0.5:
             return t_s
     column = table.find("sampletimefine")
-    if column is None or not np.isfinite(table.numbers(column)).any():
+    if column is None or not (there := np.isfinite(ticks := table.numbers(column))).any():
         return seconds(table, table.find("time"))
-    ticks = table.numbers(column)
-    return ticks * _TICK_S if np.isfinite(ticks).mean() > 0.5 else None
+    return ticks * _TICK_S if there.mean() > 0.5 else None
 
 
 #: Layout: MTw user manual, table of ASCII exports; `Counter` wraps at 65535.
@@ -255,10 +225,6 @@ _XSENS_MT = Device(
         " Gyr_X ..)."
     ),
     times=_mt_times,
-    no_times=(
-        "is an Xsens MT Manager export (MTw, MTi) that states neither a rate nor times; export it again with"
-        f" UTC time, or {_RATE_INTO_TOML}"
-    ),
     name=("deviceid", "device id"),
     rate=("update rate", "sample rate", "samplerate", "updaterate"),
     counter=("counter", "packetcounter"),
@@ -279,20 +245,6 @@ def _is_dot(table: Table) -> bool:
     return table.find(*_MT_ONLY, "utc_year", "counter") is None and table.find(*own) is not None
 
 
-def _dot_lacks(table: Table, imu: ImuTable) -> str:
-    if imu.acc is not None:
-        has = "acceleration but no angular velocity"
-    elif imu.gyro is not None:
-        has = "angular velocity but no acceleration (free acceleration is without gravity)"
-    else:
-        fused = table.find(*_DOT_FUSED) is not None
-        has = "quaternions and free acceleration only" if fused else "no raw sensors"
-    return (
-        f"that contains {has}; record 'Custom mode 5' or 'Rate quantities', which contain acceleration and"
-        " angular velocity."
-    )
-
-
 #: Layout: Xsens DOT user manual, sections 4.2 (outputs, `SampleTimeFine` in us).
 _XSENS_DOT = Device(
     key="xsens-dot",
@@ -301,7 +253,10 @@ _XSENS_DOT = Device(
         "the columns SampleTimeFine or PacketCounter beside Acc_X, dv[1], Quat_W, Euler_X or FreeAcc_X"
     ),
     fits=_is_dot,
-    lacks=_dot_lacks,
+    lacks=(
+        "without raw acceleration and angular velocity (free acceleration is without gravity); record 'Custom"
+        " mode 5' or 'Rate quantities', which contain both."
+    ),
     gyro_unit="deg/s",
     time=("sampletimefine",),
     time_unit="us",
@@ -342,18 +297,15 @@ def _shimmer_notes(table: Table, prefix: str) -> list[str]:
     return ["Its accelerometer is the low-noise one, which clips at 2 g; record the wide-range one."] * low
 
 
-def _shimmer_lacks(table: Table, _: ImuTable) -> str:
-    raw = any(match.group(3) != "cal" for match in _shimmer_columns(table))
-    what = "uncalibrated values only" if raw else "no gyroscope or no accelerometer"
-    return f"that contains {what}; record both sensors and export calibrated data (the columns end in _CAL)."
-
-
 _SHIMMER = Device(
     key="shimmer",
     title="Shimmer Consensys export",
     recognised_by="columns such as Shimmer_952D_Accel_WR_X_CAL and Shimmer_952D_Gyro_X_CAL",
     fits=lambda table: any(match.group(2) != "mag" for match in _shimmer_columns(table)),
-    lacks=_shimmer_lacks,
+    lacks=(
+        "without a calibrated accelerometer and gyroscope; record both sensors and export calibrated data"
+        " (the columns end in _CAL)."
+    ),
     sensor=_SHIMMER_COLUMN,
     acc=("{}accel_wr_{}_cal", "{}accel_ln_{}_cal", "{}accel_{}_cal"),
     gyro=("{}gyro_{}_cal",),
@@ -406,7 +358,6 @@ _XIMU = Device(
     gyro_unit="deg/s",
     time=("timestamp", "time"),
     time_unit="us",
-    no_times=f"has a packet number and no times; {_RATE_INTO_TOML}",
     counter=("packet number",),
 )
 _NILSPOD_TIMES = ("t", "utc", "utc_datetime", "local_datetime")
@@ -429,27 +380,21 @@ _NILSPOD = Device(
     acc_unit="",  # m/s^2, as NilsPodLib calibrates, or g, as some versions did
     gyro_unit="deg/s",
     time=(*_NILSPOD_TIMES, "time"),
-    no_times=(
-        f"counts samples and states no rate; export it with the index 'time' or 'utc', or {_RATE_INTO_TOML}"
-    ),
     rate=("sampling rate", "sampling_rate_hz"),
     settles_unit=True,
 )
 
 # ---------------------------------------------------------------------------- SensorLog (iPhone, Apple Watch)
 
-_LOGGED = {
-    "raw": "accelerometeracceleration",
-    "user": "motionuseracceleration",
-    "gravity": "motiongravity",
-    "gyro": "gyrorotation",
-    "rate": "motionrotationrate",
-}
+_RAW, _USER, _GRAVITY = "accelerometeracceleration", "motionuseracceleration", "motiongravity"
+_GYRO, _RATE = "gyrorotation", "motionrotationrate"
+#: Vectors that make an IMU, the preferred ones first: of the raw sensors, of Core Motion, of both.
+_LOGGED = (((_RAW,), _GYRO), ((_USER, _GRAVITY), _RATE), ((_RAW,), _RATE), ((_USER, _GRAVITY), _GYRO))
 _LOGGED_TIMES = ("loggingtime", "timestamp", "time", "locationtimestamp_since1970")
 
 
 def _is_sensorlog(table: Table) -> bool:
-    return any(table.axes(_LOGGED[name]) is not None for name in ("raw", "user", "gyro", "rate"))
+    return any(table.axes(stem) is not None for stem in (_RAW, _USER, _GYRO, _RATE))
 
 
 def _read_sensorlog(path: Path, title: str) -> list[ImuTable]:
@@ -460,37 +405,32 @@ def _read_sensorlog(path: Path, title: str) -> list[ImuTable]:
     """
     table = _fitting(path, title, _is_sensorlog)
     there = {
-        name: columns
-        for name, stem in _LOGGED.items()
+        stem: columns
+        for stem in (_RAW, _USER, _GRAVITY, _GYRO, _RATE)
         if (columns := table.axes(stem)) is not None
         and any(text.lower() not in ("", "null", "nan") for text in table.texts(columns[0]))
     }  # sensors that were off leave theirs empty or null
-    summed = {"user", "gravity"} <= there.keys()
-    if not ("raw" in there or summed) or not {"gyro", "rate"} & there.keys():
+    forces, turning = next((each for each in _LOGGED if there.keys() >= {*each[0], each[1]}), ((), ""))
+    if not forces:
         raise RecordingError(
             f"{path} is a {title} without both accelerometer and gyroscope; log 'Accelerometer' and"
             " 'Gyroscope', or 'Device Motion' with user acceleration and gravity."
         )
     notes = ["iOS writes gravity, which points down; the signs were turned to specific force."]
-    own_gyro = "gyro" in there and ("raw" in there or "rate" not in there)
-    own_acc = "raw" in there and (own_gyro or not summed)
-    names = ("raw",) if own_acc else ("user", "gravity")
-    parts = [_in_si(table, "acc", there[name], "g") for name in names]
-    if not own_acc:
+    if len(forces) > 1:
         notes.append("Acceleration is the sum of user acceleration and gravity of Core Motion.")
-    if not own_gyro:
+    if turning == _RATE:
         notes.append("Angular velocity is Core Motion's, which removes an estimate of the bias.")
-    gyro, gyro_unit = _in_si(table, "gyro", there["gyro" if own_gyro else "rate"], "rad/s")
-    stamp = "accelerometertimestamp_sincereboot" if own_acc else "motiontimestamp_sincereboot"
+    parts = [_in_si(table, "acc", there[stem], "g") for stem in forces]
+    gyro, gyro_unit = _in_si(table, "gyro", there[turning], "rad/s")
+    stamp = f"{'motion' if len(forces) > 1 else 'accelerometer'}timestamp_sincereboot"
     times = (seconds(table, table.find(label)) for label in (stamp, *_LOGGED_TIMES))
     t_s = next((each for each in times if each is not None), None)
     if t_s is None:
         raise RecordingError(f"{path} has no times; log them too (loggingTime, timestamp since reboot).")
-    imu = ImuTable(
-        "", t_s, -np.sum([values for values, _ in parts], axis=0), gyro, units=f"{parts[0][1]}, {gyro_unit}"
-    )
-    imu.notes = [*table.notes, *notes]
-    return [imu]
+    acc = -np.sum([values for values, _ in parts], axis=0)
+    units = f"{parts[0][1]}, {gyro_unit}"
+    return [ImuTable("", t_s, acc, gyro, units=units, notes=[*table.notes, *notes])]
 
 
 # ----------------------------------------------------------------- tables whose columns identify themselves
@@ -507,59 +447,45 @@ _SENSOR_LOGGER = (
 
 
 def _is_metamotion(table: Table) -> bool:
-    """Whether the columns are MetaBase's; a table without header has six of them."""
+    """Whether the columns are MetaBase's, or without header its epochs and times."""
     if not table.names:
-        return table.width >= 6
+        marks = zip((_EPOCH_CELL, _TIME_CELL), range(table.width), strict=False)
+        return table.width >= 6 and all(mark.fullmatch(table.texts(at)[0]) for mark, at in marks)
     elapsed = table.find("elapsed")
     return table.find(*_EPOCHS) is not None and elapsed is not None and table.units[elapsed] == "s"
 
 
-def _is_headless_metamotion(head: FileHead, table: Table) -> bool:
-    cells = split_line(head.lines[table.first_row], table.separator)
-    return table.width >= 6 and bool(_EPOCH_CELL.fullmatch(cells[0]) and _TIME_CELL.fullmatch(cells[1]))
-
-
-_PHYPHOX = (
-    *("acceleration", "beschleunigung", "accélération", "aceleración", "accelerazione", "gyroscope"),
-    *("gyroskop", "giroscopio", "linear acceleration", "lineare beschleunigung"),
-    *("accélération linéaire", "aceleración lineal"),
+_PHYPHOX = re.compile(
+    r"((lineare? )?(acceleration|beschleunigung|accelerazione)|(accélération|aceleración)( linéaire| lineal)?"
+    r"|gyroscope|gyroskop|giroscopio|) ?x"
 )
 
 
 def _is_phyphox(table: Table) -> bool:
     """Whether the columns are phyphox's, whose units are always in the header."""
     time = table.find("time", "zeit", "zeitstempel", "temps", "tiempo", "tempo", "t")
-    if time is None or plain_unit(table.units[time]) != "s":
-        return False
-    vectors = (table.axes(*_PHYPHOX), table.axes(""))
-    units = {plain_unit(table.units[c[0]]) for c in vectors if c is not None}
-    return bool(units & {"m/s^2", "rad/s"}) and not units & {"g", "deg/s"}
+    units = {
+        plain_unit(unit)
+        for label, unit in zip(table.labels, table.units, strict=False)
+        if _PHYPHOX.fullmatch(label)
+    }
+    in_si = bool(units & {"m/s^2", "rad/s"}) and not units & {"g", "deg/s"}
+    return in_si and time is not None and plain_unit(table.units[time]) == "s"
 
 
 def _is_log(table: Table) -> bool:
-    """Whether there is a time and a vector; four columns without header are a time and a vector."""
-    if not table.names:
-        return table.width == 4
-    return time_column(table) is not None and bool(sensors_named(table) or bare_vector(table))
-
-
-def _is_headless_log(head: FileHead, table: Table) -> bool:
-    """Whether four columns are a time and a vector."""
-    rows = [split_line(line, table.separator) for line in head.lines[table.first_row :][:200]]
-    rows = [row for row in rows if len(row) == table.width and all(map(is_data, row))]
-    try:
-        times = np.array([float(row[0].replace(",", ".")) for row in rows])
-    except ValueError:
+    """Whether there is a time and a vector; without header four columns whose times are no dates."""
+    if table.names:
+        return time_column(table) is not None and bool(sensors_named(table) or bare_vector(table))
+    if table.width != 4 or table.times(0)[1]:
         return False
-    return table.width == 4 and len(times) > 3 and times[0] > 1e6 and time_unit("", times) is not None
+    times = table.numbers(0)[:200]
+    return len(times) > 3 and times[0] > 1e6 and time_unit("", times) is not None
 
 
 def _names_sensors(table: Table) -> bool:
     """Whether both sensors are found; or one of them, and nothing about it is made up."""
-    try:
-        return {"acc", "gyro"} <= sensors_named(table).keys() or _guess(table).settled
-    except RecordingError:
-        return False
+    return {"acc", "gyro"} <= sensors_named(table).keys() or _guess(table).settled
 
 
 def _guess(table: Table, usual_gyro: str = "") -> Guess:
@@ -598,17 +524,13 @@ def read_named(path: Path, title: str, fits: Fits, usual_gyro: str = "") -> list
 
 def _by_sensor(table: Table, kinds: int, columns: Columns) -> list[ImuTable]:
     """The halves of a log whose rows name their sensor; [] where the names are of no use."""
-    names, values, halves = (
-        np.array([text.lower() for text in table.texts(kinds)]),
-        table.vectors(columns),
-        [],
-    )
-    t_s = seconds(table, time_column(table))
-    for kind, part in (("acc", "acc"), ("gyro", "gyr")):
+    names, values = [text.lower() for text in table.texts(kinds)], table.vectors(columns)
+    t_s, halves = seconds(table, time_column(table)), []
+    for kind, part, known in (("acc", "acc", ACCELERATION), ("gyro", "gyr", ANGULAR_VELOCITY)):
         rows = np.array([part in name and "lin" not in name and "uncal" not in name for name in names], bool)
         if not rows.any():
             continue
-        written, known = names[rows][0], ACCELERATION if kind == "acc" else ANGULAR_VELOCITY
+        written = names[int(rows.argmax())]
         unit, _ = unit_of(kind, values[rows], written.rpartition("_")[2])
         if not unit:
             raise RecordingError(
@@ -624,31 +546,25 @@ def _by_sensor(table: Table, kinds: int, columns: Columns) -> list[ImuTable]:
 # ---------------------------------------------------------------------------------------------- the formats
 
 
+def _recogniser(fits: Fits) -> Callable[[FileHead], bool]:
+    def recognises(head: FileHead) -> bool:
+        try:
+            return head.table is not None and fits(head.table)
+        except RecordingError:  # of cells that are no numbers
+            return False
+
+    return recognises
+
+
 def imu_format(device: Device) -> Format:
     """The format of a device's table."""
-    recognises = partial(_recognises, fits=device.fits)
     read = partial(_read_device, device=device)
-    return Format(device.key, device.title, "imu", device.recognised_by, recognises, read)
+    return Format(device.key, device.title, "imu", device.recognised_by, _recogniser(device.fits), read)
 
 
-def _recognises(head: FileHead, fits: Fits, headless: Headless | None = None) -> bool:
-    table = head.table
-    if table is None:
-        return False
-    return headless(head, table) if headless is not None and not table.names else fits(table)
-
-
-def _named(
-    key: str,
-    title: str,
-    recognised_by: str,
-    fits: Fits,
-    headless: Headless | None = None,
-    usual_gyro: str = "",
-) -> Format:
+def _named(key: str, title: str, recognised_by: str, fits: Fits, usual_gyro: str = "") -> Format:
     read = partial(read_named, title=title, fits=fits, usual_gyro=usual_gyro)
-    recognises = partial(_recognises, fits=fits, headless=headless)
-    return Format(key, title, "imu", recognised_by, recognises, read)
+    return Format(key, title, "imu", recognised_by, _recogniser(fits), read)
 
 
 _SENSORLOG_TITLE = "SensorLog CSV (iPhone, Apple Watch)"
@@ -667,7 +583,6 @@ IMU_FORMATS = (
         "MetaMotion CSV (accelerometer or gyroscope)",
         "epoch (ms), a time, elapsed (s) and x-axis (g) or x-axis (deg/s); without header, rows of these",
         _is_metamotion,
-        _is_headless_metamotion,
         "deg/s",
     ),
     Format(
@@ -675,7 +590,7 @@ IMU_FORMATS = (
         _SENSORLOG_TITLE,
         "imu",
         "columns such as accelerometerAccelerationX(G), gyroRotationX(rad/s), motionRotationRateX(rad/s)",
-        partial(_recognises, fits=_is_sensorlog),
+        _recogniser(_is_sensorlog),
         partial(_read_sensorlog, title=_SENSORLOG_TITLE),
     ),
     _named(
@@ -689,6 +604,5 @@ IMU_FORMATS = (
         "plain sensor log (Android, Wear OS and the like)",
         "a time (timestamp, time, seconds_elapsed ..) beside acc x, gyro x or plain x, y, z",
         _is_log,
-        _is_headless_log,
     ),
 )

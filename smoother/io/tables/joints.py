@@ -9,6 +9,8 @@ from dataclasses import dataclass, field
 from functools import lru_cache
 from itertools import pairwise
 
+from .units import TIME
+
 
 def _listed(names: str) -> list[str]:
     return names.split()
@@ -63,15 +65,15 @@ def _meanings(**words: str) -> dict[str, str]:
 
 
 #: Words that do not identify a joint.
-_NOISE = set(
-    _listed(
+_NOISE = {
+    *_listed(
         "k 4 abt k4abt joint joints type body pose landmark landmarks keypoint world marker pos position"
-        " skeleton"
-        " lm kp kpt bone global filtered mm cm m meter meters metre metres unfiltered 3d 3 d rigid tracked"
-        " coords"
-        " coordinate coordinates"
-    )
-)
+    ),
+    *_listed(
+        "skeleton lm kp kpt bone global filtered unfiltered mm cm m meter meters metre metres 3d 3 d rigid"
+    ),
+    *_listed("tracked coords coordinate coordinates"),
+}
 _SIDES = _meanings(
     left="l left lt links linke linker linkes gauche izquierda izquierdo izq",
     right="r right rt rechts rechte rechter rechtes droit droite derecha derecho",
@@ -132,25 +134,18 @@ class JointName:
 
 def words_of(name: str) -> list[str]:
     """Words of a name in small letters without accents: parted by signs and capitals (`JOINT_WristLeft`)."""
-    return [word.lower() for word in _WORD.findall(without_accents(name.rsplit(":", 1)[-1]))]
-
-
-def without_accents(text: str) -> str:
-    """A text in plain letters (`épaule` as `epaule`, `Fuß` as `Fuss`)."""
-    if text.isascii():
-        return text
-    parts = unicodedata.normalize("NFKD", text.replace("ß", "ss"))
-    return "".join(each for each in parts if not unicodedata.combining(each))
+    text = name.rsplit(":", 1)[-1]
+    if not text.isascii():
+        parts = unicodedata.normalize("NFKD", text.replace("ß", "ss"))
+        text = "".join(each for each in parts if not unicodedata.combining(each))
+    return [word.lower() for word in _WORD.findall(text)]
 
 
 @lru_cache(maxsize=4096)  # tables are recognised by the same names many times
 def joint_name(name: str) -> JointName | None:
     """What a joint or marker is by its name."""
     words = [_TRANSLATED.get(word, word) for word in words_of(name)]
-    return _meaning(tuple(word for word in words if word not in _NOISE))
-
-
-def _meaning(words: tuple[str, ...]) -> JointName | None:
+    words = [word for word in words if word not in _NOISE]
     sides = [_SIDES[word] for word in words if word in _SIDES]
     rest = [word for word in words if word not in _SIDES]
     side = sides[0] if len(set(sides)) == 1 else ""
@@ -159,25 +154,21 @@ def _meaning(words: tuple[str, ...]) -> JointName | None:
         if len(glued) == 1 and not any(_is_part(word) for word in rest if word not in glued):
             side = _SIDES[glued[0][0]]
             rest = [word[1:] if word in glued else word for word in rest]
-    study = "study" in rest
-    rest = [word for word in rest if word != "study"]
-    centre = any(word in _CENTRE_WORDS for word in rest)
-    rest = [word for word in rest if word not in _CENTRE_WORDS]
+    study, centre = "study" in rest, bool(_CENTRE_WORDS & set(rest))
+    rest = [word for word in rest if word != "study" and word not in _CENTRE_WORDS]
     plain = [word for word in rest if word in ARM]
     pairs = [_PAIR[word] for word in rest if word in _PAIR]
     if len(plain) == 1 and side:
         others = [word for word in rest if word not in ARM and word not in _PAIR]
-        if others or len(pairs) > 1:
+        if others or len(pairs) > 1 or (pairs and plain[0] not in ("elbow", "wrist")):
             return None
-        if pairs:
-            return JointName(plain[0], side, "skin", pairs[0]) if plain[0] in ("elbow", "wrist") else None
-        return JointName(plain[0], side, "centre" if centre else "skin" if study else "joint")
+        kind = "skin" if pairs or (study and not centre) else "centre" if centre else "joint"
+        return JointName(plain[0], side, kind, *pairs)
     if len(rest) == 1 and side:
-        word = rest[0]
-        if word in _CENTRES:
-            return JointName(_CENTRES[word], side, "centre")
-        if word in _SKIN:
-            part, pair = _SKIN[word]
+        if rest[0] in _CENTRES:
+            return JointName(_CENTRES[rest[0]], side, "centre")
+        if rest[0] in _SKIN:
+            part, pair = _SKIN[rest[0]]
             return JointName(part, side, "skin", pair)
     return next((JointName(_OTHER[word], side) for word in rest if word in _OTHER and not plain), None)
 
@@ -187,22 +178,18 @@ def _is_part(word: str) -> bool:
 
 
 _AXES = {"x": 0, "y": 1, "z": 2, "posx": 0, "posy": 1, "posz": 2, "tx": 0, "ty": 1, "tz": 2}
-_CONFIDENCE = set(
-    _listed(
-        "c conf confidence state tracking tracked trackingstate visibility vis v score presence likelihood"
-        " status"
-        " level"
-    )
-)
+_CONFIDENCE = {
+    *_listed("c conf confidence state tracking tracked trackingstate visibility vis v score presence"),
+    *_listed("likelihood status level"),
+}
 #: Columns with one of these words are not positions.
-_ELSE = set(
-    _listed(
+_ELSE = {
+    *_listed(
         "rot rotation orientation orient ori quat quaternion qx qy qz qw w euler roll pitch yaw depth color"
-        " colour"
-        " screen pixel px image img proj projected angle velocity vel acc speed residual reprojection error"
-        " uncertainty sigma std cov q"
-    )
-)
+    ),
+    *_listed("colour screen pixel px image img proj projected angle velocity vel acc speed residual"),
+    *_listed("reprojection error uncertainty sigma std cov q"),
+}
 _NORMALISED = {"norm", "normalized", "normalised"}
 
 
@@ -226,17 +213,6 @@ TIME_WORDS = _phrases(
     " at, capture time, time span, timespan, filetime"
 )
 FRAME_WORDS = _phrases("frame, frame number, frame no, frame index, frame idx, frame id, framenumber, index")
-_UNIT_WORDS = {
-    word: float(seconds)
-    for seconds, words in (
-        ("1e-6", "us usec usecs microsecond microseconds micros"),
-        ("1e-3", "ms msec msecs millisecond milliseconds millis"),
-        ("1e-9", "ns nsec nsecs nanosecond nanoseconds nanos"),
-        ("1", "s sec secs second seconds"),
-        ("1e-7", "ticks 100ns"),
-    )
-    for word in words.split()
-}
 
 
 @dataclass
@@ -252,7 +228,6 @@ class JointColumns:
     time: int | None = None  # Column of the time
     frame: int | None = None  # Column of the frame's number
     body: int | None = None  # Column of the body's number
-    time_scale: float | None = None  # Seconds in a unit of the time, where its name states it
     world: bool = False  # Columns that are named "world" were taken, beside others that are not
     normalised: bool = False  # Columns are named as normalised image coordinates
     numbered: bool = False  # Joints are numbered, not named (33 landmarks)
@@ -267,28 +242,24 @@ class JointColumns:
         )
 
 
-@dataclass(frozen=True)
-class _Column:
-    """One column's name taken apart."""
-
-    at: int
-    key: str  # what it is of: the name's remaining words
-    axis: int | None
-    world: bool
-    normalised: bool
-
-
 def find_joint_columns(names: Sequence[str]) -> JointColumns:
     """Find the columns of the arms' joints by their names."""
     result = JointColumns()
-    parts = [part for at, name in enumerate(names) if (part := _taken_apart(at, name)) is not None]
-    result.world = any(part.world for part in parts)
+    found: list[tuple[int, set[str], str, int | None]] = []  # column, words, what it is of, axis
+    for at, name in enumerate(names):
+        words = words_of(name)
+        axes = [word for word in words if word in _AXES]
+        rest = [w for w in words if w not in _AXES and w not in _CONFIDENCE | _NORMALISED | {"world"}]
+        one_of_both = len(axes) <= 1 and bool(axes) != bool(_CONFIDENCE & set(words))
+        if rest and one_of_both and not _ELSE & set(words):
+            found.append((at, set(words), " ".join(rest), _AXES[axes[0]] if axes else None))
+    result.world = any("world" in words for _, words, _, _ in found)
     if result.world:  # the same landmarks in the image beside those in the world
-        parts = [part for part in parts if part.world]
-    result.normalised = bool(parts) and all(part.normalised for part in parts)
+        found = [each for each in found if "world" in each[1]]
+    result.normalised = bool(found) and all(_NORMALISED & words for _, words, _, _ in found)
     by_key: dict[str, dict[int | None, int]] = {}
-    for part in parts:
-        by_key.setdefault(part.key, {}).setdefault(part.axis, part.at)
+    for at, _, key, axis in found:
+        by_key.setdefault(key, {}).setdefault(axis, at)
     by_key = _named(by_key, result)
     lacking: dict[str, set[str]] = {}
     for key, columns in by_key.items():
@@ -309,7 +280,11 @@ def find_joint_columns(names: Sequence[str]) -> JointColumns:
     result.incomplete = {
         name for joint, there in lacking.items() if joint not in result.axes for name in there
     }
-    _bookkeeping(names, result)
+    used = {at for triple in result.axes.values() for at in triple}
+    free = [name if at not in used else "" for at, name in enumerate(names)]
+    result.time, result.frame, result.body = (
+        column_named(free, words) for words in (TIME_WORDS, FRAME_WORDS, BODY_WORDS)
+    )
     return result
 
 
@@ -317,9 +292,7 @@ def find_joint_columns(names: Sequence[str]) -> JointColumns:
 _ONLY_OF: dict[str, set[str | tuple[str, str]]] = {
     "azure": {"navel", "naval", "clavicle", "k4abt"},
     "kinect": {
-        ("spine", "base"),
-        ("spine", "shoulder"),
-        ("spine", "mid"),
+        *(("spine", part) for part in ("base", "shoulder", "mid")),
         ("hand", "tip"),
         ("joint", "type"),
     },
@@ -338,35 +311,18 @@ def program_of(names: Sequence[str]) -> str:
 def plain_words(name: str) -> str:
     """A column's name in plain words without its unit: `timestamp_usec` is `timestamp`."""
     words = words_of(name)
-    bare = [word for word in words if word not in _UNIT_WORDS or words == [word]]
-    return " ".join(bare)
+    return " ".join(word for word in words if word not in TIME or words == [word])
 
 
-def time_unit_of(name: str) -> float | None:
-    """Seconds in the unit that a column's name states, None where it states none."""
-    words = words_of(name)
-    return next((_UNIT_WORDS[word] for word in reversed(words) if word in _UNIT_WORDS and word != "t"), None)
+def time_unit_of(name: str) -> str:
+    """The unit of time that a column's name states, "" where it states none."""
+    return next((TIME[word] for word in reversed(words_of(name)) if word in TIME), "")
 
 
 def column_named(names: Sequence[str], wanted: Sequence[str]) -> int | None:
     """The column whose plain words are the first of these that is there."""
     words = [plain_words(name) for name in names]
     return next((words.index(want) for want in wanted if want in words), None)
-
-
-def _taken_apart(at: int, name: str) -> _Column | None:
-    words = words_of(name)
-    if not words or _ELSE & set(words):
-        return None
-    axes = [word for word in words if word in _AXES]
-    of_confidence = [word for word in words if word in _CONFIDENCE]
-    if len(axes) > 1 or (axes and of_confidence) or not (axes or of_confidence):
-        return None
-    rest = [w for w in words if w not in _AXES and w not in _CONFIDENCE and w not in ("world", *_NORMALISED)]
-    if not rest:
-        return None
-    axis = _AXES[axes[0]] if axes else None
-    return _Column(at, " ".join(rest), axis, "world" in words, bool(_NORMALISED & set(words)))
 
 
 def _named(
@@ -386,14 +342,3 @@ def _named(
         return by_key  # some other set of points
     result.numbered = True
     return {BLAZEPOSE[number - base]: columns for number, columns in sorted(numbers.items())}
-
-
-def _bookkeeping(names: Sequence[str], result: JointColumns) -> None:
-    """Columns of time, frame and body, which belong to no joint."""
-    used = {at for triple in result.axes.values() for at in triple}
-    free = [name if at not in used else "" for at, name in enumerate(names)]
-    result.time = column_named(free, TIME_WORDS)
-    result.frame = column_named(free, FRAME_WORDS)
-    result.body = column_named(free, BODY_WORDS)
-    if result.time is not None:
-        result.time_scale = time_unit_of(names[result.time])

@@ -9,7 +9,7 @@ from __future__ import annotations
 import os
 import re
 from dataclasses import dataclass, replace
-from itertools import pairwise
+from itertools import pairwise, takewhile
 from pathlib import Path
 from typing import Any
 
@@ -38,58 +38,47 @@ class Markers:
     position: FloatArray  # (N, M, 3) m: nan where a marker was not seen
     rate_hz: float  # As the file states it; nan where it does not
     unit: str  # Of the file
-    residual_m: FloatArray | None = None  # (N, M) m
     source: str = "the motion capture"  # What to call the file in messages
     notes: tuple[str, ...] = ()  # What was dropped or decided on reading, one sentence each
 
     def __len__(self) -> int:
         return len(self.t_s)
 
-    @property
-    def seen(self) -> FloatArray:
-        """(M,) share of the frames in which each marker was seen."""
-        return np.asarray(np.isfinite(self.position).all(axis=2).mean(axis=0))
-
 
 def read_markers(path: str | os.PathLike[str]) -> Markers:
     """Read a `.c3d` or `.trc` file."""
     path = Path(path)
-    if path.suffix.lower() not in MARKER_FORMATS:
+    kind = path.suffix.lower()
+    if kind not in MARKER_FORMATS:
         raise RecordingError(f"{path}: markers are read from {' or '.join(MARKER_FORMATS)}")
     check_input(path, RecordingError)
     if not path.is_file():
         raise RecordingError(f"{path}: there is no such file")
-    return read_trc(path) if path.suffix.lower() == ".trc" else read_c3d(path)
+    return read_trc(path) if kind == ".trc" else read_c3d(path)
 
 
 def _metres_in(unit: str, path: Path) -> float:
     """Metres in a unit of length as a file names it."""
-    try:
-        return METRES[unit.strip().strip('"').lower()]
-    except KeyError:
+    if (metres := METRES.get(unit.strip().strip('"').lower())) is None:
         raise RecordingError(
-            f"{path}: the unit of length is '{shown(unit, 40)}', and only m, cm, mm, dm and inches are known;"
-            " export the file in mm or m"
-        ) from None
+            f"{path}: the unit of length is '{shown(unit, 40)}', which is not known; export it in mm or m"
+        )
+    return metres
 
 
-def _told_apart(names: list[str]) -> tuple[tuple[str, ...], list[str]]:
-    """Names without spaces around and none twice (`name_2` ..), and the names that were."""
-    result: list[str] = []
-    twice: list[str] = []
-    originals = {name.strip() for name in names}
-    used: set[str] = set()
-    for number, name in enumerate((name.strip() for name in names), 1):
-        name = name or f"unnamed_{number}"
-        if name in used:
-            twice.append(name)
-            count = 2
-            while f"{name}_{count}" in originals | used:
-                count += 1
-            name = f"{name}_{count}"
-        used.add(name)
-        result.append(name)
-    return tuple(result), twice
+def _told_apart(written: list[str], path: Path) -> tuple[tuple[str, ...], list[str]]:
+    """Names without spaces around and none twice (`name_2` ..), and what is to be said of them."""
+    given = [name.strip() or f"unnamed_{number}" for number, name in enumerate(written, 1)]
+    names: dict[str, None] = {}
+    twice: dict[str, None] = {}
+    for name in given:
+        own, count = name, 2
+        while own in names or (own != name and own in given):
+            twice[name] = None
+            own, count = f"{name}_{count}", count + 1
+        names[own] = None
+    said = f"{path.name}: several points are called {', '.join(twice)}; numbered."
+    return tuple(names), [said] if twice else []
 
 
 # ------------------------------------------------------------------------------------------------------ TRC
@@ -112,7 +101,7 @@ def read_trc(path: Path) -> Markers:
             names_and_values = (split_line(line, _mark(above)) for line in (above.lower(), below))
             header = dict(zip(*names_and_values, strict=False))
     mark = _mark(lines[place])
-    names, twice = _told_apart([cell for cell in split_line(lines[place], mark)[2:] if cell])
+    names, twice = _told_apart([cell for cell in split_line(lines[place], mark)[2:] if cell], path)
     if not names:
         raise RecordingError(f"{path}: the line with Frame# names no marker; export the file again")
     rows = (
@@ -124,8 +113,6 @@ def read_trc(path: Path) -> Markers:
     width = 2 + 3 * len(names)
     cells = Table(path, mark, (), (), ("",) * width, (), -1, first, width, lines, strict=True)
     table = cells.vectors(range(width))
-    counted = header.get("numframes", "")
-    cut_off = counted.isdigit() and int(counted) > len(table)
     unit = header.get("units", "")
     if not unit:
         raise RecordingError(f"{path}: the header states no Units; add mm or m on its third line")
@@ -136,13 +123,12 @@ def read_trc(path: Path) -> Markers:
     except ValueError:
         rate = float("nan")
     t_s, notes = _times(path, table, rate)
-    notes += [f"{path.name}: {note}" for note in cells.notes]
-    if twice:
-        notes.append(f"{path.name}: several markers are called {', '.join(dict.fromkeys(twice))}; numbered.")
+    notes += [*(f"{path.name}: {note}" for note in cells.notes), *twice]
     stated = header.get("nummarkers", "")
     if stated.isdigit() and int(stated) != len(names):
         notes.append(f"{path.name}: the header states {stated} markers and names {len(names)}.")
-    if cut_off:
+    counted = header.get("numframes", "")
+    if counted.isdigit() and int(counted) > len(table):
         notes.append(
             f"{path.name}: the header counts {counted} frames and the file contains {len(table)}; it may be"
             " cut off."
@@ -208,13 +194,11 @@ def read_c3d(path: Path) -> Markers:
     if not unit:
         raise RecordingError(f"{path}: the parameter POINT:UNITS is missing; export the file in mm or m")
     scale = _metres_in(unit, path)
-    residual = np.asarray(data["meta_points"]["residuals"], dtype=np.float64)
-    residual = (
-        residual.reshape(count, frames).T if residual.size == frames * count else np.zeros((frames, count))
-    )
-    residual = np.where(np.isfinite(residual), residual, -1.0)
     position = without_origin(position)
-    position[(residual < 0) | ~np.isfinite(position).all(axis=2)] = np.nan
+    residual = np.asarray(data["meta_points"]["residuals"], dtype=np.float64)
+    if residual.size == frames * count:
+        position[~(residual.reshape(count, frames).T >= 0)] = np.nan
+    position[~np.isfinite(position).all(axis=2)] = np.nan
     rate = float(_first(point, "RATE", np.nan))
     if not (np.isfinite(rate) and rate > 0):
         raise RecordingError(f"{path}: the parameter POINT:RATE is missing, so the frames have no times")
@@ -225,7 +209,6 @@ def read_c3d(path: Path) -> Markers:
         position * scale,
         rate,
         unit,
-        np.where(np.isfinite(position[..., 0]), residual, np.nan) * scale,
         str(path),
         tuple(notes),
     )
@@ -260,8 +243,7 @@ def _refuse_cut_off(path: Path, point: dict[str, Any]) -> None:
     if last >= first and held < needed:
         share = max(held, 0) / max(needed, 1)  # a header may count no points
         raise RecordingError(
-            f"{path}: the C3D file is cut off: it contains {100 * share:.0f} % of the frames"
-            " that its header counts; copy or export it again"
+            f"{path} is cut off: it contains {100 * share:.0f} % of the frames of its header; copy it again"
         )
 
 
@@ -272,18 +254,12 @@ def _first(group: dict[str, Any], name: str, default: Any) -> Any:
 
 def _names(point: dict[str, Any], count: int, path: Path) -> tuple[tuple[str, ...], list[str]]:
     """A name for every point; labels go on in LABELS2, LABELS3 .."""
-    labels: list[str] = [str(name) for name in point.get("LABELS", {}).get("value", [])]
-    number = 2
-    while len(labels) < count and f"LABELS{number}" in point:
-        labels += [str(name) for name in point[f"LABELS{number}"]["value"]]
-        number += 1
-    notes = []
+    groups = ["LABELS", *(f"LABELS{number}" for number in range(2, 2 + count))]
+    there = (point[group]["value"] for group in takewhile(point.__contains__, groups))
+    labels = [str(name) for group in there for name in group][:count]
+    names, notes = _told_apart(labels + [""] * (count - len(labels)), path)
     if len(labels) < count:
-        notes.append(f"{path.name}: {count - len(labels)} of {count} points have no name.")
-        labels += [""] * (count - len(labels))
-    names, twice = _told_apart(labels[:count])
-    if twice:
-        notes.append(f"{path.name}: several points are called {', '.join(dict.fromkeys(twice))}; numbered.")
+        notes.insert(0, f"{path.name}: {count - len(labels)} of {count} points have no name.")
     return names, notes
 
 
@@ -305,7 +281,7 @@ def read_positions(path: str | os.PathLike[str]) -> dict[str, FloatArray]:
         raise RecordingError(f"{path}: there is no such file")
     numbers, words = read_exact(path, ["marker", *"xyz"], words=["marker"], empty=[*"xyz"])
     rows = stacked(numbers, *"xyz")
-    names, _ = _told_apart(words["marker"])
+    names, _ = _told_apart(words["marker"], path)
     known = np.asarray(np.isfinite(rows).all(axis=1), bool)
     if not known.any():
         raise RecordingError(f"{path} has no marker; give marker,x,y,z in metres, one row per marker.")
@@ -315,8 +291,7 @@ def read_positions(path: str | os.PathLike[str]) -> dict[str, FloatArray]:
 def _still(markers: Markers) -> dict[str, FloatArray]:
     """The mean over time, about the median; refused where a marker moved."""
     means = {}
-    for column, name in enumerate(markers.names):
-        track = markers.position[:, column]
+    for name, track in zip(markers.names, np.moveaxis(markers.position, 1, 0), strict=True):
         track = track[np.isfinite(track).all(axis=1)]
         if len(track) < max(1, LEAST_SEEN * len(markers)):
             continue
@@ -342,7 +317,7 @@ _KINDS = {"centre": "the joint centre", "joint": "the marker", "skin": "the skin
 def _skeleton_of(markers: Markers, path: Path, up: tuple[int, int] | None) -> list[SkeletonTable]:
     """The arms that a file of markers shows; `up` counts where the body does not show it."""
     notes = list(markers.notes)
-    raw = RawSkeleton(path, time=markers.t_s, time_scale=1.0, notes=notes)
+    raw = RawSkeleton(path, time=markers.t_s, time_unit="s", notes=notes)
     by_joint: dict[str, list[tuple[JointName, int]]] = {}
     for column, marker in enumerate(markers.names):
         if (name := joint_name(marker)) is not None and name.joint:
@@ -440,20 +415,21 @@ def _is_c3d(head: FileHead) -> bool:
 
 
 C3D_SKELETON = Format(
-    key="c3d",
-    title="C3D model markers or Theia3D segments",
-    kind="skeleton",
-    recognised_by="the second byte 0x50, and a block of parameters where the first byte points",
-    recognises=_is_c3d,
-    read=lambda path: _skeleton_of(_read_segment_origins(path) or read_c3d(path), path, None),
+    "c3d",
+    "C3D model markers or Theia3D segments",
+    "skeleton",
+    "the second byte 0x50, and a block of parameters where the first byte points",
+    _is_c3d,
+    lambda path: _skeleton_of(_read_segment_origins(path) or read_c3d(path), path, None),
 )
 
 
+# y, as OpenSim has it
 TRC_SKELETON = Format(
-    key="trc",
-    title="TRC (OpenCap, Pose2Sim, Theia)",
-    kind="skeleton",
-    recognised_by="a line that begins with Frame#, above the names of markers",
-    recognises=lambda head: any(_begins(line, "frame#") for line in head.lines[:12]),
-    read=lambda path: _skeleton_of(read_trc(path), path, (1, 1)),  # y, as OpenSim has it
+    "trc",
+    "TRC (OpenCap, Pose2Sim, Theia)",
+    "skeleton",
+    "a line that begins with Frame#, above the names of markers",
+    lambda head: any(_begins(line, "frame#") for line in head.lines[:12]),
+    lambda path: _skeleton_of(read_trc(path), path, (1, 1)),
 )

@@ -26,7 +26,7 @@ from typing import Annotated, Any, TypeVar, Unpack
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
-from ...array_types import FloatArray, IntArray
+from ...array_types import FloatArray
 from ...errors import RecordingError
 from ...linalg import unit
 from ...recording import Recording
@@ -119,10 +119,8 @@ def _toml(path: Path, lacks: str) -> dict[str, Any]:
         return read_toml(path)
     except FileNotFoundError:
         raise RecordingError(f"{path} does not exist{lacks}") from None
-    except OSError as error:
-        raise RecordingError(f"{path} cannot be read: {error.strerror or error}.") from error
-    except ValueError as error:  # also a number of thousands of digits
-        raise RecordingError(f"{path} is not readable TOML: {error}.") from error
+    except (OSError, ValueError) as error:  # also a number of thousands of digits
+        raise RecordingError(f"{path} is not readable TOML: {error}; correct it.") from error
 
 
 # ------------------------------------------------------------------------------------------------ templates
@@ -157,32 +155,31 @@ def _template(path: Path) -> TableTemplate:
     written = _checked(path, _Written, _toml(path, "; check the name."))
     if (written.imu is None) == (written.camera is None):
         raise RecordingError(f"{path}: a template describes one table: give [imu] or [camera].")
-    keys = written.camera if written.imu is None else written.imu
-    assert keys is not None
+    is_imu, keys = written.imu is not None, written.imu or written.camera or {}
     about, names = written.template, tuple(written.template.names)
     width = len(names) if about.width is None else about.width
     if width < 1 or (names and width != len(names)):
         raise RecordingError(f"{path}: [template] names lists the table's columns, or width counts them.")
 
-    def imu_keys(file: str) -> ImuKeys:
-        return _checked(path, ImuKeys, {**keys, "file": file}, "imu.")
-
-    def camera_keys(file: str) -> CameraKeys:
-        return _checked(path, CameraKeys, {**keys, "skeleton": file}, "camera.")
-
     def recognises(head: FileHead) -> bool:
         return head.table is not None and head.table.names == names and head.table.width == width
 
-    def read(file: Path) -> Tables:
-        if written.imu is not None:
-            return read_imu_columns(file.parent, imu_keys(file.name))
-        return read_skeleton_columns(file, camera_keys(file.name))
+    def checked(name: str) -> ImuKeys | CameraKeys:
+        if is_imu:
+            return _checked(path, ImuKeys, {**keys, "file": name}, "imu.")
+        return _checked(path, CameraKeys, {**keys, "skeleton": name}, "camera.")
 
-    imu_keys("") if written.imu is not None else camera_keys("")  # refused now rather than at the first file
+    def read(file: Path) -> Tables:
+        of = checked(file.name)
+        if isinstance(of, ImuKeys):
+            return read_imu_columns(file.parent, of)
+        return read_skeleton_columns(file, of)
+
+    checked("")  # refused now rather than at the first file
     return TableTemplate(
         f"template:{path.stem}",
         about.title or path.stem,
-        "skeleton" if written.imu is None else "imu",
+        "imu" if is_imu else "skeleton",
         f"the columns {shown(', '.join(names), 120)}" if names else f"{width} columns",
         recognises,
         read,
@@ -239,19 +236,29 @@ def open_csv(
     _check_places(folder, description, outside)
     imus = {name: _with_template(keys, folder, templates) for name, keys in description.imu.items()}
     camera = description.camera and _with_template(description.camera, folder, templates)
-    file = RecordingFile(folder, camera_frame=None if camera is None else camera.frame)
-    if camera is not None and camera.gravity is not None:
-        file.gravity_hint = _down(camera.gravity, folder, "camera")
+    file = RecordingFile(folder)
+    if camera is not None:
+        file.camera_frame, file.gravity_hint = camera.frame, _down(camera.gravity, folder, "camera")
     _add_streams(file, folder, camera, imus)
     for name, further in description.cameras.items():
-        _add_camera(file, folder, name, further)
+        toml = folder / "recording.toml"
+        if further.file is None:
+            raise RecordingError(
+                f"{toml}: [camera.{name}] names no skeleton; give skeleton or keypoints = a file."
+            )
+        if not name or any(mark in name for mark in "/\\ "):
+            raise RecordingError(
+                f"{toml}: [camera.{shown(name, 40)}] is not a camera's name; use letters and digits."
+            )
+        _add_camera(file, folder, name, further, _bodies(file, folder / further.file, further))
     if description.truth is not None:
         file.poses.append(read_pose_table(folder / description.truth.file))
+    arms = {arm.topic: arm for arm in file.arms}.values()
     for topic, schema, stamp in [
         *((i.topic, "unocclude.Imu", i.stamp_ns) for i in file.imus),
         *(
-            (topic, f"unocclude.{'Skeleton' if arm.lens is None else 'Keypoints2D'}", arm.stamp_ns)
-            for topic, arm in {each.topic: each for each in file.arms}.items()
+            (arm.topic, f"unocclude.{'Keypoints2D' if arm.lens else 'Skeleton'}", arm.stamp_ns)
+            for arm in arms
         ),
         *((p.topic, "foxglove.PoseInFrame", p.stamp_ns) for p in file.poses),
     ]:
@@ -286,37 +293,36 @@ def _check_places(folder: Path, description: _Description, outside: bool) -> Non
         check_input(folder / name, RecordingError)
 
 
-def _down(gravity: list[float], folder: Path, section: str) -> FloatArray:
+def _down(gravity: list[float] | None, folder: Path, section: str) -> FloatArray | None:
     """The direction of down that a section of recording.toml states."""
+    if gravity is None:
+        return None
     direction = unit(np.array(gravity))
     if not (np.isfinite(gravity).all() and abs(np.linalg.norm(direction) - 1) < 1e-6):
         raise RecordingError(
-            f"{folder / 'recording.toml'}: [{section}] gravity is zero or no numbers; give the direction of"
-            " down."
+            f"{folder}/recording.toml: [{section}] gravity is zero or no numbers; give the direction of down."
         )
     return np.asarray(direction)
 
 
-def _add_camera(file: RecordingFile, folder: Path, name: str, keys: CameraKeys) -> None:
-    """A further camera's skeleton, on its own clock and in its own frame."""
-    toml, section = folder / "recording.toml", f"camera.{name}"
-    if keys.file is None:
-        raise RecordingError(
-            f"{toml}: [{section}] names no skeleton; give skeleton = a file, or keypoints = a file and"
-            " intrinsics."
-        )
-    if not name or any(mark in name for mark in "/\\ "):
-        raise RecordingError(
-            f"{toml}: [camera.{shown(name, 40)}] is not a camera's name; use letters and digits."
-        )
-    path, topic = folder / keys.file, f"{CAMERA_TOPIC}{name}"
-    hint = None if keys.gravity is None else _down(keys.gravity, folder, section)
+def _add_camera(
+    file: RecordingFile,
+    folder: Path,
+    name: str,  # "" of the first camera
+    keys: CameraKeys,
+    bodies: list[SkeletonTable],
+    shift_s: float = 0.0,
+) -> None:
+    """A camera's bodies; further cameras are on their own clocks and in their own frames."""
+    section = f"camera.{name}" if name else "camera"
+    topic = f"{CAMERA_TOPIC}{name}" if name else "/skeleton"
     known = _known_lens(keys, folder, section)
     if known is not None:
-        topic = NAMED_TOPIC.format(name)
+        topic = NAMED_TOPIC.format(name) if name else TOPIC
         file.lenses[topic] = known
-    add_skeleton(file, _bodies(file, path, keys), str(folder), topic, 0.0, name, known)
-    file.cameras[topic] = CameraStream(name, keys.frame, hint)
+    add_skeleton(file, bodies, str(folder), topic, shift_s, name or "camera", known)
+    if name:
+        file.cameras[topic] = CameraStream(name, keys.frame, _down(keys.gravity, folder, section))
 
 
 def _add_streams(
@@ -349,12 +355,7 @@ def _add_streams(
         counted = any(keys.rate_hz is not None for keys in described)
         file.clocks_unrelated = bool(sentences) or own_starts or counted
     if camera is not None and bodies:
-        known = _known_lens(camera, folder, "camera")
-        if known is not None:
-            file.lenses[TOPIC] = known
-        add_skeleton(
-            file, bodies, str(folder), "/skeleton" if known is None else TOPIC, shift[0], known=known
-        )
+        _add_camera(file, folder, "", camera, bodies, shift[0])
     for (name, table), moved_s in zip(sensors.items(), shift[len(bodies) :], strict=True):
         add_imu(file, f"/imu/{name}", table, str(folder), moved_s)
 
@@ -437,17 +438,11 @@ def read_pose_table(path: Path) -> PoseSamples:
     """Read poses from `t_s, x, y, z [, qw, qx, qy, qz]`; errors as in `read_exact`."""
     turn = ("qw", "qx", "qy", "qz")
     columns, _ = read_exact(path, ("t_s", "x", "y", "z"), turn, empty=("x", "y", "z", *turn))
-    position = stacked(columns, *"xyz")
+    position, t_s = stacked(columns, *"xyz"), columns["t_s"]
     whole = set(turn) <= columns.keys()
     quaternion = stacked(columns, *turn) if whole else np.full((len(position), 4), np.nan)
-    return PoseSamples("/truth", "camera", _stamps(columns["t_s"], path), position, quaternion)
-
-
-def _stamps(t_s: FloatArray, path: Path) -> IntArray:
-    usable = np.isfinite(t_s) & (np.abs(t_s) < _LAST_S)
-    if not usable.all():
-        row = int(np.flatnonzero(~usable)[0])
+    if len(row := np.flatnonzero(~(np.abs(t_s) < _LAST_S))):
         raise RecordingError(
-            f"{path}: t_s is {t_s[row]} in row {row + 1}, which is not a time in seconds; correct it."
+            f"{path}: t_s is {t_s[row[0]]} in row {row[0] + 1}, which is not a time in seconds; correct it."
         )
-    return nanoseconds(t_s, 0)
+    return PoseSamples("/truth", "camera", nanoseconds(t_s, 0), position, quaternion)

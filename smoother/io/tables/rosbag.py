@@ -8,6 +8,7 @@ from typing import Any
 
 from ...errors import RecordingError
 from ...recording import JOINTS
+from ...runtime.packages import extra_module
 from ..mcap.messages import seconds
 from ..recording.inertial import LEFT_OUT
 from ..recording.read import open_recording
@@ -32,8 +33,7 @@ def read_mcap(path: Path) -> list[ImuTable | SkeletonTable]:
     if not tables:
         listed = ", ".join(f"{topic.name} ({topic.schema}, {topic.encoding})" for topic in file.topics)
         raise RecordingError(
-            f"{path} has no IMU and no skeleton that can be read (topics:"
-            f" {shown(listed or 'none', 150)});"
+            f"{path} has no IMU and no skeleton that can be read (topics: {shown(listed or 'none', 150)});"
             " record sensor_msgs/Imu and the body tracking's MarkerArray."
         )
     tables[0].notes += [note for note in file.notes if file.imus or not note.endswith(LEFT_OUT)]
@@ -46,12 +46,7 @@ def read_mcap(path: Path) -> list[ImuTable | SkeletonTable]:
 
 
 MCAP = Format(
-    key="mcap",
-    title="MCAP recording",
-    kind="recording",
-    recognised_by="MCAP's first bytes",
-    recognises=begins(b"\x89MCAP0\r\n"),
-    read=read_mcap,
+    "mcap", "MCAP recording", "recording", "MCAP's first bytes", begins(b"\x89MCAP0\r\n"), read_mcap
 )
 
 
@@ -76,23 +71,11 @@ _KINDS = (
 
 def read_rosbag1(path: Path) -> list[ImuTable | SkeletonTable]:
     """Bags of ROS 1, whose messages become those of ROS 2 in an MCAP file that is read."""
-    try:
-        from rosbags.rosbag1 import Reader
-    except ImportError:
-        raise RecordingError(
-            f"{path}: ROS 1 bags are read by the library rosbags; install it with: pip install"
-            " '.[devices]' in the program's folder"
-        ) from None
+    reader_module = extra_module("rosbags.rosbag1", "rosbags", "devices")
     with TemporaryDirectory() as folder:
         copy = Path(folder) / path.with_suffix(".mcap").name
-        try:
-            with Reader(path) as reader:
-                _write_messages(reader, copy)
-        except Exception as error:  # whatever a damaged file leads the library into
-            raise RecordingError(
-                f"{path} is damaged and rosbags cannot read it ({shown(str(error), 80)}); `rosbag reindex`"
-                " may correct it, or record again."
-            ) from error
+        with reader_module.Reader(path) as reader:
+            _write_messages(reader, copy)
         try:
             return read_mcap(copy)
         except RecordingError as error:
@@ -100,12 +83,7 @@ def read_rosbag1(path: Path) -> list[ImuTable | SkeletonTable]:
 
 
 ROSBAG1 = Format(
-    key="rosbag1",
-    title="ROS 1 bag",
-    kind="recording",
-    recognised_by="the first bytes #ROSBAG V2.0",
-    recognises=begins(b"#ROSBAG V2.0"),
-    read=read_rosbag1,
+    "rosbag1", "ROS 1 bag", "recording", "the first bytes #ROSBAG V2.0", begins(b"#ROSBAG V2.0"), read_rosbag1
 )
 
 

@@ -5,7 +5,6 @@ Tables with a header and one row per frame are a row of `SKELETON_FORMATS` each.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -24,21 +23,17 @@ from .joints import (
     KINECT_V2,
     POINT_SETS,
     TIME_WORDS,
-    JointColumns,
     column_named,
     find_joint_columns,
     joint_name,
     plain_words,
     program_of,
-    time_unit_of,
 )
-from .skeletons import Conventions, RawSkeleton, SkeletonTable, camera_time_scale, gathered, unit_by_arm
+from .skeletons import Conventions, RawSkeleton, SkeletonTable, gathered, unit_by_arm
 from .table import FileHead, Format, Table, begins, read_table, table_of
-from .times import time_among
-from .units import CAMERA_RATES, SECONDS, TIME, plain_unit
+from .times import stated_time_unit, time_among
+from .units import CAMERA_RATES, time_unit
 
-#: States (N,) from the cells of a confidence column, numbers or words made numbers.
-StateReader = Callable[[FloatArray], NDArray[np.int8]]
 AZURE_AXES, KINECT_AXES = Conventions("mm", CameraFrame.OPTICAL), Conventions("m", CameraFrame.KINECT)
 
 # --------------------------------------------------------------------------------------------------- states
@@ -54,13 +49,12 @@ STATE_WORDS = {
 
 def state_numbers(table: Table, column: int) -> FloatArray:
     """A column of confidences or states; words as `STATE_WORDS` has them, also behind a prefix."""
-    cells = table.texts(column)
+    cells = [cell.lower() for cell in table.texts(column)]
     sample = next((cell for cell in cells if cell), "")
-    if not any(character.isalpha() for character in sample) or sample.lower() == "nan":
+    if not any(map(str.isalpha, sample)) or sample == "nan":
         return table.numbers(column)
     code = {
-        cell: STATE_WORDS.get(cell.lower(), STATE_WORDS.get(cell.lower().rpartition("_")[2], np.nan))
-        for cell in set(cells)
+        cell: STATE_WORDS.get(cell, STATE_WORDS.get(cell.rpartition("_")[2], np.nan)) for cell in set(cells)
     }
     return np.array([code[cell] for cell in cells])
 
@@ -76,34 +70,23 @@ def body_numbers(table: Table, column: int) -> FloatArray:
     return numbers
 
 
-def azure_states(confidence: FloatArray) -> NDArray[np.int8]:
-    """States of the Azure Kinect's confidences: 0 none, 1 low (occluded, guessed), 2 medium, 3 high."""
+def kinect_states(confidence: FloatArray) -> NDArray[np.int8]:
+    """States of a Kinect's numbers: 0 none, 1 inferred (occluded, guessed), 2 (and 3 of an Azure) tracked."""
     state = np.zeros(len(confidence), np.int8)
     state[confidence == 1] = JointState.INFERRED
     state[confidence >= 2] = JointState.TRACKED
     return state
 
 
-def kinect_states(confidence: FloatArray) -> NDArray[np.int8]:
-    """States of the Kinect v2's: 0 not tracked, 1 inferred, 2 tracked."""
-    return azure_states(confidence)
-
-
 def share_states(confidence: FloatArray) -> NDArray[np.int8]:
     """States of a visibility or score from 0 to 1: inferred up to one half, tracked above."""
-    state = np.full(len(confidence), JointState.TRACKED, np.int8)
-    state[confidence <= 0.5] = JointState.INFERRED
-    return state
+    return np.where(confidence <= 0.5, JointState.INFERRED, JointState.TRACKED).astype(np.int8)
 
 
-def states_of(
-    confidence: dict[str, FloatArray],  # dict of (N,)
-    states: StateReader,
-) -> dict[str, NDArray[np.int8]]:
-    """States of all joints; where no value of a Kinect v2's is above 1, they are shares of one."""
+def states_of(confidence: dict[str, FloatArray], azure: bool = False) -> dict[str, NDArray[np.int8]]:
+    """States of all joints; but for an Azure Kinect's, values up to 1 are shares of one."""
     largest = max((float(np.nanmax(c)) for c in confidence.values() if np.isfinite(c).any()), default=0.0)
-    if states is not azure_states and largest <= 1.0:
-        states = share_states
+    states = kinect_states if azure or largest > 1.0 else share_states
     return {joint: states(values) for joint, values in confidence.items()}
 
 
@@ -183,22 +166,12 @@ def _in_image(raw: RawSkeleton) -> bool:
 # ---------------------------------------------------------------------------------------- one row per frame
 
 
-@dataclass(frozen=True)
-class _Wide:
-    """How a table with joints in its header is read."""
-
-    states: StateReader  # Makes states of the numbers of a joint's confidence
-    # What the format settles; or makes the skeletons in a way of its own
-    conventions: Conventions | Callable[[RawSkeleton, JointColumns], list[SkeletonTable]]
-    guesses: bool = False  # Joints that are never tracked are treated as inferred
-
-
 def _header_of(head: FileHead) -> tuple[str, ...]:
     return () if head.table is None else head.table.names
 
 
-def _read_wide(path: Path, wide: _Wide) -> list[SkeletonTable]:
-    """Read all bodies of a table with one row per frame and body."""
+def _read_wide(path: Path, program: str, conventions: Conventions | None) -> list[SkeletonTable]:
+    """Read all bodies of a table with one row per frame and body; without conventions they are landmarks."""
     table = read_table(path, "a table of joints")
     table.refuse_nameless()
     columns = find_joint_columns(table.names)
@@ -206,55 +179,48 @@ def _read_wide(path: Path, wide: _Wide) -> list[SkeletonTable]:
         path,
         {joint: table.vectors(triple) for joint, triple in columns.axes.items()},
         rest=[(name, table.vectors(triple)) for name, triple in columns.rest],
-        time_scale=columns.time_scale,
     )
-    if columns.time is not None:
-        raw.time, dates = table.times(columns.time)
-        if dates:
-            raw.time_scale = 1.0
-        elif raw.time_scale is None:
-            raw.time_scale = TIME.get(plain_unit(table.unit(columns.time)))
-        if raw.time_scale is None and _counts_frames(raw.time):
+    time = columns.time
+    if time is None:
+        used = {columns.frame, columns.body, *columns.confidence.values()}
+        used |= {
+            at for three in (*columns.axes.values(), *(each for _, each in columns.rest)) for at in three
+        }
+        free = [at for at in range(table.width) if at not in used]
+        time, raw.time_unit = time_among(table, free, CAMERA_RATES, raw.notes)
+    if time is not None:
+        raw.time, dates = table.times(time)
+        raw.time_unit = "s" if dates else raw.time_unit or stated_time_unit(table, time)
+        step = np.diff(raw.time[np.isfinite(raw.time)])
+        counts = len(step) > 2 and (step == 1).mean() > 0.5 and np.isin(step, np.arange(100)).all()
+        if counts and not raw.time_unit:  # whole numbers, the next one at nearly every row
             raw.frame, raw.time = raw.time, None
-    elif not _take_time(table, columns, raw) and columns.frame is not None:
+    elif columns.frame is not None:
         raw.frame = table.numbers(columns.frame)
     if columns.body is not None:
         raw.body = body_numbers(table, columns.body)
+    is_azure, is_share = program == "azure", conventions is None
     values = {joint: state_numbers(table, column) for joint, column in columns.confidence.items()}
-    raw.state = states_of(values, wide.states)
+    raw.state = {j: share_states(v) for j, v in values.items()} if is_share else states_of(values, is_azure)
     raw.notes += table.notes
-    if wide.guesses:
+    if is_azure:
         inferred_throughout(raw)
-    if isinstance(wide.conventions, Conventions):
-        return raw.skeletons(wide.conventions)
-    return wide.conventions(raw, columns)
+    if conventions is None:
+        return landmarks_in_metres(raw, columns.world, columns.normalised)
+    return raw.skeletons(conventions)
 
 
-def _counts_frames(time: FloatArray) -> bool:
-    """Whether a column of times is a count of frames: whole numbers, the next one at nearly every row."""
-    step = np.diff(time[np.isfinite(time)])
-    return bool(len(step) > 2 and (step == 1).mean() > 0.5 and np.isin(step, np.arange(100)).all())
-
-
-def _take_time(table: Table, columns: JointColumns, raw: RawSkeleton) -> bool:
-    """Whether a column of no known name is the time; it is the skeleton's then."""
-    used = {columns.frame, columns.body, *columns.confidence.values()}
-    used |= {at for triple in (*columns.axes.values(), *(each for _, each in columns.rest)) for at in triple}
-    free = [at for at in range(table.width) if at not in used]
-    at, unit = time_among(table, free, CAMERA_RATES, raw.notes)
-    if at is not None:
-        raw.time, raw.time_scale = table.times(at)[0], SECONDS.get(unit, 1.0)
-    return at is not None
-
-
-def _wide_format(key: str, title: str, recognised_by: str, program: str, wide: _Wide) -> Format:
+def _wide_format(
+    key: str, title: str, recognised_by: str, program: str, conventions: Conventions | None
+) -> Format:
     def recognises(head: FileHead) -> bool:
         columns = find_joint_columns(_header_of(head))
         is_numbered = columns.numbered or columns.world
         found = program_of(_header_of(head)) or ("blazepose" if is_numbered else "")
         return columns.has_arm() and program in ("", found)
 
-    return Format(key, title, "skeleton", recognised_by, recognises, partial(_read_wide, wide=wide))
+    read = partial(_read_wide, program=program, conventions=conventions)
+    return Format(key, title, "skeleton", recognised_by, recognises, read)
 
 
 #: Where two recognise a table, the upper one has it.
@@ -266,7 +232,7 @@ SKELETON_FORMATS = (
         "Azure Kinect or Orbbec body tracking, table",
         "columns x, y, z of joints by the SDK's names (SPINE_NAVEL, CLAVICLE_LEFT, WRIST_RIGHT ..)",
         "azure",
-        _Wide(azure_states, AZURE_AXES, guesses=True),
+        AZURE_AXES,
     ),
     # Positions in m, x left, y up, z forward; tracking states 0, 1, 2 or in words where there are any.
     _wide_format(
@@ -274,7 +240,7 @@ SKELETON_FORMATS = (
         "Kinect v2 joints, table",
         "columns x, y, z of joints by the SDK's names (SpineBase, SpineShoulder, WristRight ..)",
         "kinect",
-        _Wide(kinect_states, KINECT_AXES),
+        KINECT_AXES,
     ),
     # BlazePose's 33 landmarks by number or name; world landmarks are metres about the hips.
     _wide_format(
@@ -282,10 +248,7 @@ SKELETON_FORMATS = (
         "MediaPipe world landmarks, table",
         "columns x, y, z of 33 numbered landmarks, or of landmarks such as right_pinky, mouth_left",
         "blazepose",
-        _Wide(
-            share_states,
-            lambda raw, columns: landmarks_in_metres(raw, columns.world, columns.normalised),
-        ),
+        None,
     ),
     # The unit is found by the arms' lengths, up by how the body stands.
     _wide_format(
@@ -293,7 +256,7 @@ SKELETON_FORMATS = (
         "table of joints by name (FreeMoCap, Pose2Sim and others)",
         "columns x, y, z of an elbow and a wrist of one side, such as right_wrist_x or RWrist_X",
         "",
-        _Wide(kinect_states, Conventions()),
+        Conventions(),
     ),
 )
 
@@ -333,11 +296,29 @@ def _read_joint_rows(path: Path) -> list[SkeletonTable]:
     columns = _joint_columns(table.names)
     if not columns:
         raise RecordingError(
-            f"{path} has no columns for joint, x, y, z and a time or frame; export one row per joint with"
-            " these."
+            f"{path} has no columns for joint, x, y, z and a time or frame; export it with these."
         )
     names, kind = _joints(table, columns["joint"])
-    raw = _by_frame(table, columns, names, azure_states if kind == "azure" else kinect_states)
+    raw = RawSkeleton(path, notes=table.notes)
+    time = frame = None
+    if "time" in columns:
+        time, dates = table.times(columns["time"])
+        raw.time_unit = "s" if dates else stated_time_unit(table, columns["time"])
+    if "frame" in columns:
+        frame = table.numbers(columns["frame"])
+    key = time if frame is None else frame
+    assert key is not None
+    body = body_numbers(table, columns["body"]) if "body" in columns else np.zeros(len(key))
+    said = None
+    if "state" in columns:
+        said = states_of({"all": state_numbers(table, columns["state"])}, kind == "azure")["all"]
+    xyz = table.vectors([columns[axis] for axis in "xyz"])
+    first, position, state = gathered(key, body, names, xyz, said)
+    raw.time = None if time is None else time[first]
+    raw.frame = None if frame is None else frame[first]
+    raw.body = body[first] if "body" in columns else None
+    for name, rows in position.items():
+        raw.add(name, rows, None if said is None else state[name])
     if kind == "blazepose":
         world = any("world" in plain_words(table.names[columns[axis]]) for axis in "xyz")
         return landmarks_in_metres(raw, world=world)
@@ -345,12 +326,12 @@ def _read_joint_rows(path: Path) -> list[SkeletonTable]:
 
 
 JOINT_ROWS = Format(
-    key="joint-rows",
-    title="table with one row per joint",
-    kind="skeleton",
-    recognised_by="columns for joint (or landmark), x, y, z, and a time or frame number",
-    recognises=lambda head: bool(_joint_columns(_header_of(head))),
-    read=_read_joint_rows,
+    "joint-rows",
+    "table with one row per joint",
+    "skeleton",
+    "columns for joint (or landmark), x, y, z, and a time or frame number",
+    lambda head: bool(_joint_columns(_header_of(head))),
+    _read_joint_rows,
 )
 
 
@@ -370,31 +351,6 @@ def _joints(table: Table, column: int) -> tuple[list[str], str]:
     )
 
 
-def _by_frame(table: Table, columns: dict[str, int], names: list[str], states: StateReader) -> RawSkeleton:
-    """One row per frame and body, out of rows of joints."""
-    raw = RawSkeleton(table.path, notes=table.notes)
-    time: FloatArray | None = None
-    if "time" in columns:
-        time, dates = table.times(columns["time"])
-        raw.time_scale = 1.0 if dates else time_unit_of(table.names[columns["time"]])
-    frame = table.numbers(columns["frame"]) if "frame" in columns else None
-    key = frame if frame is not None else time
-    assert key is not None
-    body = body_numbers(table, columns["body"]) if "body" in columns else np.zeros(len(key))
-    said = None
-    if "state" in columns:
-        said = states_of({"all": state_numbers(table, columns["state"])}, states)["all"]
-    first, position, state = gathered(
-        key, body, names, table.vectors([columns[axis] for axis in "xyz"]), said
-    )
-    raw.time = None if time is None else time[first]
-    raw.frame = None if frame is None else frame[first]
-    raw.body = body[first] if "body" in columns else None
-    for name, rows in position.items():
-        raw.add(name, rows, None if said is None else state[name])
-    return raw
-
-
 # ----------------------------------------------------------------------------------------- joints by number
 
 #: Numbers a joint: position; with a state; with a quaternion; with both.
@@ -406,42 +362,49 @@ _SAME = 0.25
 
 
 @dataclass(frozen=True)
-class _Order:
-    """How the numbers of a row follow each other."""
+class _Numbers:
+    """Rows of numbers as joints in the order of a Kinect's SDK."""
 
-    joints: tuple[str, ...]
+    names: list[str]
     per_joint: int
-    leading: int
-    state_first: bool = False
+    leading: FloatArray  # (N, 0 to 2): columns in front of the joints
+    position: FloatArray  # (N, joints, 3)
+    state: FloatArray | None  # (N, joints)
 
-    def position(self, rows: FloatArray, number: int) -> FloatArray:
-        start = self.leading + number * self.per_joint + int(self.state_first)
-        return rows[:, start : start + 3]
-
-    def state(self, rows: FloatArray, number: int) -> FloatArray | None:
-        if self.per_joint not in (4, 8):
-            return None
-        start = self.leading + number * self.per_joint
-        return rows[:, start if self.state_first else start + self.per_joint - 1]
-
-    def fits(self, rows: FloatArray) -> bool:
+    def fit(self) -> bool:
         """Whether states are codes from 0 to 3 or shares of one, and both arms an arm's length."""
-        columns = [self.state(rows, number) for number in range(len(self.joints))]
-        states = np.concatenate([column for column in columns if column is not None] or [np.zeros(1)])
-        states = states[np.isfinite(states)]
+        states = np.zeros(1) if self.state is None else self.state[np.isfinite(self.state)]
         is_code = (states % 1 == 0) & (states <= 3)
         if not ((states >= 0) & (is_code | (states <= 1))).all():
             return False
-        names = {n.joint: at for at, each in enumerate(self.joints) if (n := joint_name(each)) and n.joint}
         lengths = []
+        of_arm = {name.joint: at for at, each in enumerate(self.names) if (name := joint_name(each))}
         for side in ("left", "right"):
-            arm = {joint: self.position(rows, at) for joint, at in names.items() if joint.endswith(side)}
-            unit = unit_by_arm(arm)
-            if unit is None:
+            arm = {joint: self.position[:, at] for joint, at in of_arm.items() if joint.endswith(side)}
+            if (unit := unit_by_arm(arm)) is None:
                 return False
             length = np.linalg.norm(arm[f"shoulder_{side}"] - arm[f"elbow_{side}"], axis=1)
             lengths.append(float(np.nanmedian(length)) * unit[1])
         return min(lengths) > 0 and abs(lengths[0] - lengths[1]) < _SAME * max(lengths)
+
+
+def _numbers_of(table: Table) -> _Numbers | None:
+    """The joints that fit the width of a table, and make two arms of an arm's length."""
+    rows = table.vectors(range(table.width))
+    if not np.isfinite(rows[:, -1]).any():  # a separator at the end of the line makes an empty column
+        rows = rows[:, :-1]
+    for names in (AZURE, KINECT_V2):
+        for per_joint in _PER_JOINT:
+            leading = rows.shape[1] - per_joint * len(names)
+            if not 0 <= leading <= _LEADING:
+                continue
+            cells = rows[:, leading:].reshape(len(rows), len(names), per_joint)
+            for first in (0, 1) if per_joint == 4 else (0,):
+                state = cells[..., 0 if first else -1] if per_joint in (4, 8) else None
+                found = _Numbers(names, per_joint, rows[:, :leading], cells[..., first : first + 3], state)
+                if found.fit():
+                    return found
+    return None
 
 
 def _are_kinect_numbers(head: FileHead) -> bool:
@@ -450,10 +413,7 @@ def _are_kinect_numbers(head: FileHead) -> bool:
         return False
     try:
         table = table_of(head.path, "\n".join(head.lines[:40]) + "\n")
-        if table.names or not len(table):
-            return False
-        rows = table.vectors(range(table.width))
-        return any(_order_of(each) is not None for each in (rows, _filled(rows)))
+        return bool(not table.names and len(table) and _numbers_of(table) is not None)
     except RecordingError:
         return False
 
@@ -461,67 +421,61 @@ def _are_kinect_numbers(head: FileHead) -> bool:
 def _read_kinect_numbers(path: Path) -> list[SkeletonTable]:
     """32 or 25 joints of 3, 4, 7 or 8 numbers, with or without a time and a body's number in front."""
     table = read_table(path, "rows of numbers of a Kinect's joints")
-    rows = _filled(table.vectors(range(table.width)))
-    order = _order_of(rows)
-    if order is None:
+    numbers = _numbers_of(table)
+    if numbers is None:
         raise RecordingError(
-            f"{path}: {rows.shape[1]} numbers per row are not 32 joints of an Azure Kinect or 25 of a"
+            f"{path}: {table.width} numbers per row are not 32 joints of an Azure Kinect or 25 of a"
             " Kinect v2 in their SDK's order; export the table with a header."
         )
     raw = RawSkeleton(path, notes=list(table.notes))
-    is_azure = len(order.joints) == len(AZURE)
+    is_azure = numbers.names is AZURE
     confidence: dict[str, FloatArray] = {}
-    for number, written in enumerate(order.joints):
-        raw.add(written, order.position(rows, number))
-        name, state = joint_name(written), order.state(rows, number)
-        if name is not None and name.joint and state is not None:
-            confidence[name.joint] = state
-    raw.state = states_of(confidence, azure_states if is_azure else kinect_states)
-    for column in rows[:, : order.leading].T:  # time and body in front of the joints: what rises is the time
+    for at, written in enumerate(numbers.names):
+        raw.add(written, numbers.position[:, at])
+        if (name := joint_name(written)) is not None and name.joint and numbers.state is not None:
+            confidence[name.joint] = numbers.state[:, at]
+    raw.state = states_of(confidence, is_azure)
+    for column in numbers.leading.T:  # time and body in front of the joints: what rises is the time
         step = np.diff(column)
         if raw.time is None and len(step) and (step >= 0).all() and (step > 0).any():
             if np.isin(step, (0, 1)).all() and (column % 1 == 0).all():
                 raw.frame = column
-            elif camera_time_scale(column, None) is not None:
+            elif time_unit("", column, CAMERA_RATES) is not None:
                 raw.time = column
         elif raw.body is None and (column % 1 == 0).all():
             raw.body = column
     inferred_throughout(raw)
     device = "32 joints of an Azure Kinect" if is_azure else "25 joints of a Kinect v2"
-    raw.notes.append(f"Rows assumed to be {device}, {order.per_joint} numbers each, in the SDK's order.")
+    raw.notes.append(f"Rows assumed to be {device}, {numbers.per_joint} numbers each, in the SDK's order.")
     return raw.skeletons(AZURE_AXES if is_azure else KINECT_AXES)
 
 
 KINECT_NUMBERS = Format(
-    key="kinect-numbers",
-    title="Azure Kinect or Kinect v2 joints without a header",
-    kind="skeleton",
-    recognised_by="no header, and 32 or 25 joints of 3, 4, 7 or 8 numbers whose arms are as long as arms",
-    recognises=_are_kinect_numbers,
-    read=_read_kinect_numbers,
+    "kinect-numbers",
+    "Azure Kinect or Kinect v2 joints without a header",
+    "skeleton",
+    "no header, and 32 or 25 joints of 3, 4, 7 or 8 numbers whose arms are as long as arms",
+    _are_kinect_numbers,
+    _read_kinect_numbers,
 )
-
-
-def _filled(rows: FloatArray) -> FloatArray:
-    """Rows (N, width) without the empty column that a separator at the end of the line makes."""
-    return rows if np.isfinite(rows[:, -1]).any() else rows[:, :-1]
-
-
-def _order_of(rows: FloatArray) -> _Order | None:
-    """The order that fits the width of rows (N, width), and makes two arms of an arm's length."""
-    for joints in (AZURE, KINECT_V2):
-        for per_joint in _PER_JOINT:
-            leading = rows.shape[1] - per_joint * len(joints)
-            for state_first in (False, True) if per_joint == 4 else (False,):
-                order = _Order(tuple(joints), per_joint, leading, state_first)
-                if 0 <= leading <= _LEADING and order.fits(rows):
-                    return order
-    return None
 
 
 def _read_joint_array(path: Path) -> list[SkeletonTable]:
     """An array of frames, points and x, y, z (and a score); points are identified by their number."""
-    array = _array(path)
+    array = np.load(path, allow_pickle=False)
+    if array.ndim == 2:
+        widths = (w for w in (3, 4) if array.shape[1] % w == 0 and array.shape[1] // w in POINT_SETS)
+        if width := next(widths, 0):
+            array = array.reshape(len(array), -1, width)
+    known = array.ndim == 3 and array.shape[2] in (3, 4) and array.shape[1] in POINT_SETS and len(array)
+    if array.dtype.kind not in "fiu" or not known:
+        shape = " x ".join(map(str, array.shape))
+        points = ", ".join(map(str, sorted(POINT_SETS)))
+        raise RecordingError(
+            f"{path} is an array of {shape} {array.dtype}; joints are numbers of frames x points x 3, of"
+            f" {points} points."
+        )
+    array = array.astype(float)
     names = POINT_SETS[array.shape[1]]
     raw = RawSkeleton(path)
     for at, name in enumerate(names):
@@ -533,36 +487,10 @@ def _read_joint_array(path: Path) -> list[SkeletonTable]:
 
 
 JOINT_ARRAY = Format(
-    key="joint-array",
-    title="array of joints, npy (FreeMoCap)",
-    kind="skeleton",
-    recognised_by="numpy's npy file of an array of frames x points x 3 (or 4)",
-    recognises=begins(b"\x93NUMPY"),
-    read=_read_joint_array,
+    "joint-array",
+    "array of joints, npy (FreeMoCap)",
+    "skeleton",
+    "numpy's npy file of an array of frames x points x 3 (or 4)",
+    begins(b"\x93NUMPY"),
+    _read_joint_array,
 )
-
-
-def _array(path: Path) -> NDArray[np.float64]:
-    """The array, (frames, points, 3 or 4)."""
-    try:
-        array = np.load(path, allow_pickle=False)
-    except Exception as error:  # whatever a damaged header leads numpy into
-        raise RecordingError(
-            f"{path} is not an array of numbers that numpy can read ({str(error)[:80]}); save it again with"
-            " numpy.save."
-        ) from error
-    if array.dtype.kind not in "fiu":
-        raise RecordingError(
-            f"{path} contains {array.dtype} and not numbers; save an array of frames x points x 3."
-        )
-    if array.ndim == 2:
-        widths = (w for w in (3, 4) if array.shape[1] % w == 0 and array.shape[1] // w in POINT_SETS)
-        if width := next(widths, 0):
-            array = array.reshape(len(array), -1, width)
-    if array.ndim != 3 or array.shape[2] not in (3, 4) or array.shape[1] not in POINT_SETS or not len(array):
-        shape = " x ".join(map(str, array.shape))
-        known = ", ".join(map(str, sorted(POINT_SETS)))
-        raise RecordingError(
-            f"{path} is an array of {shape}; joints are frames x points x 3, of {known} points."
-        )
-    return array.astype(float)

@@ -4,17 +4,18 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ...array_types import FloatArray
 from ...errors import RecordingError
 from ...recording import CameraFrame
-from ...runtime.inputs import check_input
 from ..recording.keypoints import states_of_scores
 from .joints import (
     AZURE,
@@ -28,10 +29,9 @@ from .joints import (
 from .skeleton_formats import (
     AZURE_AXES,
     STATE_WORDS,
-    StateReader,
     about_hips,
-    azure_states,
     inferred_throughout,
+    kinect_states,
     landmarks_in_metres,
     share_states,
 )
@@ -41,10 +41,10 @@ from .skeletons import (
     Conventions,
     RawSkeleton,
     SkeletonTable,
-    camera_time_scale,
     require_arm,
 )
-from .table import FileHead, Format, decode
+from .table import FileHead, Format, decode, read_bytes
+from .units import CAMERA_RATES, SECONDS, time_unit
 
 #: x, y, z and the confidence of a point.
 Point = tuple[float, float, float, float]
@@ -55,36 +55,22 @@ NOTHING: Point = (NAN,) * 4
 
 
 def read_json(path: Path, expected: str) -> Any:
-    """The value that a JSON file contains; a line a value makes a list."""
-    check_input(path, RecordingError)
-    try:
-        text = decode(path.read_bytes())
-    except OSError as error:
-        raise RecordingError(f"{path} cannot be read: {error.strerror or error}.") from error
+    """The value that a JSON file contains, or a list of those of its lines."""
+    text = decode(read_bytes(path))
     try:
         return json.loads(text)
     except (ValueError, RecursionError) as error:
-        rows = _lines(text)
-        if rows is not None:
+        lines = [line for line in text.splitlines() if line.strip()]
+        rows: list[Any] = []
+        with suppress(ValueError, RecursionError):
+            rows += (json.loads(line) for line in lines)
+        if len(rows) > 1 and len(rows) >= len(lines) - 1:
             return rows
         what = "nested too deeply to be one; export it again."
         if not isinstance(error, RecursionError):
             where = f" in line {error.lineno}" if isinstance(error, json.JSONDecodeError) else ""
             what = f"cut off{where}; copy or export it again."
         raise RecordingError(f"{path} should be {expected}, and its JSON is {what}") from None
-
-
-def _lines(text: str) -> list[Any] | None:
-    """The values of JSON lines; None where the text is none. A last line that is cut off is left out."""
-    lines = [line for line in text.splitlines() if line.strip()]
-    rows = []
-    for number, line in enumerate(lines, 1):
-        try:
-            rows.append(json.loads(line))
-        except (ValueError, RecursionError):
-            if number < len(lines) or not rows:
-                return None
-    return rows if len(rows) > 1 else None
 
 
 def number(value: Any) -> float:
@@ -150,21 +136,28 @@ class _Rows:
     frame: list[float] = field(default_factory=list)
     body: list[float] = field(default_factory=list)
     points: list[dict[str, Point]] = field(default_factory=list)
-    scale: float | None = None  # s in a unit of `time`
-    world: bool = False  # They are called world landmarks
+    unit: str = ""  # Of `time`, where it is stated
 
-    def time_of(self, frame: Any) -> float:
-        """The time of a frame, whose unit is kept."""
+    def add(self, frame: Any, number_: float, body: float, points: dict[str, Point]) -> None:
+        """A row of a body in a frame, by the frame's time."""
         names = [str(key) for key in frame] if isinstance(frame, Mapping) else []
         at = column_named(names, TIME_WORDS)
-        if at is None:
-            return NAN
-        self.scale = self.scale or time_unit_of(names[at])
-        return number(frame[names[at]])
+        self.time.append(NAN if at is None else number(frame[names[at]]))
+        if at is not None:
+            self.unit = self.unit or time_unit_of(names[at])
+        self.frame.append(number_)
+        self.body.append(body)
+        self.points.append(points)
 
-    def raw(self, path: Path, states: StateReader) -> RawSkeleton:
+    def known_times(self) -> FloatArray | None:
+        """The times, where most rows have one and they go on."""
+        time = np.array(self.time)
+        known = np.isfinite(time)
+        return time if known.mean() > 0.5 and np.ptp(time[known]) > 0 else None
+
+    def raw(self, path: Path, states: Callable[[FloatArray], NDArray[np.int8]]) -> RawSkeleton:
         """The skeleton of all rows."""
-        raw = RawSkeleton(path, time_scale=self.scale, frame=np.array(self.frame))
+        raw = RawSkeleton(path, time_unit=self.unit, frame=np.array(self.frame))
         order = {name: at for at, name in enumerate(BLAZEPOSE)}
         names = dict.fromkeys(name for row in self.points for name in row)
         for name in sorted(names, key=lambda name: order.get(name, 99)):
@@ -206,15 +199,18 @@ def _read_kinect_json(path: Path) -> list[SkeletonTable]:
             continue
         bodies = frame.get("bodies", frame.get("skeletons", []))
         there = [body for body in bodies if isinstance(body, Mapping)] if isinstance(bodies, list) else []
-        time = rows.time_of(frame)
-        bodies_or_none: list[Mapping[str, Any] | None] = [*there] or [None]
-        for body in bodies_or_none:
-            rows.time.append(time)
-            rows.frame.append(number(frame.get("frame_id", frame.get("frame_number", count))))
-            of_body = NAN if body is None else first_number(body, _BODY, 0.0)
-            rows.body.append(of_body if 0 <= of_body < 2**32 - 1 else NAN)
-            rows.points.append({} if body is None else _joints_of(body, order))
-    raw = rows.raw(path, azure_states)
+        of_frame = first_number(frame, ("frame_id", "frame_number"), count)
+        for body in there:
+            of_body = first_number(body, _BODY, 0.0)
+            points = points_by_name(next((body[name] for name in _POSITIONS if name in body), []), order)
+            levels = next((body[name] for name in _CONFIDENCES if isinstance(body.get(name), list)), None)
+            if levels is not None:
+                pairs = zip(points.items(), levels, strict=False)
+                points = {name: (*point[:3], number(level)) for (name, point), level in pairs}
+            rows.add(frame, of_frame, of_body if 0 <= of_body < 2**32 - 1 else NAN, points)
+        if not there:
+            rows.add(frame, of_frame, NAN, {})
+    raw = rows.raw(path, kinect_states)
     raw.time = np.array(rows.time) if np.isfinite(rows.time).any() else None
     raw.body = np.array(rows.body)
     inferred_throughout(raw)
@@ -222,23 +218,13 @@ def _read_kinect_json(path: Path) -> list[SkeletonTable]:
 
 
 KINECT_JSON = Format(
-    key="azure-kinect-json",
-    title="Azure Kinect or Orbbec body tracking, JSON",
-    kind="skeleton",
-    recognised_by="JSON with joint_positions, or with bodies and timestamp_usec",
-    recognises=_is_kinect_json,
-    read=_read_kinect_json,
+    "azure-kinect-json",
+    "Azure Kinect or Orbbec body tracking, JSON",
+    "skeleton",
+    "JSON with joint_positions, or with bodies and timestamp_usec",
+    _is_kinect_json,
+    _read_kinect_json,
 )
-
-
-def _joints_of(body: Mapping[str, Any], order: list[str]) -> dict[str, Point]:
-    value: Any = next((body[name] for name in _POSITIONS if name in body), [])
-    named = points_by_name(value, order)
-    levels = next((body[name] for name in _CONFIDENCES if isinstance(body.get(name), list)), None)
-    if levels is None:
-        return named
-    pairs = zip(named.items(), levels, strict=False)
-    return {name: (x, y, z, number(level)) for (name, (x, y, z, _)), level in pairs}
 
 
 # ----------------------------------------------------------------------------------- landmarks and keypoints
@@ -268,42 +254,36 @@ _MARK = re.compile(
 def _read_pose_json(path: Path) -> list[SkeletonTable]:
     """Frames of landmarks: in a list or by number, landmarks in a list or by name."""
     value = read_json(path, _POSE_EXPECTED)
-    rows, listed = _Rows(), _frames_of(value)
-    for key, frame in listed:
-        rows.time.append(rows.time_of(frame))
+    rows, listed, is_world = _Rows(), _frames_of(value), False
+    for at, (key, frame) in enumerate(listed):
         count = first_number(frame, _NUMBERS) if isinstance(frame, Mapping) else NAN
         digits = re.search(r"\d+(\.\d+)?", key)
-        rows.frame.append(
-            float(digits.group()) if digits else count if np.isfinite(count) else len(rows.frame)
-        )
         points, world = _points_in(frame)
-        rows.world |= world
-        rows.points.append(points_by_name(points))
+        is_world |= world
+        number_ = float(digits.group()) if digits else count if np.isfinite(count) else at
+        rows.add(frame, number_, 0.0, points_by_name(points))
     rate = first_number(value, _RATES) if isinstance(value, Mapping) else NAN
     rate_hz = rate if 1.0 <= rate <= 1000.0 else None
     keypoints = _coco(value) or _keypoints([frame for _, frame in listed], rows)
     if keypoints is not None:
-        return [_keypoint_table(path, keypoints, rows.scale, rate_hz)]
+        return [_keypoint_table(path, *keypoints, rate_hz)]
     if not any(rows.points):
         raise RecordingError(f"{path} should be {_POSE_EXPECTED}, and no frame of it has points in space.")
     raw = rows.raw(path, share_states)
-    time = np.array(rows.time)
-    known = np.isfinite(time)
-    raw.time = time if known.mean() > 0.5 and np.ptp(time[known]) > 0 else None
-    raw.rate_hz = rate_hz
+    raw.time, raw.rate_hz = rows.known_times(), rate_hz
     names = {re.sub(r"[^a-z0-9]", "", name.lower()) for row in rows.points for name in row}
-    if rows.world or {"rightpinky", "leftpinky"} & names or about_hips(raw):
-        return landmarks_in_metres(raw, rows.world)
+    if is_world or {"rightpinky", "leftpinky"} & names or about_hips(raw):
+        return landmarks_in_metres(raw, is_world)
     return raw.skeletons(Conventions())
 
 
 POSE_JSON = Format(
-    key="pose-json",
-    title="MediaPipe or OpenPose landmarks in space, JSON",
-    kind="skeleton",
-    recognised_by="JSON with pose_world_landmarks, pose_keypoints_3d, or a wrist by name",
-    recognises=lambda head: head.text.lstrip()[:1] in ("{", "[") and bool(_MARK.search(head.text)),
-    read=_read_pose_json,
+    "pose-json",
+    "MediaPipe or OpenPose landmarks in space, JSON",
+    "skeleton",
+    "JSON with pose_world_landmarks, pose_keypoints_3d, or a wrist by name",
+    lambda head: head.text.lstrip()[:1] in ("{", "[") and bool(_MARK.search(head.text)),
+    _read_pose_json,
 )
 
 
@@ -358,26 +338,26 @@ def _points_in(frame: Any, depth: int = 0) -> tuple[Any, bool]:
     return _points_in(frame[0], depth + 1) if is_one else (frame, False)  # one pose of several
 
 
-#: A row of a frame: its number, its time as written (or nan), and u, v, score one after the other.
-Row = tuple[float, float, list[float]]
 #: Scores of COCO's visibilities: not labelled, labelled and hidden, visible.
 _VISIBILITY = (0.0, 0.3, 1.0)
+#: Rows of frames, and u, v, score one after the other of each.
+Keypoints = tuple[_Rows, list[list[float]]]
 
 
-def _keypoints(frames: list[Any], rows: _Rows) -> list[Row] | None:
+def _keypoints(frames: list[Any], rows: _Rows) -> Keypoints | None:
     """The first person's keypoints of OpenPose by frame; None where the file contains none in images."""
-    found: list[Row] = []
-    for count, time, frame in zip(rows.frame, rows.time, frames, strict=True):
+    found: list[list[float]] = []
+    for frame in frames:
         people = frame.get("people") if isinstance(frame, Mapping) else None
         person = (people[0] if people else None) if isinstance(people, list) else frame
         flat = person.get("pose_keypoints_2d") if isinstance(person, Mapping) else None
         if isinstance(person, Mapping) and person.get("pose_keypoints_3d"):
             return None
-        found.append((count, time, flat if isinstance(flat, list) else []))
-    return found if any(flat for _, _, flat in found) else None
+        found.append(flat if isinstance(flat, list) else [])
+    return (rows, found) if any(found) else None
 
 
-def _coco(value: Any) -> list[Row] | None:
+def _coco(value: Any) -> Keypoints | None:
     """Of COCO's annotations or results the surest person of each image, by the images' numbers."""
     listed = value.get("annotations") if isinstance(value, Mapping) else value
     if not isinstance(listed, list) or not listed:
@@ -396,41 +376,39 @@ def _coco(value: Any) -> list[Row] | None:
     if max(thirds, default=0.0) > 1.0 and thirds <= {0, 1, 2}:  # labelled by hand
         for _, flat in ordered:
             flat[2::3] = [_VISIBILITY[int(one)] for one in flat[2::3]]
-    return [(image, NAN, flat) for image, flat in ordered]
+    rows = _Rows([NAN] * len(ordered), [image for image, _ in ordered])
+    return rows, [flat for _, flat in ordered]
 
 
-def _keypoint_table(path: Path, rows: list[Row], scale: float | None, rate_hz: float | None) -> SkeletonTable:
+def _keypoint_table(
+    path: Path, rows: _Rows, flats: list[list[float]], rate_hz: float | None
+) -> SkeletonTable:
     """A body whose positions are u, v and score."""
-    count = next((len(flat) // 3 for _, _, flat in rows if flat), 0)
+    count = next((len(flat) // 3 for flat in flats if flat), 0)
     names = POINT_SETS.get(count)
     if names is None:
         raise RecordingError(
             f"{path}: {count} keypoints per person are not a known set"
             f" ({', '.join(map(str, POINT_SETS))} are); export COCO's 17 or OpenPose's BODY_25."
         )
-    table = np.full((len(rows), count, 3), np.nan)
-    for at, (_, _, flat) in enumerate(rows):
+    table = np.full((len(flats), count, 3), np.nan)
+    for at, flat in enumerate(flats):
         if len(flat) == 3 * count:
             table[at] = np.array([number(each) for each in flat]).reshape(count, 3)
     table[~(table[..., 2] > 0.0)] = np.nan  # what was not found is stored as 0, 0
-    joints: dict[str, FloatArray] = {}
-    for column, name in enumerate(names[:count]):
-        meaning = joint_name(name)
-        if meaning is not None and meaning.joint and meaning.kind != "skin":
-            joints[meaning.joint] = table[:, column]
-    require_arm(joints, path, "keypoints", list(names))
-    frame, time = np.array([row[0] for row in rows]), np.array([row[1] for row in rows])
-    known = np.isfinite(time)
-    notes = []
-    if known.mean() > 0.5 and np.ptp(time[known]) > 0 and (unit := camera_time_scale(time, scale)):
-        t_s = time * unit
+    raw = RawSkeleton(path)
+    for at, name in enumerate(names[:count]):
+        raw.add(name, table[:, at], states_of_scores(table[:, at, 2]))
+    require_arm(raw.position, path, "keypoints", list(names))
+    notes, time, frame = [], rows.known_times(), np.array(rows.frame)
+    unit = "" if time is None else time_unit(rows.unit, time, CAMERA_RATES) or rows.unit
+    if time is not None and unit:
+        t_s = time * SECONDS[unit]
     else:
+        t_s = (frame - frame[0]) / (rate_hz or USUAL_RATE_HZ)
         if rate_hz is None:
             notes.append(
                 f"The file has no times: assumed {USUAL_RATE_HZ:g} frames per second; write fps into it."
             )
-        t_s = (frame - frame[0]) / (rate_hz or USUAL_RATE_HZ)
-    state = {name: states_of_scores(points[:, 2]) for name, points in joints.items()}
-    return SkeletonTable(
-        0, t_s, joints, state, CameraFrame.OPTICAL, rate_hz=rate_hz, units=PIXELS, notes=notes
-    )
+    optical = CameraFrame.OPTICAL
+    return SkeletonTable(0, t_s, raw.position, raw.state, optical, None, rate_hz, units=PIXELS, notes=notes)

@@ -15,7 +15,7 @@ from ...measurements.timestamps import begins_frames
 from ...recording import CameraFrame, JointState
 from .joints import JointName, joint_name
 from .table import shown
-from .units import CAMERA_RATES, METRES, SECONDS, from_1970, unit_of_step
+from .units import CAMERA_RATES, METRES, SECONDS, from_1970, time_unit
 
 
 @dataclass
@@ -128,16 +128,11 @@ def axis_words(axis: int, sign: int) -> str:
 
 def _middle(points: list[FloatArray]) -> FloatArray:
     """Mean (F, 3) of points, each where it is there."""
-    stack = np.stack(points)
-    there = np.isfinite(stack).all(axis=2, keepdims=True)
-    count = there.sum(axis=0)
-    total = np.where(there, stack, 0.0).sum(axis=0)
-    return np.asarray(np.where(count > 0, total / np.maximum(count, 1), np.nan))
+    return np.ma.masked_invalid(np.stack(points)).mean(axis=0).filled(np.nan)
 
 
 #: Body numbers above this do not fit a recording: they are counted from 0 instead.
 _LARGEST_BODY = 2**31 - 1
-_UNIT_OF = {seconds: unit for unit, seconds in SECONDS.items()}
 
 
 def gathered(
@@ -181,22 +176,6 @@ def frames_of_rows(time: FloatArray, body: FloatArray | None) -> tuple[IntArray,
     return np.cumsum(is_new) - 1, time[is_new]
 
 
-def camera_time_scale(time: FloatArray, stated: float | None) -> float | None:  # time (N,)
-    """Seconds in a unit of frame times."""
-    step = np.diff(time[np.isfinite(time)])
-    step = step[step > 0]
-    if not len(step):
-        return stated
-    said = _UNIT_OF.get(stated, "") if stated else ""
-    unit = unit_of_step(float(np.median(step)), CAMERA_RATES, said, float(np.nanmedian(time)))
-    return stated if unit is None else SECONDS[unit]
-
-
-def without_position(state: NDArray[np.int8], position: FloatArray) -> NDArray[np.int8]:
-    """States (N,), not tracked where the position (N, 3) is missing."""
-    return np.where(np.isfinite(position).all(axis=1), state, np.int8(JointState.NOT_TRACKED)).astype(np.int8)
-
-
 #: Rate of a file without times, Hz: that of the cameras' usual mode.
 USUAL_RATE_HZ = 30.0
 
@@ -209,7 +188,6 @@ class Conventions:
     frame: CameraFrame | None = None  # Axes of the camera that the format has
     relative: bool = False  # Positions are about the hips
     up: tuple[int, int] | None = None  # Axis and sign of up in a room, where the body does not show it
-    rate_hz: float = USUAL_RATE_HZ  # Counts where the file has no times
 
 
 @dataclass
@@ -222,7 +200,7 @@ class RawSkeleton:
     # int (N,): `JointState` values where the file has them
     state: dict[str, NDArray[np.int8]] = field(default_factory=dict)
     time: FloatArray | None = None  # (N,): as written
-    time_scale: float | None = None  # s: in a unit of `time`, where the file states it
+    time_unit: str = ""  # Of `time`, where the file states it; "s" of dates
     frame: FloatArray | None = None  # (N,): numbers of the frames
     body: FloatArray | None = None  # (N,): numbers of the bodies, nan where a frame has none
     rest: list[tuple[JointName, FloatArray]] = field(default_factory=list)  # (N, 3) ): hips, feet and head
@@ -244,18 +222,20 @@ class RawSkeleton:
     def skeletons(self, conventions: Conventions) -> list[SkeletonTable]:
         """One skeleton a body."""
         self._drop_empty()
-        self._drop_row_numbers()
+        if self.body is not None:  # a column that counts rows (an `id`) names no bodies
+            numbers, rows = np.unique(self.body[np.isfinite(self.body)], return_counts=True)
+            if len(numbers) > 10 and np.median(rows) < 3:
+                self.body = None
+                self.notes.append("The body column counts rows; assumed one body.")
         require_arm(self.position, self.path, "joints", list(self.position))
         unit, metres = self._unit(conventions)
         frame, down = self._axes(conventions)
-        time, seconds, rate = self._times(conventions)
-        self.position = {joint: rows * metres for joint, rows in self.position.items()}
-        count = len(next(iter(self.position.values())))
-        tracked = np.full(count, JointState.TRACKED, np.int8)
-        self.state = {
-            joint: without_position(self.state.get(joint, tracked), rows)
-            for joint, rows in self.position.items()
-        }
+        time, seconds, rate = self._times()
+        for joint, rows in self.position.items():
+            self.position[joint] = rows * metres
+            state = self.state.get(joint, np.full(len(rows), JointState.TRACKED, np.int8))
+            there = np.isfinite(rows).all(axis=1)
+            self.state[joint] = np.where(there, state, np.int8(JointState.NOT_TRACKED)).astype(np.int8)
         pattern = SkeletonTable(0, None, {}, {}, frame, down, rate, conventions.relative, unit)
         return self.bodies(pattern, time, seconds)
 
@@ -288,50 +268,34 @@ class RawSkeleton:
 
     def _drop_empty(self) -> None:
         """Lost joints, written as (0, 0, 0), have no position; joints that never have one are left out."""
-        filled = {joint: without_origin(rows) for joint, rows in self.position.items()}
-        for rows in filled.values():
-            rows[~(np.abs(rows) < LARGEST).all(axis=1)] = np.nan
-        there = {joint: rows for joint, rows in filled.items() if np.isfinite(rows).any()}
-        if filled and not there:
+
+        def seen(rows: FloatArray) -> FloatArray:
+            near = (np.abs(rows) < LARGEST).all(axis=1, keepdims=True)
+            return np.where(near, without_origin(rows), np.nan)
+
+        self.rest = [(name, seen(rows)) for name, rows in self.rest]
+        filled = {joint: seen(rows) for joint, rows in self.position.items()}
+        self.position = {joint: rows for joint, rows in filled.items() if np.isfinite(rows).any()}
+        if filled and not self.position:
             raise RecordingError(
                 f"{self.path} names joints and has no position of any; record again with the person in view."
             )
-        self.position = there
-        self.rest = [
-            (name, np.where(np.abs(rows) < LARGEST, without_origin(rows), np.nan)) for name, rows in self.rest
-        ]
-
-    def _drop_row_numbers(self) -> None:
-        """A column of bodies that counts rows (an `id`) names no bodies."""
-        if self.body is None:
-            return
-        numbers, rows = np.unique(self.body[np.isfinite(self.body)], return_counts=True)
-        if len(numbers) > 10 and np.median(rows) < 3:
-            self.body = None
-            self.notes.append("The body column counts rows; assumed one body.")
 
     def _unit(self, conventions: Conventions) -> tuple[str, float]:
         """Name of the unit and metres in it."""
-        fits = unit_by_arm(self.position)
-        length = half_arm(self.position)
+        fits, length = unit_by_arm(self.position), half_arm(self.position)
         if fits is None:
             if conventions.unit and not np.isfinite(length):
                 return conventions.unit, METRES[conventions.unit]
             raise RecordingError(
-                f"{self.path}: upper arms and forearms are {length:.3g} long, which is an arm's length"
-                " neither in"
-                " m nor in cm nor in mm; export positions in metres, not pixels or parts of the image."
+                f"{self.path}: half an arm is {length:.3g} long, which is a length in neither m, cm nor mm;"
+                " export positions in metres, not pixels or parts of the image."
             )
         unit, metres = fits
-        if conventions.unit and unit != conventions.unit:
-            self.notes.append(
-                f"Assumed unit of positions: {unit}, not the usual {conventions.unit} (half an arm"
-                f" is then {length * metres:.2f} m long)."
-            )
-        elif not conventions.unit:
-            self.notes.append(
-                f"Assumed unit of positions: {unit} (half an arm is then {length * metres:.2f} m long)."
-            )
+        if unit != conventions.unit:
+            usual = f", not the usual {conventions.unit}" if conventions.unit else ""
+            said = f"{unit}{usual} (half an arm is then {length * metres:.2f} m long)"
+            self.notes.append(f"Assumed unit of positions: {said}.")
         return unit, metres
 
     def _axes(self, conventions: Conventions) -> tuple[CameraFrame | None, FloatArray | None]:
@@ -360,22 +324,20 @@ class RawSkeleton:
         self.notes.append(f"Assumed axes: {axis_words(*upright)} (the body is then upright in most frames).")
         return frame_of(*upright, camera=False), down_of(*upright)
 
-    def _times(self, conventions: Conventions) -> tuple[FloatArray, float | None, float | None]:
+    def _times(self) -> tuple[FloatArray, float | None, float | None]:
         """What distinguishes frames, its unit in seconds (None: no times), the rate without times."""
         if self.time is not None and np.isfinite(self.time).any():
             self.time = np.where(np.isfinite(self.time), self.time, np.nan)
-            scale = camera_time_scale(self.time, self.time_scale)
-            if scale is None:
+            fits = time_unit(self.time_unit, self.time, CAMERA_RATES) or self.time_unit
+            if not fits:
                 raise RecordingError(
                     f"{self.path}: its times give no certain frame rate in s, ms, us, ns or ticks of 100 ns;"
                     " export times of the frames with their unit (time_ms)."
                 )
-            if scale != self.time_scale:
-                self.notes.append(
-                    f"Assumed unit of times: {_UNIT_OF.get(scale, scale)} (gives a camera's frame rate)."
-                )
-            return from_1970(self.time, _UNIT_OF.get(scale, "s")), scale, None
-        rate = self.rate_hz or conventions.rate_hz
+            if fits != self.time_unit:
+                self.notes.append(f"Assumed unit of times: {fits} (gives a camera's frame rate).")
+            return from_1970(self.time, fits), SECONDS[fits], None
+        rate = self.rate_hz or USUAL_RATE_HZ
         if self.rate_hz is None:
             self.notes.append(
                 f"The file has no times: assumed {rate:g} frames per second, evenly; export times if you can."

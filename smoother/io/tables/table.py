@@ -85,18 +85,23 @@ def begins(*marks: bytes) -> Callable[[FileHead], bool]:
     return lambda head: head.raw.startswith(marks)
 
 
-def read_head(path: Path) -> FileHead:
-    """Read a file's beginning."""
+def read_bytes(path: Path, most: int = -1) -> bytes:
+    """The bytes of a file, or so many of them."""
     check_input(path, RecordingError)
     try:
         with path.open("rb") as stream:
-            raw = stream.read(HEAD_BYTES)
+            return stream.read(most)
     except FileNotFoundError:
         raise RecordingError(f"{path} does not exist; check the name.") from None
     except IsADirectoryError:
         raise RecordingError(f"{path} is a folder; name the file in it.") from None
     except OSError as error:
         raise RecordingError(f"{path} cannot be read: {error.strerror or error}.") from error
+
+
+def read_head(path: Path) -> FileHead:
+    """Read a file's beginning."""
+    raw = read_bytes(path, HEAD_BYTES)
     if not raw:
         raise RecordingError(f"{path} is empty; export or copy it again.")
     if is_workbook(raw):
@@ -154,11 +159,6 @@ def no_table(raw: bytes, text: str) -> str:
     return "has a header and has no rows; export it again." if is_header else ""
 
 
-def amount(count: int, one: str, many: str) -> str:
-    """A count with the words behind it: of one, or of many."""
-    return f"{count} {one if count == 1 else many}"
-
-
 def shown(text: str, characters: int = SHOWN_CHARACTERS) -> str:
     """Text as a message can show it: no control characters, no more than this many characters."""
     plain = " ".join("".join(c if c.isprintable() else " " for c in text[: 8 * characters]).split())
@@ -197,12 +197,29 @@ class Table:
     @cached_property
     def cells(self) -> Any:
         """An Arrow table of text."""
+        import pyarrow as pa
+        from pyarrow import csv as arrow_csv
+
         rows, self._line_numbers, notes = even_rows(list(self.lines), self)
         self.notes += notes
         self.lines = ()
         if not rows:
             raise RecordingError(f"{self.path} has no rows below its header; export it again.")
-        return _parse(self.path, rows, self)
+        mark = "\t" if self.separator == " " else self.separator
+        names = [str(at) for at in range(max(self.width, separators_in(rows[0], mark) + 1))]
+        data = "\n".join(rows).encode("utf-8", errors="replace")
+        size = max(1 << 20, len(data) + 1)
+        types = dict.fromkeys(names, pa.string())
+        try:
+            return arrow_csv.read_csv(
+                pa.BufferReader(data),
+                arrow_csv.ReadOptions(column_names=names, block_size=size, use_threads=False),
+                arrow_csv.ParseOptions(delimiter=mark, invalid_row_handler=lambda _: "skip"),
+                arrow_csv.ConvertOptions(column_types=types, strings_can_be_null=False),
+            )
+        except pa.ArrowException as error:
+            said = shown(str(error), 120)
+            raise RecordingError(f"{self.path} cannot be read as a table: {said}.") from error
 
     def __len__(self) -> int:
         return self.cells.num_rows
@@ -318,10 +335,10 @@ class Table:
         if len(wrong):
             values[wrong] = np.nan
             self._refuse_many(column, wrong, int(np.count_nonzero(filled)), "number")
+            first = f"'{self._cell(column, int(wrong[0]))}' in line {self.line(int(wrong[0]))}"
             self.notes.append(
-                f"{amount(len(wrong), 'cell', 'cells')} of {shown(self.name(column), 60)}"
-                f" {'is' if len(wrong) == 1 else 'are'} not a number and treated as missing"
-                f" ('{self._cell(column, int(wrong[0]))}' in line {self.line(int(wrong[0]))})."
+                f"Cells of {shown(self.name(column), 60)} that are no numbers, treated as missing:"
+                f" {len(wrong)} ({first})."
             )
         return values
 
@@ -346,35 +363,44 @@ _WITH_COMMA = r"^[+-]?\d*,\d+([eE][+-]?\d{1,3})?$"
 
 def file_text(path: Path) -> str:
     """The text of a file, or the rows of a workbook; "" where it is neither."""
-    check_input(path, RecordingError)
-    try:
-        raw = path.read_bytes()
-    except OSError as error:
-        raise RecordingError(f"{path} cannot be read: {error.strerror or error}.") from error
+    raw = read_bytes(path)
     text = workbook_text(path) if is_workbook(raw[:HEAD_BYTES]) else decode(raw)
     if refused := no_table(raw[:HEAD_BYTES], text if len(text) < HEAD_BYTES else ""):
         raise RecordingError(f"{path} {refused}")
-    return text.replace("\r\n", "\n").replace("\r", "\n") if "\r" in text else text
+    return text.replace("\r\n", "\n").replace("\r", "\n")
 
 
-def read_table(path: Path, expected: str = "a table", quote: bool = True, strict: bool = False) -> Table:
-    """Read a delimited text file, or an Excel workbook."""
+def read_table(
+    path: Path,
+    expected: str = "a table",
+    quote: bool = True,
+    strict: bool = False,
+    separator: str | None = None,
+    skip: int = 0,
+) -> Table:
+    """Read a delimited text file, or an Excel workbook; its layout is looked for."""
     text = file_text(path)
     if not text.strip():
         what = "is not text" if path.stat().st_size else "is empty"
         raise RecordingError(f"{path} {what}, but should be {expected}; export it again.")
-    return table_of(path, text, expected, quote, strict)
+    return table_of(path, text, expected, quote, strict, separator, skip)
 
 
 def table_of(
-    path: Path, text: str, expected: str = "a table", quote: bool = True, strict: bool = False
+    path: Path,
+    text: str,
+    expected: str = "a table",
+    quote: bool = True,
+    strict: bool = False,
+    separator: str | None = None,
+    skip: int = 0,  # Lines above the header
 ) -> Table:
     """The table in a text."""
-    if "\r" in text:
-        text = text.replace("\r\n", "\n").replace("\r", "\n")
-    lines = text.split("\n")
+    lines = text.replace("\r\n", "\n").replace("\r", "\n").split("\n")
     check_lines(path, lines)
-    table = layout_of(lines, path)
+    if skip and not any(line.strip() for line in lines[skip:]):
+        raise RecordingError(f"{path} has no rows below the first {skip}; correct skip_rows.")
+    table = layout_of(lines, path, separator, skip)
     if table is None:
         seen = shown(" | ".join(line for line in lines[:4] if line.strip()))
         begins = f"; it begins: {seen}" if quote else "; name the right file."
@@ -382,29 +408,6 @@ def table_of(
     table.strict = strict
     len(table)  # reads the cells, and drops the lines
     return table
-
-
-def _parse(path: Path, rows: list[str], table: Table) -> Any:
-    """An Arrow table of text columns."""
-    import pyarrow as pa
-    from pyarrow import csv as arrow_csv
-
-    mark = "\t" if table.separator == " " else table.separator
-    names = [str(at) for at in range(max(table.width, separators_in(rows[0], mark) + 1))]
-    data = "\n".join(rows).encode("utf-8", errors="replace")
-    try:
-        return arrow_csv.read_csv(
-            pa.BufferReader(data),
-            arrow_csv.ReadOptions(
-                column_names=names, block_size=max(1 << 20, len(data) + 1), use_threads=False
-            ),
-            arrow_csv.ParseOptions(delimiter=mark, invalid_row_handler=lambda _: "skip"),
-            arrow_csv.ConvertOptions(
-                column_types=dict.fromkeys(names, pa.string()), strings_can_be_null=False
-            ),
-        )
-    except pa.ArrowException as error:
-        raise RecordingError(f"{path} cannot be read as a table: {shown(str(error), 120)}.") from error
 
 
 _QUOTED = re.compile(r'"[^"]*"')
@@ -444,8 +447,7 @@ def even_rows(lines: list[str], table: Table) -> tuple[list[str], Sequence[int],
         unclear = count < width - 1 and table.separator == " "
         if table.strict and (unclear or any(split_line(row, mark)[width:])):
             raise RecordingError(
-                f"{table.path}, line {first + at + 1}: {count + 1} cells where there are {width} columns;"
-                " correct the line."
+                f"{table.path}, line {first + at + 1}: {count + 1} cells where there are {width}; correct it."
             )
         if count < width - 1:
             short += count < usual
@@ -458,15 +460,12 @@ def even_rows(lines: list[str], table: Table) -> tuple[list[str], Sequence[int],
             row = mark.join(cell.replace(mark, " ") for cell in cells[:width])
         even.append(row)
         indices.append(first + at)
-    lacks = "shorter than the others; what is lacking is treated as missing."
-    what = "with more cells than columns"
     said = (
-        (repeated, "repeated header among the rows was", "repeated headers among the rows were", "left out."),
-        (short, "row is", "rows are", lacks),
-        (long, f"row {what} was", f"rows {what} were", "left out."),
+        ("Repeated headers among the rows, left out", repeated),
+        ("Rows shorter than the others, what is lacking treated as missing", short),
+        ("Rows with more cells than columns, left out", long),
     )
-    notes += [f"{amount(count, one, many)} {end}" for count, one, many, end in said if count]
-    return even, indices, notes
+    return even, indices, notes + [f"{what}: {count}." for what, count in said if count]
 
 
 def _end_notes(
@@ -475,8 +474,12 @@ def _end_notes(
     """What is to be said of a text that does not end with a line's end."""
     if not rows:
         return []
-    cells = [row.rsplit(mark, 1)[-1] for row in rows[-_ROWS_BEFORE:]]
-    if counts[-1] < usual or _is_cut_number(cells, _FEWEST_STRICT if strict else _FEWEST):
+    # a number is cut off if it has fewer decimals than all before it, which have equally many
+    cells = [row.rsplit(mark, 1)[-1].strip().strip('"') for row in rows[-_ROWS_BEFORE:]]
+    *before, last = [cell.replace(",", ".").partition(".")[2] for cell in cells]
+    decimals = {len(digits) for digits in before if digits.isdigit()}
+    shows = len(before) >= (_FEWEST_STRICT if strict else _FEWEST) and len(decimals) == 1 and all(before)
+    if counts[-1] < usual or (shows and len(last) < min(decimals)):
         return [CUT]
     return [
         f"The file ends without a line break; if it was cut off, what came behind line {line} is missing."
@@ -485,13 +488,6 @@ def _end_notes(
 
 #: So many rows before show that a number is cut off, and so many where the whole table is refused for it.
 _FEWEST, _FEWEST_STRICT = 3, 20
-
-
-def _is_cut_number(cells: Sequence[str], fewest: int) -> bool:
-    """Whether the last of a column's cells has fewer decimals than all before it, which have equally many."""
-    *before, last = [cell.strip().strip('"').replace(",", ".").partition(".")[2] for cell in cells]
-    decimals = {len(digits) for digits in before if digits.isdigit()}
-    return len(before) >= fewest and len(decimals) == 1 and all(before) and len(last) < min(decimals)
 
 
 def separators_in(row: str, mark: str) -> int:
@@ -535,13 +531,15 @@ def plain_label(text: str) -> str:
     return " ".join(text.lower().split())
 
 
-def layout_of(lines: Sequence[str], path: Path = Path()) -> Table | None:
+def layout_of(
+    lines: Sequence[str], path: Path = Path(), separator: str | None = None, skip: int = 0
+) -> Table | None:
     """Find the table in a text; its cells are not read yet."""
-    start = tuple(lines[:LAYOUT_LINES])
+    start = ("",) * skip + tuple(lines[skip : skip + LAYOUT_LINES])
     filled = [line for line in start if line.strip()]
     sample = filled[len(filled) // 2 :][-60:]
-    separator = _separator(sample)
-    if separator is None:
+    separator = separator or _separator(sample)
+    if separator is None or not sample:
         return None
     counts = [_count(split_line(line, separator)) for line in sample]
     typical_data, typical_text = median(c[0] for c in counts), median(c[1] for c in counts)
@@ -551,8 +549,11 @@ def layout_of(lines: Sequence[str], path: Path = Path()) -> Table | None:
         data, text = _count(split_line(line, separator))
         return data > typical_data / 2 and text <= typical_text + max(1, width // 4)
 
-    first = _first_row(start, is_row)
-    if first is None:
+    # the first line of data that another follows, or that is the last one
+    places = [at for at, line in enumerate(start) if line.strip()]
+    pairs = zip(places, [*places[1:], None], strict=True)
+    found = (at for at, after in pairs if is_row(start[at]) and (after is None or is_row(start[after])))
+    if (first := next(found, None)) is None:
         return None
     # Rows in which most sensors have no value yet stand between the header and the first full row.
     while first > 0 and len(cells := split_line(start[first - 1], separator)) >= width:
@@ -616,15 +617,6 @@ def _count(cells: list[str]) -> tuple[int, int]:
     return data, len(filled) - data
 
 
-def _first_row(lines: tuple[str, ...], is_row: Callable[[str], bool]) -> int | None:
-    """Index of the first line of data that another follows, or that is the last one."""
-    filled = [at for at, line in enumerate(lines) if line.strip()]
-    for at, following in zip(filled, [*filled[1:], None], strict=True):
-        if is_row(lines[at]) and (following is None or is_row(lines[following])):
-            return at
-    return None
-
-
 def _header(lines: tuple[str, ...], first: int, separator: str, width: int) -> tuple[int, int]:
     """Indices of the header and of the line of units; -1 where there is none."""
     rows = ((at, split_line(lines[at], separator)) for at in range(first - 1, -1, -1))
@@ -670,15 +662,13 @@ def check_lines(path: Path, lines: Sequence[str]) -> None:
     longest = max(map(len, lines), default=0)
     if longest > LONGEST_LINE:
         raise RecordingError(
-            f"{path} has a line of {longest:,} characters, and rows of tables with up to {LONGEST_LINE:,} are"
-            " read; export it with one row per line."
+            f"{path} has a line of {longest:,} characters ({LONGEST_LINE:,} are read); export a row per line."
         )
     for line in lines if longest > MOST_COLUMNS else ():
         columns = max(1 + max(line.count(mark) for mark in SEPARATORS[:-1]), len(line.split()))
         if columns > MOST_COLUMNS:
             raise RecordingError(
-                f"{path} has a row of {columns:,} columns, and tables with up to {MOST_COLUMNS:,} are read;"
-                " export the columns of the sensor or the skeleton alone."
+                f"{path} has a row of {columns:,} columns (read are {MOST_COLUMNS:,}); export those needed."
             )
 
 
@@ -785,7 +775,10 @@ def _workbook_text(path: Path, rows: int | None, mtime_ns: int, size: int) -> st
             heads = [islice(sheet.iter_rows(values_only=True), _LOOKED_AT) for sheet in sheets]
             numbers = [sum(isinstance(v, int | float) for row in rows for v in row) for rows in heads]
             sheet = sheets[numbers.index(max(numbers))]
-            lines = (_line(path, row) for row in islice(sheet.iter_rows(values_only=True), rows))
+            lines = []
+            for row in islice(sheet.iter_rows(values_only=True), rows):
+                lines.append("\t".join(_stripped([_cell(value) for value in row])))
+                check_lines(path, lines[-1:])
             return "\n".join(lines) + "\n"
         finally:
             book.close()
@@ -793,8 +786,7 @@ def _workbook_text(path: Path, rows: int | None, mtime_ns: int, size: int) -> st
         raise
     except Exception as error:  # a damaged workbook fails anywhere
         raise RecordingError(
-            f"{path} is an Excel workbook that cannot be read ({type(error).__name__}); save it again, or as"
-            " CSV."
+            f"{path} is an Excel workbook that cannot be read ({type(error).__name__}); save it as CSV."
         ) from error
 
 
@@ -819,12 +811,6 @@ def _check_size(path: Path, packed: int) -> None:
             f"{path} is a workbook of {total / 1e6:,.0f} MB unpacked (from {packed / 1e6:,.1f} MB), which is"
             " more than is read; save the sheet with the measurements as CSV."
         )
-
-
-def _line(path: Path, row: tuple[Any, ...]) -> str:
-    line = "\t".join(_stripped([_cell(value) for value in row]))
-    check_lines(path, [line])
-    return line
 
 
 def _cell(value: Any) -> str:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
@@ -22,14 +21,12 @@ from ...measurements.timestamps import (
     strayed,
     unwrapped,
 )
-from .imu import ImuTable, turn_notes, with_settled_unit
-from .joints import TIME_WORDS, column_named, words_of
+from .imu import ImuTable, with_checked_turning
+from .joints import TIME_WORDS, column_named, time_unit_of, words_of
 from .skeletons import SkeletonTable
-from .table import Table, amount, shown
-from .units import SECONDS, TIME, from_1970, plain_unit, time_unit, unit_of_step
+from .table import Table, shown
+from .units import SECONDS, TIME, from_1970, plain_unit, time_unit
 
-#: Units that a label ends with, where they are not taken off.
-_SUFFIX = re.compile(r"(?:_|\s|\b)(ns|nano\w*|us|micro\w*|ms|milli\w*|s|sec\w*)$")
 #: This share of the steps of a column of times rises, and lies within these parts of the usual one.
 _RISES, _EVEN, _EVEN_SHARE = 0.95, (0.3, 3.0), 0.8
 #: Fewer rows than these rise by chance.
@@ -47,16 +44,10 @@ def time_column(table: Table) -> int | None:
 
 
 def stated_time_unit(table: Table, column: int) -> str:
-    """The unit that a column of times states, in brackets or behind its name; "" where it states none."""
-    stated = TIME.get(plain_unit(table.unit(column)))
-    suffix = _SUFFIX.search(table.labels[column] if table.labels else "")
-    letters = suffix.group(1) if suffix else ""
-    said = (
-        "us"
-        if letters.startswith("micro")
-        else {"n": "ns", "u": "us", "m": "ms", "s": "s"}.get(letters[:1], "")
+    """The unit that a column of times states, in brackets or in its name; "" where it states none."""
+    return TIME.get(plain_unit(table.unit(column)), "") or time_unit_of(
+        table.names[column] if table.names else ""
     )
-    return next((unit for unit, seconds in SECONDS.items() if seconds == stated), said)
 
 
 def seconds(table: Table, column: int | None, unit: str = "s") -> FloatArray | None:
@@ -68,7 +59,7 @@ def seconds(table: Table, column: int | None, unit: str = "s") -> FloatArray | N
         return None
     if dates:
         return times
-    stated = next((u for u, s in SECONDS.items() if s == TIME.get(plain_unit(table.unit(column)))), unit)
+    stated = TIME.get(plain_unit(table.unit(column)), unit)
     fits = time_unit(stated, times) or stated
     note = f"Times are in {fits}, by the rate or the date that they give, not in {stated}."
     if fits != stated and note not in table.notes:
@@ -96,19 +87,18 @@ def time_among(
         if len(moved) < 0.3 * (len(values) - 1):
             continue
         usual = float(np.median(moved))
-        unit = unit_of_step(usual, rates_hz, "", float(np.nanmedian(values)))
         if usual == 1 and (values % 1 == 0)[np.isfinite(values)].all() and np.nanmax(values) < 1e11:
             notes.append(f"The column {name} counts rows or packets and is not the time.")
             continue
+        unit = time_unit("", values, rates_hz)
         even = ((step > _EVEN[0] * usual) & (step < _EVEN[1] * usual)).mean() > _EVEN_SHARE
         if unit is None and not even:
             continue
         if unit is None or not even or not (step > 0).all() or not np.isfinite(values).all():
             raise RecordingError(
-                f"{table.path} has no time by its name, and its column {name} rises like one, but it is not"
-                " certain that it is, or in which unit; call it time_s, time_ms, time_us, time_ns or"
-                " time_ticks, or describe it in a recording.toml (`unocclude import describe"
-                f" {table.path}`)."
+                f"{table.path} has no time by its name; its column {name} rises like one, in no certain unit:"
+                " call it time_s, time_ms, time_us, time_ns or time_ticks, or describe it in a recording.toml"
+                f" (`unocclude import describe {table.path}`)."
             )
         notes.append(
             f"The column {name} was taken for the time, in {unit}: it alone rises evenly, with"
@@ -137,32 +127,27 @@ Stream = TypeVar("Stream", ImuTable, SkeletonTable)
 
 def repaired_imu(table: ImuTable, source: str) -> ImuTable:
     """An IMU's samples with times that increase."""
-    table = with_settled_unit(table)
-    table = replace(
-        table, notes=table.notes + [each for each in turn_notes(table) if each not in table.notes]
-    )
+    table = with_checked_turning(replace(table, notes=list(table.notes)))
     vectors = [values for values in (table.acc, table.gyro) if values is not None]
     sends = np.logical_or.reduce([values.any(axis=1) for values in vectors])
-    table = _kept(table, np.maximum.accumulate(sends), "rows of zeros at the start were left out")
+    table = _kept(table, np.maximum.accumulate(sends), "Rows of zeros at the start")
     finite = [np.isfinite(values).all(axis=1) for values in (table.acc, table.gyro) if values is not None]
-    table = _kept(table, np.logical_and.reduce(finite), "samples that are not numbers were left out")
+    table = _kept(table, np.logical_and.reduce(finite), "Samples that are not numbers")
     if table.t_s is not None:
-        table = _kept(table, _timed(table.t_s), "samples without a time were left out")
+        table = _kept(table, _timed(table.t_s), "Samples without a time")
     if len(table) < 2:
         raise RecordingError(
             f"{source} has too few usable samples ({len(table)}); record or export it again."
         )
-    table = _kept(table, ~_repeated(table), "rows that repeat the one before were left out")
+    table = _kept(table, ~_repeated(table), "Rows that repeat the one before")
     table = _on_one_clock(table, table.acc if table.acc is not None else table.gyro, "samples")
-    number, notes = _number(table)
-    table = replace(table, notes=table.notes + notes)
-    return _with_times(table, number, source, "samples")
+    return _with_times(table, _number(table), source, "samples")
 
 
 def repaired_skeleton(table: SkeletonTable, source: str) -> SkeletonTable:
     """A body's frames with times that increase; parameters, returns and raises as `repaired_imu`."""
     if table.t_s is not None:
-        table = _kept(table, _timed(table.t_s), "frames without a time were left out")
+        table = _kept(table, _timed(table.t_s), "Frames without a time")
     if not len(table):
         raise RecordingError(f"{source} has no usable frames; record or export it again.")
     table = _on_one_clock(table, next(iter(table.position.values())), "frames")
@@ -176,10 +161,10 @@ def _on_one_clock(table: Stream, values: FloatArray | None, what: str) -> Stream
     stamps, strays = strayed(table.t_s, what)
     there = np.isfinite(stamps)
     table = replace(table, t_s=stamps, notes=table.notes + strays)
-    table = _kept(table, there, f"{what} far from all others were left out")
+    table = _kept(table, there, f"{what.capitalize()} far from all others")
     assert table.t_s is not None
     t_s, wraps = unwrapped(table.t_s)
-    notes = [f"The device's clock restarted {_times_message(wraps)}; it was continued."] if wraps else []
+    notes = [f"The device's clock restarted and was continued, times: {wraps}."] if wraps else []
     # before rows are put in order, which would mix what was apart
     t_s, steps = clock_resets(t_s, None if values is None else values[there])
     notes += [resets_message(steps, what)] if steps else []
@@ -188,82 +173,66 @@ def _on_one_clock(table: Stream, values: FloatArray | None, what: str) -> Stream
     if order is None:
         return table
     moved = int((order != np.arange(len(order))).sum())
-    said = f"{moved} rows were out of order and were put in the order of their stamps."
+    said = f"Rows out of order, put in the order of their stamps: {moved}."
     return replace(table.select(order), notes=[*table.notes, said])
 
 
-def _with_times(table: Stream, number: IntArray | None, source: str, what: str) -> Stream:
-    t_s, notes = _times(table.t_s, number, table.rate_hz, source, what, len(table))
-    table = replace(table, t_s=t_s, notes=table.notes + notes)
-    return _kept(table, _increasing(t_s, source), f"{what} whose stamps repeat or go back were left out")
-
-
-def _kept(table: Stream, keep: BoolArray, why: str) -> Stream:
+def _kept(table: Stream, keep: BoolArray, what: str) -> Stream:
     """The rows to keep, and a sentence on those that were left out."""
-    lost = int((~keep).sum())
-    if not lost:
+    if keep.all():
         return table
-    return replace(table.select(keep), notes=[*table.notes, f"{lost} {why if lost > 1 else _one(why)}."])
+    return replace(table.select(keep), notes=[*table.notes, f"{what}, left out: {int((~keep).sum())}."])
 
 
-def _times(
-    t_s: FloatArray | None,
-    number: IntArray | None,
-    rate_hz: float | None,
-    source: str,
-    what: str,
-    count: int,
-) -> tuple[FloatArray, list[str]]:
-    """Times (N,) by stamps, by a counter, or by a rate alone; and what was done."""
+def _with_times(table: Stream, number: IntArray | None, source: str, what: str) -> Stream:
+    """Rows with increasing times, by stamps, by a counter, or by a rate alone."""
+    t_s, rate_hz, notes = table.t_s, table.rate_hz, list(table.notes)
+    lost = 0 if number is None or not len(number) else int(number[-1]) + 1 - len(number)
     if t_s is None:
         if rate_hz is None or not 0 < rate_hz < 1e6:
             raise RecordingError(
                 f"{source} has neither times nor a rate of its {what}; export them as well, or give rate_hz"
                 f" in a recording.toml (`unocclude import describe {source}` prints one)."
             )
-        number = np.arange(count) if number is None else number
-        lost = int(number[-1]) + 1 - len(number) if len(number) else 0
-        misses = f"that the counter misses {'stays' if lost == 1 else 'stay'} missing"
-        said = f"; {amount(lost, what.removesuffix('s'), what)} {misses}" if lost else ""
-        return number / rate_hz, [f"Times are counted at {rate_hz:g} Hz{said}."]
-    good = not needs_counting(t_s) if number is None else _follows(t_s, number)
-    even = None if good else even_times(t_s, number)
-    if even is None:
-        return t_s, []
-    notes = []
-    bad = int((np.diff(t_s) <= 0).sum())
-    moved = int((np.abs(even.t_s - t_s) > 0.5 * even.tick_s).sum())
-    notes.append(
-        f"{bad} of {len(t_s)} stamps {'repeats or goes' if bad == 1 else 'repeat or go'} back: the {what}"
-        f" were counted at the even rate of {1 / even.tick_s:.2f} Hz that the stamps show; {moved} moved by"
-        " more than half a period."
-    )
-    if even.pauses:
-        notes.append(
-            f"{amount(even.pauses, 'pause', 'pauses')} in the {what}"
-            f" {'stays as it is' if even.pauses == 1 else 'stay as they are'}."
+        t_s = (np.arange(len(table)) if number is None else number) / rate_hz
+        said = f"; {what} that the counter misses stay missing: {lost}" if lost else ""
+        notes.append(f"Times are counted at {rate_hz:g} Hz{said}.")
+    else:
+        if lost > 0:
+            notes.append(f"{what.capitalize()} missing by the counter, nothing is put there: {lost}.")
+        good = not needs_counting(t_s) if number is None else _follows(t_s, number)
+        even = None if good else even_times(t_s, number)
+        if even is not None:
+            bad = int((np.diff(t_s) <= 0).sum())
+            moved = int((np.abs(even.t_s - t_s) > 0.5 * even.tick_s).sum())
+            notes.append(
+                f"Stamps that repeat or go back: {bad} of {len(t_s)}; the {what} were counted at the even"
+                f" rate of {1 / even.tick_s:.2f} Hz that the stamps show, which moved {moved} by more than"
+                " half a period."
+            )
+            for count, kind in ((even.pauses, "Pauses"), (even.clock_resets, "Settings back of the clock")):
+                notes += [f"{kind} in the {what}: {count}."] if count else []
+            t_s = even.t_s
+    table = replace(table, t_s=t_s, notes=notes)
+    # Stamps are written in ns: two that agree to it are one.
+    keep = increasing(np.rint((t_s - t_s[0]) * 1e9))
+    if (~keep).mean() > _LOST:
+        raise RecordingError(
+            f"{source}: {int((~keep).sum())} of {len(keep)} stamps repeat or go back, and the samples are not"
+            " even enough to be counted instead; export the sensor's own stamps, or its packet counter."
         )
-    if even.clock_resets:
-        notes.append(
-            f"The clock was set back {_times_message(even.clock_resets)}; the {what} continue evenly."
-        )
-    return even.t_s, notes
+    return _kept(table, keep, f"{what.capitalize()} whose stamps repeat or go back")
 
 
-def _number(table: ImuTable) -> tuple[IntArray | None, list[str]]:
+def _number(table: ImuTable) -> IntArray | None:
     """Numbers of the samples by their counter; None where it has none that counts them."""
     if table.counter is None:
-        return None, []
+        return None
     step = np.diff(table.counter)
     if not len(step) or (step > 0).mean() < _COUNTS:
-        return None, ["The counter does not count the samples and was not used."]
-    number, _ = counted(table.counter, table.counter_wraps)
-    lost = int(number[-1]) + 1 - len(number)
-    if table.t_s is not None and lost > 0:
-        return number, [
-            f"By the counter {amount(lost, 'sample is', 'samples are')} missing; nothing is put there."
-        ]
-    return number, []
+        table.notes.append("The counter does not count the samples and was not used.")
+        return None
+    return counted(table.counter, table.counter_wraps)[0]
 
 
 def _follows(t_s: FloatArray, number: IntArray) -> bool:
@@ -277,8 +246,7 @@ def _follows(t_s: FloatArray, number: IntArray) -> bool:
 
 def _order(t_s: FloatArray) -> IntArray | None:
     """The order of rows that were written out of it: in order their stamps are even. None to leave it."""
-    dt = np.diff(t_s)
-    if not (dt < 0).any():
+    if not (np.diff(t_s) < 0).any():
         return None
     order = np.argsort(t_s, kind="stable")
     steps = np.diff(t_s[order])
@@ -293,11 +261,9 @@ def _timed(t_s: FloatArray) -> BoolArray:
     if timed.any():
         with np.errstate(invalid="ignore"):
             timed &= np.abs(t_s - np.median(t_s[timed])) < _FARTHEST_S
-    zero = t_s == 0
-    if zero[:1].any():
-        first = int(np.argmin(zero)) if not zero.all() else 0
-        if first and t_s[first] > _FAR_S:
-            timed[:first] = False
+    first = int(np.argmin(t_s == 0)) if len(t_s) else 0
+    if first and t_s[first] > _FAR_S:
+        timed[:first] = False
     return np.asarray(timed)
 
 
@@ -311,38 +277,6 @@ def _repeated(table: ImuTable) -> BoolArray:
         if values is not None:
             same[1:] &= (values[1:] == values[:-1]).all(axis=1)
     return same
-
-
-def _increasing(t_s: FloatArray, source: str) -> BoolArray:
-    """Rows to keep so that times increase strictly; of two ways to do it the one that loses less."""
-    # Stamps are written in ns: two that agree to it are one.
-    keep = increasing(np.rint((t_s - t_s[0]) * 1e9))
-    lost = int((~keep).sum())
-    if lost > _LOST * len(keep):
-        raise RecordingError(
-            f"{source}: {lost} of {len(keep)} stamps repeat or go back, and the samples are not even enough"
-            " to be counted instead; export the sensor's own stamps, or its packet counter."
-        )
-    return keep
-
-
-def _one(why: str) -> str:
-    """A sentence's plural, of one."""
-    for many, one in (
-        ("rows", "row"),
-        ("samples", "sample"),
-        ("frames", "frame"),
-        (" are ", " is "),
-        ("were left", "was left"),
-        ("stamps repeat or go", "stamp repeats or goes"),
-        ("that repeat ", "that repeats "),
-    ):
-        why = why.replace(many, one)
-    return why
-
-
-def _times_message(count: int) -> str:
-    return {1: "once", 2: "twice"}.get(count, f"{count} times")
 
 
 #: Streams that share less than this, s, or less than this part of the shorter one, share no clock.
@@ -394,25 +328,21 @@ def shifts(streams: list[Timed], imu_starts_at_s: float | None = None) -> tuple[
         return [0.0] * len(streams), []
     shift = [0.0] * len(streams)
     first_frame = min(float(stream.t_s[0]) for stream in camera)
+    starts = [min(float(streams[row].t_s[0]) for row in group) for group in groups]
     if imu_starts_at_s is not None:
-        first_sample = min(float(streams[row].t_s[0]) for group in groups for row in group)
-        for group in groups:
-            own = first_sample if len(groups) == 1 else min(float(streams[row].t_s[0]) for row in group)
+        for group, own in zip(groups, starts, strict=True):
             for row in group:
                 shift[row] = first_frame + imu_starts_at_s - own
         return shift, [
             f"The first IMU sample was put {abs(imu_starts_at_s):g} s"
             f" {'before' if imu_starts_at_s < 0 else 'after'} the camera's first frame, as given."
         ]
-    apart = [
-        group for group in groups if not any(_share(streams[row].t_s, c.t_s) for row in group for c in camera)
-    ]
-    if not apart:
-        return shift, []
-    shift = [-first_frame] * len(streams)  # a stream that shares the camera's clock starts with it
     sentences = []
-    for group in apart:
-        own = min(float(streams[row].t_s[0]) for row in group)
+    for group, own in zip(groups, starts, strict=True):
+        if any(_share(streams[row].t_s, c.t_s) for row in group for c in camera):
+            continue
+        if not sentences:  # a stream that shares the camera's clock starts with it
+            shift = [-first_frame] * len(streams)
         for row in group:
             shift[row] = -own
         names = ", ".join(streams[row].label for row in group)

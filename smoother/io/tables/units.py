@@ -32,15 +32,17 @@ ANGULAR_VELOCITY = _factors(
     ),
     milli=(math.pi / 180_000, "mdps mdeg/s"),
 )
-#: s in one unit.
-TIME = _factors(
-    s=(1.0, "s seconds second"),
-    ms=(1e-3, "ms milliseconds msec msecs millis"),
-    us=(1e-6, "us usec microseconds micros"),
-    ns=(1e-9, "ns nsec nanoseconds nanos"),
-    ticks=(1e-7, "100ns ticks ticksof100ns"),
-)
 TICKS = "ticks of 100 ns"
+#: Words for units of time, by the unit in sentences.
+_TIME_WORDS = {
+    "s": "s sec secs second seconds",
+    "ms": "ms msec msecs milli millis millisecond milliseconds",
+    "us": "us usec usecs micro micros microsecond microseconds",
+    "ns": "ns nsec nsecs nano nanos nanosecond nanoseconds",
+    TICKS: "100ns ticks ticksof100ns",
+}
+#: Unit of time by the words that files use for it.
+TIME = {word: unit for unit, words in _TIME_WORDS.items() for word in words.split()}
 #: s in one unit, by the unit in sentences, in the order in which they are tried.
 SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, TICKS: 1e-7}
 #: Metres in a unit, by the names that files use.
@@ -110,18 +112,13 @@ _TICKS_SINCE_S = (62_135_596_800.0, 11_644_473_600.0)
 _USUAL, _USUAL_CAMERA = (20.0, 1250.0), (7.0, 130.0)
 
 
-def time_unit(stated: str, times: FloatArray) -> str | None:
-    """Unit in which times (n,) give a rate that a sensor may have: the stated one where it does."""
+def time_unit(stated: str, times: FloatArray, rates_hz: tuple[float, float] = SENSOR_RATES) -> str | None:
+    """Unit in which times (n,) give a rate within bounds, the stated one first; None if it is not clear."""
     dt = np.diff(times[np.isfinite(times)])
     dt = dt[dt > 0]
     if not len(dt):
         return None
-    step = float(np.minimum(dt, 20 * np.median(dt)).mean())
-    return unit_of_step(step, SENSOR_RATES, stated, float(np.nanmedian(times)))
-
-
-def unit_of_step(step: float, rates_hz: tuple[float, float], stated: str, at: float) -> str | None:
-    """Unit in which a step of times makes a rate within bounds; None where none does, or it is not clear."""
+    step, at = float(np.minimum(dt, 20 * np.median(dt)).mean()), float(np.nanmedian(times))
     rates = {unit: 1 / (step * seconds) for unit, seconds in SECONDS.items()}
     fitting = [
         unit

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import zipfile
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from dataclasses import dataclass, field
 from importlib import import_module
 from pathlib import Path
@@ -26,12 +26,17 @@ from ...runtime.pool import Progress
 from .joints import BLAZEPOSE
 from .skeleton_formats import RELATIVE_NOTE, share_states
 from .skeletons import Conventions, RawSkeleton, SkeletonTable
-from .table import Format, amount
+from .table import Format
 
 #: Bytes at the beginning of videos: where they stand, and what they are.
 _MARKS = ((4, b"ftyp"), (0, b"\x1aE\xdf\xa3"), (8, b"AVI "))
 #: Whoever is seen for less than this, s, is a mistake of the network's or passes by.
 _PASSES_BY_S = 1.0
+_SIDES = ("left", "right")
+_NOT_MIRRORED = (
+    "Assumed not mirrored. Front cameras of phones often store a mirror image, in which the right arm looks"
+    " like a left one: if writing in the picture reads backwards, import it again with --mirrored."
+)
 #: A trunk that is this much longer across the picture than along it is horizontal.
 _ACROSS = 1.5
 
@@ -60,7 +65,7 @@ def pose_video(
         seen = _seen(numbers, t_s)
         if not seen:
             raise RecordingError(
-                f"{path}: no person was found in {amount(len(poses), 'picture', 'pictures')}; record so that"
+                f"{path}: no person was found in its pictures ({len(poses)}); record so that"
                 " head, shoulders and hips are in the picture, from the front and in good light."
             )
         raw = _raw(path, t_s, poses, numbers, seen)
@@ -94,7 +99,7 @@ def _raw(
         ]
         rows += sorted(here, key=lambda row: row[1]) or [(t, np.nan, nothing)]
     table = np.stack([world for _, _, world in rows])
-    raw = RawSkeleton(path, time_scale=1.0)
+    raw = RawSkeleton(path, time_unit="s")
     raw.time, raw.body = np.array([row[0] for row in rows]), np.array([row[1] for row in rows])
     for at, name in enumerate(BLAZEPOSE):
         raw.add(name, table[:, at, :3], share_states(table[:, at, 3]))
@@ -106,45 +111,32 @@ def _about(video: Video, poses: list[list[Pose]], numbers: list[list[int]], seen
     notes = []
     if video.stored_turn_deg:
         notes.append(f"The file was filmed turned by {video.stored_turn_deg} degrees; it was turned upright.")
-    if video.mirrored:
-        notes.append("The pictures were flipped left to right (--mirrored).")
-    else:
-        notes.append(
-            "Assumed not mirrored. Front cameras of phones often store a mirror image, in which the right arm"
-            " looks like a left one: if writing in the picture reads backwards, import it again with"
-            " --mirrored."
-        )
+    notes.append("The pictures were flipped left to right (--mirrored)." if video.mirrored else _NOT_MIRRORED)
     mine = [frame[who.index(seen[0])] for frame, who in zip(poses, numbers, strict=True) if seen[0] in who]
-    absent = len(poses) - len(mine)
-    if absent:
+    if absent := len(poses) - len(mine):
         notes.append(f"In {absent} of {len(poses)} pictures no person was found; the arm is occluded there.")
     if len(seen) > 1:
         notes.append(
             f"{len(seen)} people are in the video; the motion shows who wears the IMU, or choose --body 0 to"
             f" {len(seen) - 1} (0 was seen most often)."
         )
-    return notes + _lies(mine)
-
-
-def _lies(mine: list[Pose]) -> list[str]:
-    """What is to be said where the trunk does not stand upright in the picture."""
-    sides = ("left", "right")
     shoulders, hips = (
-        np.array([[pose.pixels[BLAZEPOSE.index(f"{side}_{part}"), :2] for side in sides] for pose in mine])
+        np.array([pose.pixels[[BLAZEPOSE.index(f"{side}_{part}") for side in _SIDES], :2] for pose in mine])
         for part in ("shoulder", "hip")
     )
-    down = np.median(hips.mean(axis=1) - shoulders.mean(axis=1), axis=0)
-    if abs(down[0]) > _ACROSS * abs(down[1]):
-        turn = 90 if down[0] > 0 else 270
-    elif down[1] < 0 and abs(down[1]) > _ACROSS * abs(down[0]):
+    right, down = np.median(hips.mean(axis=1) - shoulders.mean(axis=1), axis=0)
+    turn = 0  # what turns the trunk upright
+    if abs(right) > _ACROSS * abs(down):
+        turn = 90 if right > 0 else 270
+    elif -down > _ACROSS * abs(right):
         turn = 180
-    else:
-        return []
-    how = "across the picture" if turn != 180 else "upside down in the picture"
-    return [
-        f"The person is {how}. If a player shows the video so too, import it again with --turn {turn};"
-        " as it is, down is wrong unless the person lies."
-    ]
+    if turn:
+        how = "upside down in" if turn == 180 else "across"
+        notes.append(
+            f"The person is {how} the picture. If a player shows the video so too, import it again with"
+            f" --turn {turn}; as it is, down is wrong unless the person lies."
+        )
+    return notes
 
 
 # ----------------------------------------------------------------------------------- the pose landmarker
@@ -168,9 +160,7 @@ class Pose:
     @property
     def trunk(self) -> FloatArray:
         """Mean (2,) of shoulders and hips in the picture, pixels."""
-        rows = [
-            BLAZEPOSE.index(f"{side}_{part}") for side in ("left", "right") for part in ("shoulder", "hip")
-        ]
+        rows = [BLAZEPOSE.index(f"{side}_{part}") for side in _SIDES for part in ("shoulder", "hip")]
         return np.asarray(self.pixels[rows, :2].mean(axis=0))
 
 
@@ -199,12 +189,10 @@ def mediapipe_module() -> ModuleType:
     return extra_module("mediapipe", "MediaPipe", "video", submodules=("tasks.python.vision",))
 
 
-@contextmanager
-def open_landmarker(model: Path, people: int) -> Iterator[Any]:
-    """MediaPipe's pose landmarker for a video."""
-    mediapipe_module()
+def find_poses(video: Video, model: Path, people: int, progress: Progress | None = None) -> list[list[Pose]]:
+    """The persons in each picture of a video; [] where there are none."""
+    mediapipe = mediapipe_module()
     tasks = import_module("mediapipe.tasks.python")  # `mediapipe.tasks` is an alias of it, or holds it
-    check_model(model)
     options = tasks.vision.PoseLandmarkerOptions(
         base_options=tasks.BaseOptions(model_asset_path=str(model)),
         running_mode=tasks.vision.RunningMode.VIDEO,
@@ -214,25 +202,14 @@ def open_landmarker(model: Path, people: int) -> Iterator[Any]:
         landmarker = tasks.vision.PoseLandmarker.create_from_options(options)
     except (ValueError, RuntimeError, OSError) as error:
         raise UnoccludeError(f"MediaPipe cannot use {model} ({error}); {MODEL_WORDS}") from error
-    try:
-        yield landmarker
-    finally:
-        landmarker.close()
-
-
-def find_poses(video: Video, model: Path, people: int, progress: Progress | None = None) -> list[list[Pose]]:
-    """The persons in each picture of a video; [] where there are none."""
-    mediapipe = mediapipe_module()
     found: list[list[Pose]] = []
-    with open_landmarker(model, people) as landmarker:
+    with closing(landmarker):
         latest_ms = -1
         for t_s, pixels in video.pictures():
             latest_ms = max(latest_ms + 1, round(1e3 * t_s))  # they have to rise
-            image = mediapipe.Image(
-                image_format=mediapipe.ImageFormat.SRGB, data=np.ascontiguousarray(pixels)
-            )
+            image = mediapipe.Image(image_format=mediapipe.ImageFormat.SRGB, data=pixels)
             result = landmarker.detect_for_video(image, latest_ms)
-            found.append(_poses(result, video.width, video.height))
+            found.append(_poses(result, pixels.shape[1], pixels.shape[0]))
             if progress is not None and video.count:
                 progress(min(len(found) / video.count, 1.0), "finding the person in each picture")
     if not found:
@@ -245,8 +222,7 @@ def _poses(result: Any, width: int, height: int) -> list[Pose]:
     for world, image in zip(result.pose_world_landmarks, result.pose_landmarks, strict=True):
         if len(world) != len(BLAZEPOSE) or len(image) != len(BLAZEPOSE):
             raise RecordingError(
-                f"MediaPipe found {len(world)} landmarks and not {len(BLAZEPOSE)}; give the model of the pose"
-                " landmarker."
+                f"MediaPipe found {len(world)} landmarks, not {len(BLAZEPOSE)}; give its own model."
             )
         scores = [np.nan if point.visibility is None else point.visibility for point in image]
         at = np.array([[point.x, point.y] for point in image], float) * (width, height) - 0.5
@@ -290,62 +266,43 @@ class Video:
     """A video that is open."""
 
     path: Path  # The file
-    width: int  # Of the pictures as they are given, pixels: turned as the file states, and as the user says
-    height: int  # Of the pictures as they are given, pixels: turned as the file states, and as the user says
     rate_hz: float  # As the container states it
     count: int  # Pictures, as the container states it; 0 where it does not
-    stored_turn_deg: int = 0  # The rotation of its pictures as stated in the file; it is applied
-    turn_deg: int = 0  # By how much they are turned besides, clockwise
-    mirrored: bool = False  # Pictures are exchanged left for right
+    stored_turn_deg: int  # The rotation of its pictures as stated in the file; it is applied
+    turn_deg: int  # By how much they are turned besides, clockwise
+    mirrored: bool  # Pictures are exchanged left for right
+    capture: Any  # OpenCV's
     t_s: list[float] = field(default_factory=list)  # Times of the pictures that were given so far
-    _capture: Any = None
 
     def pictures(self) -> Iterator[tuple[float, NDArray[np.uint8]]]:
         """Time, s, and pixels (height, width, 3) in red, green, blue of each picture, once."""
         import cv2
 
-        turn = {
-            90: cv2.ROTATE_90_CLOCKWISE,
-            180: cv2.ROTATE_180,
-            270: cv2.ROTATE_90_COUNTERCLOCKWISE,
-        }.get(self.turn_deg)
         while True:
-            there, pixels = self._capture.read()
+            there, pixels = self.capture.read()
             if not there:
                 return
-            self.t_s.append(self._capture.get(cv2.CAP_PROP_POS_MSEC) / 1e3)
-            if turn is not None:
-                pixels = cv2.rotate(pixels, turn)
-            if self.mirrored:
-                pixels = cv2.flip(pixels, 1)
-            yield self.t_s[-1], cv2.cvtColor(pixels, cv2.COLOR_BGR2RGB)
+            self.t_s.append(self.capture.get(cv2.CAP_PROP_POS_MSEC) / 1e3)
+            pixels = np.rot90(pixels, -self.turn_deg // 90)[:, :: -1 if self.mirrored else 1]
+            yield self.t_s[-1], np.ascontiguousarray(pixels[..., ::-1])
 
     def times(self) -> tuple[FloatArray, str]:
         """Times (F,) of all pictures that were given, and what is to be said of them."""
-        t_s = _rising(np.array(self.t_s))
-        if t_s is None:
-            return np.arange(len(self.t_s)) / self.rate_hz, (
-                f"The video has no times of its pictures; they count at {self.rate_hz:.3g} a second."
-            )
+        t_s, rows = np.array(self.t_s), np.arange(len(self.t_s))
+        good = np.append(True, t_s[1:] > np.maximum.accumulate(t_s)[:-1])[: len(t_s)]
+        if good.mean() >= 0.99:  # single ones that do not rise are put between their neighbours
+            t_s = np.interp(rows, rows[good], t_s[good])
         step = np.diff(t_s)
+        if not (step > 0).all():
+            said = f"The video has no times of its pictures; they count at {self.rate_hz:.3g} a second."
+            return rows / self.rate_hz, said
         usual = float(np.median(step)) if len(step) else 0.0
-        varies = (np.abs(step - usual) > _VARIES * usual).mean() if usual > 0 else 0.0
-        if varies <= 0.01:
+        if usual == 0.0 or (np.abs(step - usual) > _VARIES * usual).mean() <= 0.01:
             return t_s, ""
         return t_s, (
             f"The video has a variable frame rate: {1e3 * step.min():.0f} to {1e3 * step.max():.0f} ms"
             " from picture to picture; the container's times count."
         )
-
-
-def _rising(t_s: FloatArray) -> FloatArray | None:
-    """Times, of which single ones that do not rise are put between their neighbours; None if many do not."""
-    good = np.append(True, t_s[1:] > np.maximum.accumulate(t_s)[:-1])[: len(t_s)]
-    if good.mean() < 0.99:
-        return None
-    rows = np.arange(len(t_s))
-    even = np.interp(rows, rows[good], t_s[good])
-    return even if (np.diff(even) > 0).all() else None
 
 
 @contextmanager
@@ -366,11 +323,9 @@ def open_video(path: Path, turn_deg: int = 0, mirrored: bool = False) -> Iterato
             )
         capture.set(cv2.CAP_PROP_ORIENTATION_AUTO, 1)
         stored = round(capture.get(cv2.CAP_PROP_ORIENTATION_META)) % 360
-        size = [int(capture.get(key)) for key in (cv2.CAP_PROP_FRAME_WIDTH, cv2.CAP_PROP_FRAME_HEIGHT)]
-        width, height = size if turn_deg % 180 == 0 else size[::-1]
         count = max(int(capture.get(cv2.CAP_PROP_FRAME_COUNT)), 0)
         rate_hz = rate_hz if _RATES_HZ[0] <= rate_hz <= _RATES_HZ[1] else 30.0
-        yield Video(path, width, height, rate_hz, count, stored, turn_deg, mirrored, [], capture)
+        yield Video(path, rate_hz, count, stored, turn_deg, mirrored, capture)
     finally:
         capture.release()
         logging.setLogLevel(previous)

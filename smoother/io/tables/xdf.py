@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -21,7 +22,7 @@ from .imu import (
     with_halves_joined,
 )
 from .joints import find_joint_columns, program_of
-from .skeleton_formats import kinect_states, states_of
+from .skeleton_formats import states_of
 from .skeletons import Conventions, RawSkeleton, SkeletonTable
 from .table import Format, begins, shown
 from .units import ACCELERATION, ANGULAR_VELOCITY, METRES, plain_unit
@@ -46,7 +47,12 @@ class _Stream:
 
 def read_xdf(path: Path) -> list[ImuTable | SkeletonTable]:
     """Streams whose channels' labels are a sensor's axes or joints; the file's clock offsets are applied."""
-    streams = [stream for entry in _loaded(path) if (stream := _stream(entry)) is not None]
+    import pyxdf
+
+    logger = logging.getLogger("pyxdf")  # its warnings stay off the terminal
+    logger.propagate, logger.handlers = False, [logging.NullHandler()]
+    loaded, _ = pyxdf.load_xdf(str(path), dejitter_timestamps=False, verbose=False)
+    streams = [stream for entry in loaded if (stream := _stream(entry)) is not None]
     skeletons = [table for stream in streams for table in _xdf_skeletons(stream, path)]
     imus, reasons = _imus(streams, path)
     if not skeletons and not imus:
@@ -68,82 +74,45 @@ def read_xdf(path: Path) -> list[ImuTable | SkeletonTable]:
 
 
 XDF = Format(
-    key="xdf",
-    title="XDF recording (Lab Streaming Layer)",
-    kind="recording",
-    recognised_by="the first bytes XDF:",
-    recognises=begins(b"XDF:"),
-    read=read_xdf,
+    "xdf",
+    "XDF recording (Lab Streaming Layer)",
+    "recording",
+    "the first bytes XDF:",
+    begins(b"XDF:"),
+    read_xdf,
 )
-
-
-def _loaded(path: Path) -> list[dict[str, Any]]:
-    try:
-        import pyxdf
-    except ImportError:
-        raise RecordingError(
-            f"{path}: XDF files are read by the library pyxdf; install it with: pip install pyxdf"
-        ) from None
-    try:
-        logger = logging.getLogger("pyxdf")  # its warnings stay off the terminal
-        logger.propagate, logger.handlers = False, [logging.NullHandler()]
-        streams, _ = pyxdf.load_xdf(str(path), dejitter_timestamps=False, verbose=False)
-    except Exception as error:  # whatever a damaged file leads the library into
-        raise RecordingError(
-            f"{path} is damaged and pyxdf cannot read it ({shown(str(error), 80)}); copy it again."
-        ) from error
-    return list(streams)
 
 
 def _stream(entry: dict[str, Any]) -> _Stream | None:
     """A stream with numbers and stamps; None for markers in words, and for what is empty."""
-    info = entry.get("info", {})
-    values = entry.get("time_series")
+    info, values = entry.get("info", {}), entry.get("time_series")
     t_s = np.asarray(entry.get("time_stamps", ()), dtype=float)
     if not isinstance(values, np.ndarray) or values.ndim != 2 or len(t_s) != len(values) or len(t_s) < 2:
         return None
     if values.dtype.kind not in "fiu" or values.shape[1] < 3:
         return None
-    channels = _channels(info, values.shape[1])
-    rate = _rate(_text(info, "nominal_srate"))
-    return _Stream(
-        _text(info, "name"),
-        _text(info, "type"),
-        rate,
-        [_text(channel, "label") or _text(channel, "name") for channel in channels],
-        [_text(channel, "type") for channel in channels],
-        [_text(channel, "unit") for channel in channels],
-        t_s,
-        values,
-    )
-
-
-def _channels(info: dict[str, Any], count: int) -> list[dict[str, Any]]:
-    """The file's description of each channel; a joint's name and its axis are put together as the label."""
     try:
         channels = [dict(channel) for channel in info["desc"][0]["channels"][0]["channel"]]
     except (KeyError, IndexError, TypeError, ValueError):
         channels = []
-    channels = (channels + [{}] * count)[:count]
-    for channel in channels:
+    labels, types, units = [], [], []
+    for channel in (channels + [{}] * values.shape[1])[: values.shape[1]]:
+        types.append(_text(channel, "type"))
+        units.append(_text(channel, "unit"))
         marker = _text(channel, "marker") or _text(channel, "object")
-        if label := joint_label(marker, _text(channel, "type")):
-            channel["label"] = [label]
-    return channels
+        own = joint_label(marker, types[-1])  # a joint's name and its axis put together
+        labels.append(own or _text(channel, "label") or _text(channel, "name"))
+    rate = 0.0
+    with suppress(ValueError):
+        rate = float(_text(info, "nominal_srate"))
+    rate_hz = rate if 0 < rate < 1e5 else None
+    return _Stream(_text(info, "name"), _text(info, "type"), rate_hz, labels, types, units, t_s, values)
 
 
 def _text(entry: Any, key: str) -> str:
     value = entry.get(key) if isinstance(entry, dict) else None
     value = value[0] if isinstance(value, list) and value else value
     return str(value) if isinstance(value, str | int | float) else ""
-
-
-def _rate(text: str) -> float | None:
-    try:
-        rate = float(text)
-    except ValueError:
-        return None
-    return rate if 0 < rate < 1e5 else None
 
 
 def _xdf_skeletons(stream: _Stream, path: Path) -> list[SkeletonTable]:
@@ -155,22 +124,18 @@ def _xdf_skeletons(stream: _Stream, path: Path) -> list[SkeletonTable]:
     raw = RawSkeleton(
         path,
         {joint: values[:, triple] for joint, triple in columns.axes.items()},
-        states_of({joint: values[:, column] for joint, column in columns.confidence.items()}, kinect_states),
+        states_of({joint: values[:, column] for joint, column in columns.confidence.items()}),
         time=stream.t_s,
-        time_scale=1.0,
-        body=None
-        if columns.body is None
-        else np.where(values[:, columns.body] > 0, values[:, columns.body], np.nan),
+        time_unit="s",
         rest=[(name, values[:, triple]) for name, triple in columns.rest],
+        notes=[f"Joints are of the stream {stream.name} ({stream.kind})."],
     )
-    if raw.body is not None and not np.isfinite(raw.body).any():
-        raw.body = None
-    raw.notes.append(f"Joints are of the stream {stream.name} ({stream.kind}).")
+    if columns.body is not None and (body := values[:, columns.body] > 0).any():
+        raw.body = np.where(body, values[:, columns.body], np.nan)
     frames = {"azure": CameraFrame.OPTICAL, "kinect": CameraFrame.KINECT}
-    frame = frames.get(program_of(stream.labels))
-    stated = stream.units[next(iter(columns.axes.values()))[0]].strip().lower()
-    unit = {1.0: "m", 0.01: "cm", 0.001: "mm"}.get(METRES.get(stated, 0.0), "")
-    return raw.skeletons(Conventions(unit, frame))
+    stated = METRES.get(stream.units[next(iter(columns.axes.values()))[0]].strip().lower())
+    unit = next((unit for unit in ("m", "cm", "mm") if METRES[unit] == stated), "")
+    return raw.skeletons(Conventions(unit, frames.get(program_of(stream.labels))))
 
 
 def _imus(streams: list[_Stream], path: Path) -> tuple[list[ImuTable], list[str]]:

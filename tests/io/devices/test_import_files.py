@@ -140,12 +140,6 @@ def test_truth(files: Path, capsys: pytest.CaptureFixture[str]):
     assert len(open_recording(files / "0.mcap").poses) == 1
 
 
-def test_formats_are_listed(capsys: pytest.CaptureFixture[str]):
-    done("import", "formats")
-    printed = capsys.readouterr().out
-    assert "xsens-dot" in printed and "recognised by" in printed
-
-
 @pytest.mark.real
 def test_every_real_file_that_holds_raw_data(datasets: Path):
     """No option but file names; what cannot be used is refused with what to record."""

@@ -144,7 +144,9 @@ def test_two_people_and_who_was_seen_first(scene, tmp_path: Path):
 def test_nobody_in_the_video(scene, tmp_path: Path):
     folder, _, _ = scene
     video = write_video(tmp_path / "empty.mp4", [], RATE_HZ)
-    with pytest.raises(RecordingError, match=r"empty\.mp4: no person was found in 30 pictures; record so"):
+    with pytest.raises(
+        RecordingError, match=r"empty\.mp4: no person was found in its pictures \(30\); record so"
+    ):
         pose_video(folder / "pose.task").read(video)
 
 

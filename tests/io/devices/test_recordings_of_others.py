@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import builtins
 from pathlib import Path
 from typing import Any
 
@@ -46,7 +45,7 @@ def test_ros1_bag_that_is_cut_off(tmp_path: Path) -> None:
     path = tmp_path / "a.bag"
     write_bag(path)
     path.write_bytes(path.read_bytes()[:5000])
-    with pytest.raises(RecordingError, match=r"a\.bag is damaged.*rosbag reindex"):
+    with pytest.raises(RecordingError, match=r"a\.bag was recognised as ROS 1 bag, but is damaged"):
         streams(path, "rosbag1")
 
 
@@ -117,14 +116,7 @@ def kinect_stream() -> dict[str, Any]:
         ["acc_x", "acc_y", "acc_z", "gyr_x", "gyr_y", "gyr_z"],
         ["AccX", "AccY", "AccZ", "GyroX", "GyroY", "GyroZ"],
         ["ax", "ay", "az", "gx", "gy", "gz"],
-        [
-            "Accelerometer X",
-            "Accelerometer Y",
-            "Accelerometer Z",
-            "Gyroscope X",
-            "Gyroscope Y",
-            "Gyroscope Z",
-        ],
+        [f"{sensor} {axis}" for sensor in ("Accelerometer", "Gyroscope") for axis in "XYZ"],
     ],
 )
 @pytest.mark.parametrize("unit", [("m/s^2", "rad/s"), ("g", "deg/s")])
@@ -208,19 +200,3 @@ def test_several_sensors_in_a_stream() -> None:
     assert (first.name, second.name) == ("wrist", "trunk")
     assert first.axes == {"acc": (0, 1, 2), "gyro": (3, 4, 5)}
     assert second.axes == {"acc": (6, 7, 8), "gyro": (9, 10, 11)}
-
-
-@pytest.mark.parametrize("library", ["pyxdf", "rosbags.rosbag1"])
-def test_a_library_that_is_absent(tmp_path: Path, library: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    real = builtins.__import__
-
-    def without(name: str, *args: Any, **kwargs: Any) -> Any:
-        if name.startswith(library):
-            raise ImportError(name)
-        return real(name, *args, **kwargs)
-
-    path = tmp_path / "a"
-    path.write_bytes(b"XDF:" if library == "pyxdf" else b"#ROSBAG V2.0\n")
-    monkeypatch.setattr(builtins, "__import__", without)
-    with pytest.raises(RecordingError, match="pip install"):
-        streams(path, "xdf" if library == "pyxdf" else "rosbag1")

@@ -253,7 +253,7 @@ def test_pixels_are_refused(tmp_path: Path) -> None:
     points = np.stack([made.part(name, FRAMES) for name in names], axis=1) * 4000.0
     header = [f"{name}_{axis}" for name in names for axis in "xyz"]
     path = write(tmp_path / "a.csv", [header, *points.reshape(FRAMES, -1).tolist()])
-    with pytest.raises(RecordingError, match=r"a\.csv: .*neither in m.*export positions in metres"):
+    with pytest.raises(RecordingError, match=r"a\.csv: .*in neither m.*export positions in metres"):
         tables(path, "joint-table")
 
 
