@@ -210,7 +210,8 @@ def _described(
         raise RecordingError(
             f'{path}: separator is {keys.separator!r}; it is one of ",", ";", "\\t" and " ".'
         )
-    return read_table(path, expected, False, strict, keys.separator, keys.skip_rows or 0)
+    skip = 0 if keys.skip_rows is None and keys.separator is not None else keys.skip_rows
+    return read_table(path, expected, False, strict, keys.separator, skip)
 
 
 def _placed(
@@ -721,7 +722,9 @@ def read_exact(
 ) -> tuple[dict[str, FloatArray], dict[str, list[str]]]:  # numbers dict of (n,), texts
     """The named columns of a table whose first line is a header; a cell that is no number is refused."""
     path = Path(path)
-    table = _described(path, TableKeys(rate_hz=None), True, f"a table of {', '.join(required)}")
+    table = _described(
+        path, TableKeys(separator=",", skip_rows=0, rate_hz=None), True, f"a table of {', '.join(required)}"
+    )
     missing = [name for name in required if name not in table.names]
     if len(missing) == len(required):  # another kind of file, whose first line may be private
         raise RecordingError(f"{path} has none of the columns {', '.join(required)} in its first line.")

@@ -376,7 +376,7 @@ def read_table(
     quote: bool = True,
     strict: bool = False,
     separator: str | None = None,
-    skip: int = 0,
+    skip: int | None = None,
 ) -> Table:
     """Read a delimited text file, or an Excel workbook; its layout is looked for."""
     text = file_text(path)
@@ -393,7 +393,7 @@ def table_of(
     quote: bool = True,
     strict: bool = False,
     separator: str | None = None,
-    skip: int = 0,  # Lines above the header
+    skip: int | None = None,  # Lines above the header, where they are stated
 ) -> Table:
     """The table in a text."""
     lines = text.replace("\r\n", "\n").replace("\r", "\n").split("\n")
@@ -532,40 +532,27 @@ def plain_label(text: str) -> str:
 
 
 def layout_of(
-    lines: Sequence[str], path: Path = Path(), separator: str | None = None, skip: int = 0
+    lines: Sequence[str], path: Path = Path(), separator: str | None = None, skip: int | None = None
 ) -> Table | None:
-    """Find the table in a text; its cells are not read yet."""
-    start = ("",) * skip + tuple(lines[skip : skip + LAYOUT_LINES])
-    filled = [line for line in start if line.strip()]
-    sample = filled[len(filled) // 2 :][-60:]
+    """Find the table in a text; its cells are not read yet. Below `skip` lines its header follows at once."""
+    start = ("",) * (skip or 0) + tuple(lines[skip or 0 : (skip or 0) + LAYOUT_LINES])
+    places = [at for at, line in enumerate(start) if line.strip()]
+    sample = [start[at] for at in places[len(places) // 2 :][-60:]]
     separator = separator or _separator(sample)
     if separator is None or not sample:
         return None
-    counts = [_count(split_line(line, separator)) for line in sample]
-    typical_data, typical_text = median(c[0] for c in counts), median(c[1] for c in counts)
     width = Counter(len(split_line(line, separator)) for line in sample).most_common(1)[0][0]
-
-    def is_row(line: str) -> bool:
-        data, text = _count(split_line(line, separator))
-        return data > typical_data / 2 and text <= typical_text + max(1, width // 4)
-
-    # the first line of data that another follows, or that is the last one
-    places = [at for at, line in enumerate(start) if line.strip()]
-    pairs = zip(places, [*places[1:], None], strict=True)
-    found = (at for at, after in pairs if is_row(start[at]) and (after is None or is_row(start[after])))
-    if (first := next(found, None)) is None:
+    found = _rows_of(start, places, sample, separator, width)
+    if skip is not None:
+        data, text = _count(split_line(start[places[0]], separator))
+        header, units_line, first = (places[0] if text > data else -1), -1, places[0]
+        if header >= 0:  # and lines of units and the like
+            below = (at for at in places[1 : 2 + _BELOW_NAMES] if _count(split_line(start[at], separator))[0])
+            first = next(below, places[1] if len(places) > 2 + _BELOW_NAMES else len(start))
+        found = (header, units_line, first) if first < len(start) else None
+    if found is None:
         return None
-    # Rows in which most sensors have no value yet stand between the header and the first full row.
-    while first > 0 and len(cells := split_line(start[first - 1], separator)) >= width:
-        data, text = _count(cells)
-        if not data or text:
-            break
-        first -= 1
-    header, units_line = _header(start, first, separator, width)
-    cells = split_line(start[first], separator)
-    counted = [str(at) for at in range(len(cells) + 1)]
-    if header >= 0 and len(cells) >= 4 and cells in (counted[:-1], counted[1:]):  # it counts the columns
-        first = next((at for at in range(first + 1, len(start)) if start[at].strip()), first)
+    header, units_line, first = found
     written = _stripped(split_line(start[header], separator)) if header >= 0 else []
     if written:
         written[0] = re.sub(r"^(#+|%+|//+)\s*", "", written[0])
@@ -594,6 +581,36 @@ def layout_of(
     )
 
 
+def _rows_of(
+    start: Sequence[str], places: list[int], sample: list[str], separator: str, width: int
+) -> tuple[int, int, int] | None:
+    """Indices of the header and the line of units (-1 where there is none), and of the first row."""
+    counts = [_count(split_line(line, separator)) for line in sample]
+    typical_data, typical_text = median(c[0] for c in counts), median(c[1] for c in counts)
+
+    def is_row(line: str) -> bool:
+        data, text = _count(split_line(line, separator))
+        return data > typical_data / 2 and text <= typical_text + max(1, width // 4)
+
+    # the first line of data that another follows, or that is the last one
+    pairs = zip(places, [*places[1:], None], strict=True)
+    found = (at for at, after in pairs if is_row(start[at]) and (after is None or is_row(start[after])))
+    if (first := next(found, None)) is None:
+        return None
+    # Rows in which most sensors have no value yet stand between the header and the first full row.
+    while first > 0 and len(cells := split_line(start[first - 1], separator)) >= width:
+        data, text = _count(cells)
+        if not data or text:
+            break
+        first -= 1
+    header, units_line = _header(start, first, separator, width)
+    cells = split_line(start[first], separator)
+    counted = [str(at) for at in range(len(cells) + 1)]
+    if header >= 0 and len(cells) >= 4 and cells in (counted[:-1], counted[1:]):  # it counts the columns
+        first = next((at for at in places if at > first), first)
+    return header, units_line, first
+
+
 def _separator(sample: list[str]) -> str | None:
     """The separator that makes most lines equally wide rows of numbers."""
     best, best_score = None, 0.3
@@ -617,7 +634,7 @@ def _count(cells: list[str]) -> tuple[int, int]:
     return data, len(filled) - data
 
 
-def _header(lines: tuple[str, ...], first: int, separator: str, width: int) -> tuple[int, int]:
+def _header(lines: Sequence[str], first: int, separator: str, width: int) -> tuple[int, int]:
     """Indices of the header and of the line of units; -1 where there is none."""
     rows = ((at, split_line(lines[at], separator)) for at in range(first - 1, -1, -1))
     above = list(islice(((at, cells) for at, cells in rows if any(cells)), 1 + _BELOW_NAMES))
