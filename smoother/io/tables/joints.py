@@ -191,6 +191,7 @@ _ELSE = {
     *_listed("reprojection error uncertainty sigma std cov q"),
 }
 _NORMALISED = {"norm", "normalized", "normalised"}
+_NO_NAME = _CONFIDENCE | _NORMALISED | {"world"}
 
 
 def _phrases(listed: str) -> tuple[str, ...]:
@@ -249,7 +250,7 @@ def find_joint_columns(names: Sequence[str]) -> JointColumns:
     for at, name in enumerate(names):
         words = words_of(name)
         axes = [word for word in words if word in _AXES]
-        rest = [w for w in words if w not in _AXES and w not in _CONFIDENCE | _NORMALISED | {"world"}]
+        rest = [word for word in words if word not in _AXES and word not in _NO_NAME]
         one_of_both = len(axes) <= 1 and bool(axes) != bool(_CONFIDENCE & set(words))
         if rest and one_of_both and not _ELSE & set(words):
             found.append((at, set(words), " ".join(rest), _AXES[axes[0]] if axes else None))
@@ -263,23 +264,23 @@ def find_joint_columns(names: Sequence[str]) -> JointColumns:
     by_key = _named(by_key, result)
     lacking: dict[str, set[str]] = {}
     for key, columns in by_key.items():
-        name = joint_name(key)
-        there = {0, 1, 2} & columns.keys()
-        if name is not None and name.joint and name.kind != "skin" and len(there) == 2:
-            lacking[name.joint] = {names[columns[axis]] for axis in there}
-        if name is None or len(there) < 3:
+        meaning, there = joint_name(key), {0, 1, 2} & columns.keys()
+        if meaning is None:
+            continue
+        of_arm = bool(meaning.joint) and meaning.kind != "skin"
+        if of_arm and len(there) == 2:
+            lacking[meaning.joint] = {names[columns[axis]] for axis in there}
+        if len(there) < 3:
             continue
         triple = (columns[0], columns[1], columns[2])
-        if name.joint and name.kind != "skin":
-            if name.joint not in result.axes:
-                result.axes[name.joint] = triple
-                if None in columns:
-                    result.confidence[name.joint] = columns[None]
-        elif name.part not in ARM:
-            result.rest.append((name, triple))
-    result.incomplete = {
-        name for joint, there in lacking.items() if joint not in result.axes for name in there
-    }
+        if of_arm and meaning.joint not in result.axes:
+            result.axes[meaning.joint] = triple
+            if None in columns:
+                result.confidence[meaning.joint] = columns[None]
+        elif meaning.part not in ARM:
+            result.rest.append((meaning, triple))
+    for joint in lacking.keys() - result.axes.keys():
+        result.incomplete |= lacking[joint]
     used = {at for triple in result.axes.values() for at in triple}
     free = [name if at not in used else "" for at, name in enumerate(names)]
     result.time, result.frame, result.body = (
