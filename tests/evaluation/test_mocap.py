@@ -125,7 +125,7 @@ class TestReference:
         assert found.all.position_rms_m == pytest.approx(0.004 * np.sqrt(3), rel=0.05)
         assert found.all.orientation_rms_deg < 0.5
         assert found.points["elbow"]["occluded"].position_rms_m < 0.01
-        assert "aligned" in found.title("Error")
+        assert "aligned" in found.alignment.titled("Error")
         assert any("solved" in note for note in found.notes)
 
     def test_calibration_of_a_kinect_recording(self, recovery, files, tmp_path):

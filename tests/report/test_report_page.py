@@ -10,11 +10,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 from arms import LEVERS, make_recording, make_recovery, make_truth, path, turn
+from commands import done
 from measured_arms import simulated, with_draws
 
 from smoother.errors import UnoccludeError
 from smoother.evaluation.reference import ReferenceAlignment
 from smoother.evaluation.validate import validate
+from smoother.io import read_recovery, write_recovery
 from smoother.measurements.visibility import Gap
 from smoother.measures import measure
 from smoother.recording import CameraFrame, Recording
@@ -273,6 +275,16 @@ def test_what_cannot_be_drawn_says_why(recovery: Recovery) -> None:
         recovery.plot(["nose"])
     with pytest.raises(UnoccludeError, match="no sample to draw between 100"):
         recovery.plot(from_s=100.0)
+
+
+def test_an_export_is_that_of_the_command(recovery: Recovery, tmp_path: Path) -> None:
+    write_recovery(recovery, tmp_path / "a.mcap")
+    [read] = read_recovery(tmp_path / "a.mcap")
+    done("export", tmp_path / "a.mcap", "--format", "csv", "-o", tmp_path / "b.csv")
+    read.export(tmp_path / "c.csv")
+    assert (tmp_path / "c.csv").read_text() == (tmp_path / "b.csv").read_text()
+    with pytest.raises(UnoccludeError, match="exists"):
+        read.export(tmp_path / "c.csv")
 
 
 def test_an_ending_that_is_no_format_lists_those_that_are(recovery: Recovery, tmp_path: Path) -> None:

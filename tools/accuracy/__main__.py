@@ -11,9 +11,7 @@ import argparse
 from tools.accuracy import (  # noqa: F401
     angles,
     calibrations,
-    cameras,
     live,
-    magnetometer,
     measures,
     oracle,
     pairing,

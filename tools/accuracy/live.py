@@ -3,15 +3,12 @@
 Simulated arms (preset `realistic`, 100 Hz IMU, 30 Hz camera that is 0.1 s late) are played into the live
 smoother on a simulated clock, as fast as it goes: it takes its times from the data, so the answers are those
 of a recording played at 1x. Processor time is the live thread's; the calibration in the background is apart.
-`--hours H` plays the arm over and over instead, and looks at the memory.
 """
 
 from __future__ import annotations
 
 import argparse
-import resource
 from collections.abc import Iterator
-from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -86,31 +83,11 @@ def play(simulation: SimulatedArm) -> list[LiveOutput]:
     return outputs
 
 
-def memory(simulation: SimulatedArm, hours: float) -> Iterator[str]:
-    """Play the arm over and over and print the memory that is in use."""
-    recording, at_s = simulation.recording, 0.0
-    length_s = float(recording.imu.t_s[-1]) + 0.01
-    with LiveSmoother(
-        recording.side, camera_frame=recording.camera_frame, calibrator=InlineCalibrator(15)
-    ) as live:
-        while at_s < 3600.0 * hours:
-            for now_s, samples, frames in arrivals(recording, OFFSET_S, LATENCY_S):
-                live.add_imu(replace(samples, t_s=samples.t_s + at_s))
-                for frame in frames:
-                    live.add_frame(replace(frame, t_s=frame.t_s + at_s, arrival_s=frame.arrival_s + at_s))
-                live.step(now_s + at_s)
-            at_s += length_s
-            with open("/proc/self/statm") as file:
-                used = int(file.read().split()[1]) * resource.getpagesize() / 1e6
-            yield (f"{at_s / 60:.0f} min: {used:.1f} MB")
-
-
 @check(
     seeds_option("1:11"),
     option("--gap-s", type=float, nargs="+", default=[1.0]),
     option("--duration-s", type=float, default=60.0),
     option("--imus", default="wrist", help="where IMUs are worn, as `simulate arm --imus`"),
-    option("--hours", type=float, default=0.0, help="play the arm over and over and print the memory"),
 )
 def live(options: argparse.Namespace) -> Iterator[str]:
     """Errors of what is shown now and a lag ago, by the time since the last frame; lag and processor time."""
@@ -122,9 +99,6 @@ def live(options: argparse.Namespace) -> Iterator[str]:
         occlusion_lengths_s=tuple(options.gap_s),
         imus=options.imus,
     )
-    if options.hours:
-        yield from memory(simulate_arm(config, options.seeds.start), options.hours)
-        return
     found: dict[str, list[np.ndarray]] = {"now": [], "settled": []}
     step_ms, lags_s = list[float](), list[float]()
     for seed in options.seeds:

@@ -30,7 +30,7 @@ from smoother.array_types import FloatArray
 from smoother.calibration import ArmCalibration
 from smoother.errors import UnoccludeError
 from smoother.evaluation.datasets import open_utd, utd_files
-from smoother.evaluation.gaps import place_gaps
+from smoother.evaluation.gaps import hide, place_gaps
 from smoother.evaluation.metrics import CHI2_95_3, orientation_error_deg, rotation_error, squared_sigmas
 from smoother.evaluation.validate import sample_errors
 from smoother.io import import_broad
@@ -185,7 +185,6 @@ def broad(path: Path, length_s: float) -> list[list[Run]]:
     """Hidden gaps of a trial of BROAD; camera and IMU share a clock."""
     recording = import_broad(path, seed=SEED)
     truth, gaps = recording.truth, place_gaps(recording, length_s, np.random.default_rng(SEED), count=8)
-    hidden = recording.arm.hide(np.any([gap.contains(recording.arm.t_s) for gap in gaps], axis=0))
 
     def scored(recovery: Recovery) -> tuple[FloatArray, FloatArray]:
         assert truth is not None
@@ -194,7 +193,7 @@ def broad(path: Path, length_s: float) -> list[list[Run]]:
         return recovery.t_s[found.scored], np.column_stack([getattr(found, n)[found.scored] for n in names])
 
     spans = [(gap.start_s, gap.end_s) for gap in gaps]
-    return [[judged(replace(recording, arm=hidden), spans, scored)]]
+    return [[judged(hide(recording, gaps), spans, scored)]]
 
 
 def utd(subject: int) -> list[list[Run]]:

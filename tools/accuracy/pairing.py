@@ -6,8 +6,7 @@ and whether the clock is found within 0.2 s. Nothing is smoothed.
 
 Parts: `simulated` takes random motion of 8 to 60 s; `exercise` the same scripted exercise in every recording,
 of 30 and 75 s; `utd` real Kinect v1 of 2 to 6 s, wrong pairs of the same activity; `azure` real Azure Kinect
-of 4 to 17 s, cut by hand, where a clock is known if inclination and turning rate agree on it to 0.1 s (data
-sets: `UNOCCLUDE_DATASETS`).
+of 4 to 17 s, cut by hand, where no clock is known (data sets: `UNOCCLUDE_DATASETS`).
 
 `match [utd|scenes] [--methods motion,..]`. `utd`: all trials of an action in UTD-MHAD at once
 (four people who do the same, one IMU on each right wrist; needs UNOCCLUDE_DATASETS), whole trials and their
@@ -31,14 +30,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from smoother.array_types import FloatArray
 from smoother.errors import RecordingError
 from smoother.evaluation.datasets import open_smartfallmm, open_utd, smartfallmm_trials, utd_files
-from smoother.filters import gaussian_smoothed
-from smoother.linalg import unit
 from smoother.matching import METHODS, SURE_FROM, ImuMatch, decide, limbs_of, pair_evidence
 from smoother.matching.match import assign
-from smoother.measurements.inertial import InertialSignal, inertial_attitude
 from smoother.recording import CameraFrame, Recording
 from smoother.selfcal.agreement import agreement
 from smoother.selfcal.pairing import decided
@@ -47,8 +42,6 @@ from tools.accuracy.check import PRESETS, check, datasets, option, parts_option,
 
 #: A clock is treated as found where it is this near, s.
 FOUND_S = 0.2
-#: Both independent ways are taken on this grid, Hz; where they agree to this, s, a clock is treated as known.
-GRID_HZ, KNOWN_S = 25.0, 0.1
 
 
 class PairTrial(NamedTuple):
@@ -151,46 +144,11 @@ def azure(seeds: int) -> Iterator[str]:
             recordings[trial.name] = open_smartfallmm(trial)
     trials = []
     for name, recording in recordings.items():
-        trials.append(tried(recording, True, known_clock_s(recording)))
+        trials.append(tried(recording, True, None))
         others = [each for each in recordings if each != name]
         for other in sorted(others, key=lambda each: each[3:6] != name[3:6])[:seeds]:
             trials.append(tried(replace(recording, imu=recordings[other].imu), False, None))
     yield from rows_of("SmartFallMM, Azure Kinect", trials)
-
-
-def known_clock_s(recording: Recording) -> float | None:
-    """The clock offset that inclination and turning rate agree on, s; None where they do not."""
-    arm, imu = recording.arm, recording.imu
-    seen = arm.tracked("elbow") & arm.tracked("wrist")
-    t = arm.t_s[seen]
-    camera_s = np.arange(t[0], t[-1], 1 / GRID_HZ)
-    direction = _on(camera_s, t, unit((arm.joint("wrist") - arm.joint("elbow"))[seen]))
-    attitude = inertial_attitude(InertialSignal(imu), 50.0)
-    imu_s = np.arange(attitude.t[0], attitude.t[-1], 1 / GRID_HZ)
-    gravity = gaussian_smoothed(attitude.at(imu_s).as_matrix()[:, 2], 3.0)
-    turning = np.linalg.norm(_on(imu_s, imu.t_s, imu.gyro), axis=1)
-    speed = np.linalg.norm(gaussian_smoothed(direction, 1.0, derivative=True), axis=1)
-    assert recording.camera_frame is not None
-    inclination = direction @ recording.camera_frame.down
-    n, m = len(camera_s), len(imu_s)
-    least = int(min(4.0 * GRID_HZ, 0.6 * min(n, m)))
-    lags = np.array([lag for lag in range(-(n - 1), m) if min(n, m - lag) - max(0, -lag) >= least])
-    scores = np.zeros((len(lags), 2))
-    for row, lag in enumerate(lags.tolist()):
-        a, b = max(0, -lag), min(n, m - lag)
-        x, shifted = inclination[a:b], slice(a + lag, b + lag)
-        design = np.hstack([gravity[shifted], np.ones((b - a, 1))])
-        left = x - design @ np.linalg.lstsq(design, x, rcond=None)[0]
-        scores[row, 0] = -(b - a) * np.log(max(float(left.var() / max(x.var(), 1e-12)), 1e-3))
-        r = np.corrcoef(speed[a:b], turning[shifted])[0, 1]
-        scores[row, 1] = np.sqrt(b - a) * np.arctanh(np.clip(np.nan_to_num(r), -0.999, 0.999))
-    by_gravity, by_rate = lags[scores.argmax(axis=0)] / GRID_HZ + imu_s[0] - camera_s[0]
-    return float(0.5 * (by_gravity + by_rate)) if abs(by_gravity - by_rate) < KNOWN_S else None
-
-
-def _on(grid: FloatArray, t: FloatArray, values: FloatArray) -> FloatArray:
-    """Columns on a grid, smoothed by 0.12 s."""
-    return gaussian_smoothed(np.stack([np.interp(grid, t, axis) for axis in values.T], axis=1), 3.0)
 
 
 PARTS = {"simulated": simulated, "exercise": exercise, "utd": utd, "azure": azure}
