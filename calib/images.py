@@ -254,37 +254,18 @@ def _centroid(
     return float(x), float(y), sigma, radius, peak - foot
 
 
-#: Pictures are enlarged to at least this width, pixels.
-LEAST_WIDTH = 1024
-#: OpenCV's order: blue, green, red.
-SPOT, MARKER, TEXT = (0, 170, 255), (120, 220, 60), (255, 255, 255)
-
-
-def drawn_spots(
-    infrared: FloatArray,  # (height, width)
-    blobs: Blobs,
-    markers: tuple[int, ...] = (),
-) -> bytes:
-    """PNG of the infrared image with every bright spot ringed, the panel's markers numbered from 1."""
+def drawn_spots(infrared: FloatArray, blobs: Blobs) -> bytes:  # infrared (height, width)
+    """PNG of the infrared image with every bright spot ringed, enlarged to about 1,000 pixels of width."""
     import cv2
 
-    factor = max(1, -(-LEAST_WIDTH // infrared.shape[1]))
-    # both the room and the spots are to be seen
-    top = max(float(np.percentile(infrared, 98)) * 4, 1e-9)
+    factor = -(-1024 // infrared.shape[1])
+    top = max(float(np.percentile(infrared, 98)) * 4, 1e-9)  # both the room and the spots are to be seen
     grey = (255 * np.clip(infrared / top, 0, 1) ** 0.6).astype(np.uint8)
     image = cv2.resize(grey, None, fx=factor, fy=factor, interpolation=cv2.INTER_NEAREST)
-    picture = cv2.cvtColor(image, cv2.COLOR_GRAY2BGR)
-    for index, (pixel, radius) in enumerate(zip(blobs.pixels, blobs.radii_px, strict=True)):
-        # the centre of pixel (0, 0) is in the middle of its enlarged square
-        x, y = (factor * (pixel + 0.5) - 0.5).tolist()
-        known = index in markers
-        colour = MARKER if known else SPOT
-        ring = round(factor * (radius + 3))
-        cv2.circle(picture, (round(x), round(y)), ring, colour, 2, cv2.LINE_AA)
-        cv2.drawMarker(picture, (round(x), round(y)), colour, cv2.MARKER_CROSS, 4 * factor, 1)
-        label = f"marker {markers.index(index) + 1}" if known else f"spot {index + 1}" if not markers else ""
-        at, size = (round(x) + ring + 3, round(y) - ring), 0.25 * max(factor, 2)
-        for shade, width in (((0, 0, 0), 4), (TEXT, 1)):
-            cv2.putText(picture, label, at, cv2.FONT_HERSHEY_SIMPLEX, size, shade, width, cv2.LINE_AA)
+    rings = [
+        cv2.KeyPoint(*(factor * (pixel + 0.5) - 0.5).tolist(), 2 * factor * (radius + 3))
+        for pixel, radius in zip(blobs.pixels, blobs.radii_px.tolist(), strict=True)
+    ]
+    picture = cv2.drawKeypoints(image, rings, None, (0, 170, 255), cv2.DRAW_MATCHES_FLAGS_DRAW_RICH_KEYPOINTS)
     _, packed = cv2.imencode(".png", picture)
     return bytes(packed.tobytes())

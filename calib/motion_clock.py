@@ -134,34 +134,21 @@ def _line(
     """A robust line through the excerpts' offsets, and which of them it is fitted to."""
     weight = sigma**-2
     has_skew = len(t) >= 3 and np.ptp(t) >= SKEW_SPAN_S
-    used = np.ones(len(t), dtype=bool)
-    extra = 0.0
+    prior = np.diag([0.0, SKEW_SIGMA**-2])
     for _ in range(30):
         centre = float(np.average(t, weights=weight))
-        basis = np.stack([np.ones_like(t), t - centre], axis=1)
-        normal = basis.T @ (weight[:, None] * basis) + np.diag([0.0, SKEW_SIGMA**-2])
-        level, skew = np.linalg.solve(normal, basis.T @ (weight * offset))
-        skew = skew if has_skew else 0.0
-        left = offset - level - skew * (t - centre)
+        basis = np.stack([np.ones_like(t), (t - centre) * has_skew], axis=1)
+        normal = basis.T @ (weight[:, None] * basis)
+        level, skew = np.linalg.solve(normal + prior, basis.T @ (weight * offset))
+        left = offset - basis @ [level, skew]
         middling = float(robust_sigma(left)) if len(t) >= 4 else 0.0
-        extra = float(np.sqrt(max(middling**2 - float(np.median(sigma)) ** 2, 0.0)))
-        spread = np.hypot(sigma, extra)
+        spread = np.hypot(sigma, np.sqrt(max(middling**2 - float(np.median(sigma)) ** 2, 0.0)))
         weight = spread**-2 / (1 + (left / (2 * spread)) ** 2)
-        used = np.abs(left) < 5 * spread
-    weight = np.where(used, np.hypot(sigma, extra) ** -2, 0.0)
-    freedom = max(int(used.sum()) - (2 if has_skew else 1), 0)
+    used = np.abs(left) < 5 * spread
+    weight = np.where(used, spread**-2, 0.0)
+    freedom = max(int(used.sum()) - 1 - has_skew, 0)
     scatter = (PRIOR_SAMPLES + float(np.sum(weight * left**2))) / (PRIOR_SAMPLES + freedom)
-    inverse = np.linalg.inv(
-        basis.T @ (weight[:, None] * basis) / max(scatter, 1.0) + np.diag([0.0, SKEW_SIGMA**-2])
-    )
-    link = ClockLink(
-        names[0],
-        names[1],
-        offset_s=float(level),
-        sigma_s=float(np.sqrt(inverse[0, 0])),
-        skew_ppm=float(1e6 * skew),
-        skew_sigma_ppm=float(1e6 * (np.sqrt(inverse[1, 1]) if has_skew else SKEW_SIGMA)),
-        at_s=centre,
-        source=source,
-    )
-    return link, used
+    inverse = np.linalg.inv(basis.T @ (weight[:, None] * basis) / max(scatter, 1.0) + prior)
+    sigma_s, skew_sigma = np.sqrt(np.diag(inverse)).tolist()
+    found = (float(level), sigma_s, 1e6 * float(skew), 1e6 * skew_sigma, centre)
+    return ClockLink(*names, *found, source=source), used

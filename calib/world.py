@@ -8,8 +8,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Annotated
 
 import numpy as np
+from pydantic import BaseModel, ConfigDict, Field
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
@@ -18,23 +20,17 @@ from smoother.errors import CalibrationError
 from smoother.linalg import nearest_rotation, skew, unit
 from smoother.recording import CameraFrame, ImuStream, Recording
 
-from .file import CalibrationFile
+from .file import CalibrationFile, Vector, checked
 from .images import View
+from .imu import Rests, find_rests
 from .intrinsics import Intrinsics
 from .panel import SeenPanel, see_panel
 from .plane import Panel
 from .protocol import Answer, Finding
 from .sensor import corrected_streams, sensor_of
 
-#: Samples this far from a pose's time may count to it, s.
+#: A rest this near to a pose's time is the pose's, s; it is averaged over what lies so near.
 REACH_S = 1.0
-#: An IMU rests where 0.2 s means of its rate, less the slowest, stay below this, rad/s.
-STILL_RAD_S = 0.06
-#: and where those of its specific force stay this near to their median, m/s^2.
-STILL_M_S2 = 0.3
-#: Rest that is shorter than this is none, s.
-SHORTEST_S = 0.3
-_BATCH_S = 0.1
 #: What a gyroscope's scale, axes and bias add to a turn: a share of it, and rad a second.
 GYRO_SCALE, GYRO_DRIFT_RAD_S = 0.003, 2e-4
 #: A pause of an IMU that breaks the link between two poses, s.
@@ -61,38 +57,29 @@ class Turn:
     sigma_rad: float  # An axis
 
 
-def rest_at(imu: ImuStream, t_s: float, pose: str, what: str) -> Rest:
+def rest_at(imu: ImuStream, rests: Rests, t_s: float, pose: str, what: str) -> Rest:
     """Mean readings of an IMU while a pose is held."""
-    near = np.flatnonzero(np.abs(imu.t_s - t_s) <= REACH_S)
-    if len(near) < 5:
+    near = np.abs(imu.t_s - t_s) <= REACH_S
+    if near.sum() < 5:
         raise CalibrationError(
             f"{pose}: the IMU {what} has no samples at {t_s:.2f} s; record it while the panel is held still."
         )
-    batch = np.floor((imu.t_s[near] - t_s) / _BATCH_S).astype(int)
-    numbers = np.unique(batch)
-    gyro, acc = (
-        np.array([values[near][batch == k].mean(axis=0) for k in numbers]) for values in (imu.gyro, imu.acc)
-    )
-    # A bias is not a motion: rates count from their median, which is a rest's own in any pose worth taking.
-    rate = np.linalg.norm(_smooth(gyro) - np.median(gyro, axis=0), axis=1)
-    force = np.linalg.norm(_smooth(acc) - np.median(acc, axis=0), axis=1)
-    still = numbers[(rate < STILL_RAD_S) & (force < STILL_M_S2)]
-    run = _run_about(still)
-    rows = near[np.isin(batch, run)]
-    if len(run) * _BATCH_S < SHORTEST_S or np.linalg.norm(np.median(gyro, axis=0)) > 10 * STILL_RAD_S:
+    held = np.zeros(len(near), dtype=bool)
+    for first, last in rests.ranges.tolist():
+        if imu.t_s[first] <= t_s <= imu.t_s[last - 1]:
+            held[first:last] = True
+    rows = np.flatnonzero(near & held)
+    if not len(rows):
         raise CalibrationError(
             f"{pose}: the IMU {what} moves at {t_s:.2f} s; hold the panel still for two seconds in each pose."
         )
-    means = acc[np.isin(numbers, run)]
-    spread = means.std(axis=0, ddof=1) if len(means) > 2 else np.full(3, 0.05)
-    mag = None if imu.mag is None else imu.mag[rows].mean(axis=0)
     return Rest(
         t_s=t_s,
         acc=imu.acc[rows].mean(axis=0),
-        acc_sigma=spread / np.sqrt(len(means)),
+        acc_sigma=imu.acc[rows].std(axis=0) / np.sqrt(len(rows)),
         gyro=imu.gyro[rows].mean(axis=0),
-        mag=mag,
-        length_s=len(run) * _BATCH_S,
+        mag=None if imu.mag is None else imu.mag[rows].mean(axis=0),
+        length_s=len(rows) / imu.rate_hz,
     )
 
 
@@ -121,19 +108,6 @@ def _product(steps: Rotation) -> Rotation:
             steps = Rotation.concatenate([steps, Rotation.identity(1)])
         steps = steps[0::2] * steps[1::2]
     return steps[0]
-
-
-def _smooth(means: FloatArray) -> FloatArray:
-    """Means of each batch with its next."""
-    return means if len(means) < 2 else 0.5 * (means + np.vstack([means[1:], means[-1:]]))
-
-
-def _run_about(still: np.ndarray) -> np.ndarray:
-    """The run of consecutive numbers that lies nearest to zero."""
-    if len(still) == 0:
-        return still
-    runs = np.split(still, np.flatnonzero(np.diff(still) > 1) + 1)
-    return min(runs, key=lambda run: (np.abs(run + 0.5).min(), -len(run)))
 
 
 #: Sigma of a rotation of which nothing is known, rad.
@@ -442,10 +416,13 @@ def world_poses(
     poses: list[WorldPose] = []
     notes: list[str] = []
     last = -1
+    held = {id(imu): find_rests(imu) for imu in {id(imu): imu for imu in (*panel, *base)}.values()}
     for i, view in enumerate(views):
         try:
-            on_panel = rest_at(panel[i], view.t_s, view.name, "on the panel")
-            on_base = rest_at(base[i], view.t_s, view.name, "on the camera")
+            on_panel, on_base = (
+                rest_at(imu, held[id(imu)], view.t_s, view.name, f"on the {what}")
+                for imu, what in ((panel[i], "panel"), (base[i], "camera"))
+            )
         except CalibrationError as error:
             notes.append(f"{error} The pose is left out.")
             continue
@@ -683,30 +660,35 @@ def world_answer(calibration: WorldCalibration) -> Answer:
     return Answer(grade, sentence, checks, CalibrationFile(tables=tables), dict(tables))
 
 
+class _Table(BaseModel):
+    """What is read of the table."""
+
+    model_config = ConfigDict(allow_inf_nan=False, defer_build=True)
+
+    rotation: Annotated[list[float], Field(min_length=4, max_length=4)]
+    accelerometer_bias: Vector = [0.0, 0.0, 0.0]
+    covariance: list[list[float]] | None = None
+    rotation_sigma_deg: Vector | None = None
+    accelerometer_corrected: bool = False
+
+
 def read_table(file: CalibrationFile) -> CameraFromBase | None:
     """The base IMU on the camera."""
-    table = file.tables.get(NAME)
-    if table is None:
+    if NAME not in file.tables:
         return None
-    again = "run `unocclude calibrate world` again"
-    try:
-        q = np.array(table["rotation"], float).reshape(4)
-        bias = np.array(table.get("accelerometer_bias", [0.0, 0.0, 0.0]), float).reshape(3)
-        if "covariance" in table:
-            covariance = np.array(table["covariance"], float).reshape(6, 6)
-        else:
-            sigma = np.radians(np.array(table["rotation_sigma_deg"], float).reshape(3))
-            covariance = np.diag(np.r_[sigma**2, np.zeros(3)])
-    except (KeyError, TypeError, ValueError) as error:
-        what = f"lacks {error}" if isinstance(error, KeyError) else f"contains a wrong value ({error})"
-        raise CalibrationError(f"{file.source}: [{NAME}] {what}; {again}.") from None
-    finite = all(np.isfinite(values).all() for values in (q, bias, covariance))
-    if not (finite and abs(np.linalg.norm(q) - 1) < 1e-3 and np.linalg.eigvalsh(covariance)[0] > -1e-9):
+    table = checked(_Table, file.tables[NAME], f"{file.source}: {NAME}")
+    spread = np.radians(table.rotation_sigma_deg or [np.nan] * 3) ** 2
+    covariance = np.array(table.covariance or np.diag([*spread, 0.0, 0.0, 0.0]))
+    is_unit = abs(np.linalg.norm(table.rotation) - 1) < 1e-3
+    if not (is_unit and covariance.shape == (6, 6) and np.linalg.eigvalsh(covariance)[0] > -1e-9):
         raise CalibrationError(
-            f"{file.source}: [{NAME}] has no unit quaternion [qw, qx, qy, qz] with its covariance; {again}."
+            f"{file.source}: [{NAME}] has no unit quaternion [qw, qx, qy, qz] with its covariance; run"
+            " `unocclude calibrate world` again."
         )
-    R_K_B = Rotation.from_quat(q, scalar_first=True).as_matrix()
-    return CameraFromBase(R_K_B, bias, covariance, bool(table.get("accelerometer_corrected", False)))
+    R_K_B = Rotation.from_quat(table.rotation, scalar_first=True).as_matrix()
+    return CameraFromBase(
+        R_K_B, np.array(table.accelerometer_bias), covariance, table.accelerometer_corrected
+    )
 
 
 def _quaternion(R: Rotation) -> list[float]:

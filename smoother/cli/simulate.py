@@ -478,7 +478,8 @@ def panel(
         PanelShot(one.t_s, np.rint(one.depth).astype(np.uint16), one.infrared, one.marker_names, one.markers)
         for one in simulated.poses
     ]
-    lens, truth = simulated.lens.to_toml(), panel_truth(simulated)
+    lens = vars(simulated.lens) | {"distortion": list(simulated.lens.distortion)}
+    truth = panel_truth(simulated)
     imus = [simulated.imu_panel, simulated.imu_base]
     definition: dict[str, Any] = {
         "markers": [list(marker) for marker in config.markers],

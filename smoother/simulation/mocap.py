@@ -9,13 +9,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field
 from scipy.spatial.transform import Rotation
 
 from ..array_types import BoolArray, FloatArray
 from ..linalg import unit
 from ..recording import CameraFrame
 from .arm import SimulatedArm
+from .config import Settings, setting, size
 from .motion import LEVEL_FROM_KINECT, PAD_S, ArmMotion
 
 #: Markers of a joint: the mean of their positions is the joint's centre.
@@ -48,32 +48,20 @@ _OPTICAL_FROM_KINECT = np.diag([-1.0, -1.0, 1.0])
 _LOST_S = 0.4
 
 
-class MocapSimulation(BaseModel):
+class MocapSimulation(Settings):
     """The motion capture and its errors."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
-
-    mocap_rate_hz: float = Field(default=120.0, ge=20, le=1000, description="mocap frames per second")
-    mocap_offset_s: float | None = Field(
-        default=None,
-        ge=-600,
-        le=600,
-        description="t_imu = t_mocap + this; drawn between -4 and -1 if not given",
+    mocap_rate_hz: float = setting(120.0, "mocap frames per second", ge=20, le=1000)
+    mocap_offset_s: float | None = setting(
+        None, "t_imu = t_mocap + this; drawn between -4 and -1 if not given", ge=-600, le=600
     )
-    mocap_skew_ppm: float = Field(
-        default=20.0,
-        ge=-1000,
-        le=1000,
-        description="the IMU's seconds are longer than the mocap's by this, ppm",
+    mocap_skew_ppm: float = setting(
+        20.0, "the IMU's seconds are longer than the mocap's by this, ppm", ge=-1000, le=1000
     )
-    marker_noise_m: float = Field(
-        default=0.00002,
-        ge=0,
-        description="white noise of a marker, m per axis; 0.0002 for an older or far system",
+    marker_noise_m: float = size(
+        2e-05, "white noise of a marker, m per axis; 0.0002 for an older or far system"
     )
-    marker_lost: float = Field(
-        default=0.05, ge=0, le=0.9, description="fraction of the time that a marker is not seen"
-    )
+    marker_lost: float = size(0.05, "fraction of the time that a marker is not seen", le=0.9)
 
 
 @dataclass(frozen=True)

@@ -8,13 +8,12 @@ Real images are as a Kinect v2 makes them.
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, field, replace
-from functools import lru_cache
+from dataclasses import dataclass, field, replace
 from typing import Any, Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import model_validator
 from scipy.spatial.transform import Rotation
 
 from calib.intrinsics import Intrinsics
@@ -24,94 +23,73 @@ from ..linalg import unit
 from ..recording import ImuStream
 from ..runtime.packages import load_open3d
 from ..units import GRAVITY
-from .config import SensorErrors
+from .config import SensorErrors, Settings, setting, size
 from .inertial import ideal_imu, measure
 from .motion import band_noise, ramp
 
 Point = tuple[float, float]
 
 
-class PanelSimulation(BaseModel):
+class PanelSimulation(Settings):
     """A panel with retroreflective markers before a depth camera like a Kinect v2."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
-
-    poses: int = Field(default=1, ge=1, le=200, description="panel poses")
-    markers: tuple[Point, ...] = Field(
-        default=((0.0, 0.0), (0.2, 0.0), (0.5, 0.0), (0.0, 0.35)),
+    poses: int = setting(1, "panel poses", ge=1, le=200)
+    markers: tuple[Point, ...] = setting(
+        ((0.0, 0.0), (0.2, 0.0), (0.5, 0.0), (0.0, 0.35)),
+        "markers on the panel, m in {P}; the origin first",
         min_length=3,
-        description="markers on the panel, m in {P}; the origin first",
     )
-    extent: tuple[Point, Point] = Field(
-        default=((-0.05, -0.05), (0.55, 0.40)), description="corners of the panel, m in {P}"
+    extent: tuple[Point, Point] = setting(((-0.05, -0.05), (0.55, 0.4)), "corners of the panel, m in {P}")
+    extra_markers: tuple[Point, ...] = setting(
+        (), "bright spots on the panel that its definition does not have, m in {P}"
     )
-    extra_markers: tuple[Point, ...] = Field(
-        default=(), description="bright spots on the panel that its definition does not have, m in {P}"
-    )
-    hidden_markers: tuple[int, ...] = Field(default=(), description="markers that the camera cannot see")
+    hidden_markers: tuple[int, ...] = setting((), "markers that the camera cannot see")
     marker_shape: Literal["disc", "sphere"] = "disc"
-    marker_height_m: float = Field(
-        default=0.0, ge=0, le=0.1, description="centre of a spherical marker above the panel, m"
-    )
-    marker_diameter_m: float = Field(default=0.016, gt=0.002, le=0.06, description="of a marker, m")
+    marker_height_m: float = size(0.0, "centre of a spherical marker above the panel, m", le=0.1)
+    marker_diameter_m: float = setting(0.016, "of a marker, m", gt=0.002, le=0.06)
 
-    distance_m: Point = Field(default=(1.2, 1.9), description="panel's centre to camera, from and to, m")
-    tilt_deg: Point = Field(
-        default=(0.0, 25.0), description="panel's normal against the ray to the camera, from and to, degrees"
+    distance_m: Point = setting((1.2, 1.9), "panel's centre to camera, from and to, m")
+    tilt_deg: Point = setting(
+        (0.0, 25.0), "panel's normal against the ray to the camera, from and to, degrees"
     )
-    roll_deg: Point = Field(
-        default=(0.0, 360.0), description="panel's x axis in the image, from and to, degrees"
-    )
-    hand: bool = Field(default=True, description="a hand holds the panel, a person stands behind it")
-    distractors: int = Field(
-        default=0, ge=0, le=10, description="bright spots beside the panel in each image"
-    )
+    roll_deg: Point = setting((0.0, 360.0), "panel's x axis in the image, from and to, degrees")
+    hand: bool = setting(True, "a hand holds the panel, a person stands behind it")
+    distractors: int = size(0, "bright spots beside the panel in each image", le=10)
 
-    width: int = Field(default=512, ge=64, le=4096, description="of the images, pixels")
-    height: int = Field(default=424, ge=64, le=4096, description="of the images, pixels")
-    focal_px: float = Field(default=365.5, gt=50, description="focal length, pixels")
-    distortion: tuple[float, float, float, float, float] = Field(
-        default=(0.09, -0.27, 0.0006, -0.0004, 0.095), description="k1, k2, p1, p2, k3"
+    width: int = setting(512, "of the images, pixels", ge=64, le=4096)
+    height: int = setting(424, "of the images, pixels", ge=64, le=4096)
+    focal_px: float = setting(365.5, "focal length, pixels", gt=50)
+    distortion: tuple[float, float, float, float, float] = setting(
+        (0.09, -0.27, 0.0006, -0.0004, 0.095), "k1, k2, p1, p2, k3"
     )
-    blur_px: float = Field(default=0.5, ge=0, le=3, description="sigma of the lens' blur, pixels")
-    marker_gain: float = Field(
-        default=2.5, gt=0, description="a marker's brightness at 1.5 m, in full scales of the infrared image"
+    blur_px: float = size(0.5, "sigma of the lens' blur, pixels", le=3)
+    marker_gain: float = setting(
+        2.5, "a marker's brightness at 1.5 m, in full scales of the infrared image", gt=0
     )
-    infrared_noise: float = Field(default=0.02, ge=0, description="sigma, a fraction of the value")
-    depth_noise_m: float = Field(
-        default=0.0015, ge=0, description="sigma of a depth at 1.5 m, m; grows with distance and angle"
-    )
-    depth_offset_m: float = Field(default=0.0, description="added to every depth, m")
-    halo_m: float = Field(
-        default=0.01, ge=0, description="depth error beside a marker, m; fades within some pixels"
-    )
-    flying: float = Field(
-        default=0.3, ge=0, le=1, description="fraction of the pixels on rims that show a depth in between"
-    )
-    quantised: bool = Field(default=True, description="round depths to whole millimetres")
-    mocap_noise_m: float = Field(default=0.0002, ge=0, description="sigma of a mocap marker, m per axis")
+    infrared_noise: float = size(0.02, "sigma, a fraction of the value")
+    depth_noise_m: float = size(0.0015, "sigma of a depth at 1.5 m, m; grows with distance and angle")
+    depth_offset_m: float = setting(0.0, "added to every depth, m")
+    halo_m: float = size(0.01, "depth error beside a marker, m; fades within some pixels")
+    flying: float = size(0.3, "fraction of the pixels on rims that show a depth in between", le=1)
+    quantised: bool = setting(True, "round depths to whole millimetres")
+    mocap_noise_m: float = size(0.0002, "sigma of a mocap marker, m per axis")
 
-    hold_s: float = Field(default=2.0, ge=1, le=60, description="how long each pose is held, s")
-    move_s: float = Field(default=2.5, ge=1, le=60, description="from one pose to the next, s")
-    sway_deg: float = Field(default=0.05, ge=0, description="rms of the hand's sway in a hold, degrees")
-    camera_tilt_deg: float = Field(
-        default=0.0,
-        ge=0,
-        le=60,
-        description="the camera and its base IMU are tilted anew for each pose, up to",
+    hold_s: float = setting(2.0, "how long each pose is held, s", ge=1, le=60)
+    move_s: float = setting(2.5, "from one pose to the next, s", ge=1, le=60)
+    sway_deg: float = size(0.05, "rms of the hand's sway in a hold, degrees")
+    camera_tilt_deg: float = size(
+        0.0, "the camera and its base IMU are tilted anew for each pose, up to", le=60
     )
-    imu_mounting_deg: float = Field(
-        default=3.0, ge=0, le=180, description="the panel's IMU sits off the panel's axes, degrees"
-    )
-    imu_rate_hz: float = Field(default=100.0, ge=20, le=1000, description="IMU samples per second")
-    accelerometer_noise: float = Field(default=0.002, ge=0, description="density, m/s^2/sqrt(Hz)")
-    gyroscope_noise: float = Field(default=0.0002, ge=0, description="density, rad/s/sqrt(Hz)")
-    accelerometer_bias: float = Field(default=0.02, ge=0, description="sigma of the bias, m/s^2 per axis")
-    gyroscope_bias: float = Field(default=0.005, ge=0, description="sigma of the bias, rad/s per axis")
-    imu_scale: float = Field(default=0.001, ge=0, description="sigma of each axis' scale error")
-    magnetometer: bool = Field(default=False, description="both IMUs have a magnetometer")
-    magnetometer_noise: float = Field(default=0.4, ge=0, description="sigma of a sample, uT per axis")
-    magnetometer_bias: float = Field(default=0.5, ge=0, description="sigma of what iron adds, uT per axis")
+    imu_mounting_deg: float = size(3.0, "the panel's IMU sits off the panel's axes, degrees", le=180)
+    imu_rate_hz: float = setting(100.0, "IMU samples per second", ge=20, le=1000)
+    accelerometer_noise: float = size(0.002, "density, m/s^2/sqrt(Hz)")
+    gyroscope_noise: float = size(0.0002, "density, rad/s/sqrt(Hz)")
+    accelerometer_bias: float = size(0.02, "sigma of the bias, m/s^2 per axis")
+    gyroscope_bias: float = size(0.005, "sigma of the bias, rad/s per axis")
+    imu_scale: float = size(0.001, "sigma of each axis' scale error")
+    magnetometer: bool = setting(False, "both IMUs have a magnetometer")
+    magnetometer_noise: float = size(0.4, "sigma of a sample, uT per axis")
+    magnetometer_bias: float = size(0.5, "sigma of what iron adds, uT per axis")
 
     @classmethod
     def ideal(cls, **changes: Any) -> Self:
@@ -140,53 +118,6 @@ class PanelSimulation(BaseModel):
         return self
 
 
-class RenderLens(Intrinsics):
-    """The lens of the depth and infrared camera; its distortion is computed here, without OpenCV."""
-
-    def to_toml(self) -> dict[str, Any]:
-        """Plain values under the names that `intrinsics.toml` has."""
-        return asdict(self) | {"distortion": list(self.distortion)}
-
-    def project(self, points_K: FloatArray) -> FloatArray:
-        """Pixels (N, 2) of points (N, 3) in {K} in front of the camera (Brown 1971, as in OpenCV)."""
-        x, y = (points_K[:, :2] / points_K[:, 2:]).T
-        k1, k2, p1, p2, k3 = self.distortion
-        r2 = x * x + y * y
-        radial = 1 + r2 * (k1 + r2 * (k2 + r2 * k3))
-        xd = x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x * x)
-        yd = y * radial + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y
-        return np.column_stack([self.fx * xd + self.cx, self.fy * yd + self.cy])
-
-    def all_rays(self) -> FloatArray:
-        """Directions (height, width, 2): x and y of the ray with z = 1 through every pixel's centre."""
-        return _rays(self)
-
-
-@lru_cache(maxsize=4)
-def _rays(lens: RenderLens) -> FloatArray:
-    """By Newton's method on the distortion; good to 1e-10."""
-    u, v = np.meshgrid(np.arange(lens.width, dtype=float), np.arange(lens.height, dtype=float))
-    target = np.column_stack([u.ravel(), v.ravel()])
-    ray = (target - [lens.cx, lens.cy]) / [lens.fx, lens.fy]
-    step = 1e-6
-    right, down = np.array([step, 0.0]), np.array([0.0, step])
-    for _ in range(20):
-        one = np.ones((len(ray), 1))
-        at = lens.project(np.hstack([ray, one]))
-        miss = target - at
-        if np.abs(miss).max() < 1e-9:
-            break
-        du = (lens.project(np.hstack([ray + right, one])) - at) / step
-        dv = (lens.project(np.hstack([ray + down, one])) - at) / step
-        jacobian = np.stack([du, dv], axis=2)
-        ray = ray + np.linalg.solve(jacobian, miss[:, :, None])[:, :, 0]
-    else:
-        raise ValueError("this distortion cannot be undone over the whole image; make it smaller")
-    rays = ray.reshape(lens.height, lens.width, 2)
-    rays.flags.writeable = False
-    return rays
-
-
 #: The whole panel is at least this far inside the image, pixels.
 MARGIN_PX = 6.0
 #: Height of the floor, the camera at 0, m.
@@ -203,12 +134,12 @@ def panel_corners(config: PanelSimulation) -> FloatArray:
 
 def place_panel(
     config: PanelSimulation,
-    lens: RenderLens,
+    lens: Intrinsics,
     R_W_K: FloatArray,
     rng: np.random.Generator,  # R_W_K (3, 3)
 ) -> tuple[FloatArray, FloatArray]:  # R_K_P (3, 3), p_K_P (3,) m
     """A pose of the panel above the floor in which the camera sees all of it."""
-    corners, rays = panel_corners(config), lens.all_rays()
+    corners, rays = panel_corners(config), lens.ray_image()
     middle = corners.mean(axis=0)
     for _ in range(_TRIES):
         distance, tilt, roll = (
@@ -220,7 +151,7 @@ def place_panel(
         p_K_P = distance * ray - R_K_P @ middle
         seen = corners @ R_K_P.T + p_K_P
         if seen[:, 2].min() > 0.2 and (seen @ R_W_K[2]).min() > FLOOR_M + 0.05:
-            pixel = lens.project(seen)
+            pixel = lens.pixels(seen)
             if (pixel > MARGIN_PX).all() and (
                 pixel < np.array([lens.width, lens.height]) - 1 - MARGIN_PX
             ).all():
@@ -479,9 +410,9 @@ class IdealImages:
     marker: FloatArray  # Share of the pixel that a marker fills
 
 
-def render(scene: PanelScene, lens: RenderLens) -> IdealImages:
+def render(scene: PanelScene, lens: Intrinsics) -> IdealImages:
     """Cast a ray through every pixel, and many through those where surfaces meet."""
-    rays = lens.all_rays()
+    rays = lens.ray_image()
     hits = scene.cast(rays.reshape(-1, 2))
     z, infrared = hits.z.copy(), _shade(scene, rays.reshape(-1, 2), hits)
     spread, marker = np.zeros(len(z)), hits.marker.astype(float)
@@ -510,7 +441,7 @@ def _shade(scene: PanelScene, rays: FloatArray, hits: Hits) -> FloatArray:
     return fading * vignette * np.where(hits.marker, scene.config.marker_gain, diffuse)
 
 
-def _mixed(scene: PanelScene, lens: RenderLens, hits: Hits) -> BoolArray:
+def _mixed(scene: PanelScene, lens: Intrinsics, hits: Hits) -> BoolArray:
     """Pixels (N,) that may hold more than one surface, or an edge of a marker."""
     import cv2
 
@@ -522,7 +453,7 @@ def _mixed(scene: PanelScene, lens: RenderLens, hits: Hits) -> BoolArray:
     spots = np.array([*scene.config.markers, *scene.config.extra_markers])
     centres = np.column_stack([spots, np.zeros(len(spots))]) @ scene.R_K_P.T + scene.p_K_P
     near = hits.marker.reshape(shape).astype(np.uint8)
-    for (u, v), z in zip(lens.project(centres), centres[:, 2], strict=True):
+    for (u, v), z in zip(lens.pixels(centres), centres[:, 2], strict=True):
         reach = int(np.ceil(0.6 * size * max(lens.fx, lens.fy) / z)) + 2
         row, column = round(v), round(u)
         near[max(row - reach, 0) : row + reach + 1, max(column - reach, 0) : column + reach + 1] = 1
@@ -685,7 +616,7 @@ class SimulatedPanel:
 
     config: PanelSimulation
     seed: int
-    lens: RenderLens  # The camera's intrinsics
+    lens: Intrinsics  # The camera's intrinsics
     poses: tuple[PanelPose, ...]
     imu_panel: ImuStream  # The IMU on the panel and the one on the camera, over the whole session
     imu_base: ImuStream  # The IMU on the panel and the one on the camera, over the whole session
@@ -716,9 +647,9 @@ def simulate_panel(config: PanelSimulation, seed: int = 0) -> SimulatedPanel:
     return SimulatedPanel(config, seed, lens, tuple(poses), imu_panel, imu_base, R_K_E, t_K_E, R_K_B, R_P_I)
 
 
-def make_lens(config: PanelSimulation) -> RenderLens:
+def make_lens(config: PanelSimulation) -> Intrinsics:
     """The camera's intrinsics: the principal point lies some pixels off the middle."""
-    return RenderLens(
+    return Intrinsics(
         config.width,
         config.height,
         fx=config.focal_px,
@@ -737,7 +668,7 @@ def marker_points(config: PanelSimulation) -> FloatArray:
 
 def _pose(
     config: PanelSimulation,
-    lens: RenderLens,
+    lens: Intrinsics,
     number: int,
     R_W_K: FloatArray,
     mocap_W: tuple[FloatArray, FloatArray],
@@ -756,7 +687,7 @@ def _pose(
     markers = ((true_K @ R_W_K.T - t_W_E) @ R_W_E + noise)[order]
     names = tuple(f"M{number:02d}" for number in rng.permutation(np.arange(1, 1 + len(true_K))))
     t_s = (number + 0.5) * config.hold_s + number * config.move_s
-    pixels = lens.project(true_K)
+    pixels = lens.pixels(true_K)
     return PanelPose(t_s, depth, infrared, names, markers, order, R_K_P, p_K_P, pixels, R_W_K)
 
 
@@ -772,12 +703,12 @@ def _bodies(config: PanelSimulation, poses: list[PanelPose], seed: int) -> tuple
     return panel, Held(R_W_K, np.zeros((len(poses), 3)), *times)
 
 
-def _distract(scene: PanelScene, lens: RenderLens, count: int, rng: np.random.Generator) -> None:
+def _distract(scene: PanelScene, lens: Intrinsics, count: int, rng: np.random.Generator) -> None:
     """Put bright balls beside the panel, wherever there is room in the image."""
     import cv2
 
-    outline = lens.project(panel_corners(scene.config) @ scene.R_K_P.T + scene.p_K_P).astype(np.float32)
-    rays = lens.all_rays()
+    outline = lens.pixels(panel_corners(scene.config) @ scene.R_K_P.T + scene.p_K_P).astype(np.float32)
+    rays = lens.ray_image()
     placed = 0
     for _ in range(1000 * bool(count)):
         row, column = rng.integers(10, lens.height - 10), rng.integers(10, lens.width - 10)

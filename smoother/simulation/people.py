@@ -11,7 +11,6 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field
 from scipy.interpolate import make_interp_spline
 from scipy.spatial.transform import Rotation
 
@@ -19,7 +18,7 @@ from ..array_types import FloatArray
 from ..linalg import unit
 from ..recording import CameraFrame, ImuStream, JointTracks
 from .camera import add_noise, add_outliers, debounce, deliver, exposures, film, lose_forearm
-from .config import ArmSimulation
+from .config import ArmSimulation, Settings, setting, size
 from .inertial import Pose, ideal_imu, measure
 from .motion import (
     ArmMotion,
@@ -43,26 +42,18 @@ APART_M = 0.9
 ASTRAY_S = 0.12
 
 
-class PeopleSimulation(BaseModel):
+class PeopleSimulation(Settings):
     """Who is before the camera, and what they wear; the arms and sensors themselves are an
     `ArmSimulation`.
     """
 
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
-
-    people: int = Field(default=2, ge=1, le=6, description="persons before the camera, both arms of each")
-    sensors: int = Field(default=4, ge=1, le=24, description="IMUs in the recording")
-    on_table: int = Field(default=1, ge=0, description="how many of them are on the table")
-    hanging: float = Field(default=0.25, ge=0, le=1, description="chance that an arm hangs while others move")
-    in_time: float = Field(
-        default=0.5, ge=0, le=1, description="chance that all do the same movements at the same time"
-    )
-    clocks_apart_s: float = Field(
-        default=1.0, ge=0, description="each IMU's clock is off by up to this, s, either way"
-    )
-    tissue_deg: float = Field(
-        default=2.0, ge=0, description="rms of an upper arm's IMU against the bone, degrees"
-    )
+    people: int = setting(2, "persons before the camera, both arms of each", ge=1, le=6)
+    sensors: int = setting(4, "IMUs in the recording", ge=1, le=24)
+    on_table: int = size(1, "how many of them are on the table")
+    hanging: float = size(0.25, "chance that an arm hangs while others move", le=1)
+    in_time: float = size(0.5, "chance that all do the same movements at the same time", le=1)
+    clocks_apart_s: float = size(1.0, "each IMU's clock is off by up to this, s, either way")
+    tissue_deg: float = size(2.0, "rms of an upper arm's IMU against the bone, degrees")
 
 
 @dataclass(frozen=True)

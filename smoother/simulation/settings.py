@@ -2,47 +2,43 @@
 
 from __future__ import annotations
 
-from pydantic import BaseModel, ConfigDict, Field
+from .config import Settings, setting, size
 
 
-class _Settings(BaseModel):
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
-
-
-class RestPoses(_Settings):
+class RestPoses(Settings):
     """A sensor laid still in one pose after the other, or for long in one."""
 
-    poses: int = Field(12, ge=1, le=26, description="rest poses: sides, then edges, then corners")
-    rest_s: float = Field(3.0, ge=0.5, le=60, description="how long the sensor stays in a pose, s")
-    long_rest_s: float | None = Field(
-        None, ge=10, le=14400, description="one long rest instead of poses, for the noise; 3600 for an hour"
+    poses: int = setting(12, "rest poses: sides, then edges, then corners", ge=1, le=26)
+    rest_s: float = setting(3.0, "how long the sensor stays in a pose, s", ge=0.5, le=60)
+    long_rest_s: float | None = setting(
+        None, "one long rest instead of poses, for the noise; 3600 for an hour", ge=10, le=14400
     )
-    offset: float = Field(0.5, ge=0, description="of the accelerometer, m/s^2 per axis")
-    scale: float = Field(0.03, ge=0, le=0.2, description="largest scale error of any axis")
-    cross: float = Field(0.01, ge=0, le=0.2, description="largest cross-axis term")
-    noise: float = Field(0.02, ge=0, description="of an accelerometer sample in a pose, m/s^2")
+    offset: float = size(0.5, "of the accelerometer, m/s^2 per axis")
+    scale: float = size(0.03, "largest scale error of any axis", le=0.2)
+    cross: float = size(0.01, "largest cross-axis term", le=0.2)
+    noise: float = size(0.02, "of an accelerometer sample in a pose, m/s^2")
 
 
-class TurningMagnetometer(_Settings):
+class TurningMagnetometer(Settings):
     """A magnetometer turned in all directions."""
 
-    hard_iron: float = Field(0.5, ge=0, le=5, description="offset, in parts of the field")
-    soft_iron: float = Field(0.2, ge=0, le=0.25, description="largest error of scale, and cross term")
-    field: float = Field(48.0, ge=0.01, description="the field's strength, in the sensor's unit")
-    noise: float = Field(0.01, ge=0, le=0.2, description="of a sample, in parts of the field")
+    hard_iron: float = size(0.5, "offset, in parts of the field", le=5)
+    soft_iron: float = size(0.2, "largest error of scale, and cross term", le=0.25)
+    field: float = setting(48.0, "the field's strength, in the sensor's unit", ge=0.01)
+    noise: float = size(0.01, "of a sample, in parts of the field", le=0.2)
 
 
-class ClockSources(_Settings):
+class ClockSources(Settings):
     """A beep, broadcasts and the motion of a session."""
 
-    rounds: int = Field(20, ge=4, le=1000, description="broadcasts")
-    minutes: float = Field(5.0, ge=0.5, le=120, description="time over which they are spread")
-    motion_s: float = Field(30.0, ge=10, le=600, description="length of the arm's recording, s")
-    noise_db: float = Field(25.0, ge=0, le=80, description="noise of the room below the beep, dB")
+    rounds: int = setting(20, "broadcasts", ge=4, le=1000)
+    minutes: float = setting(5.0, "time over which they are spread", ge=0.5, le=120)
+    motion_s: float = setting(30.0, "length of the arm's recording, s", ge=10, le=600)
+    noise_db: float = size(25.0, "noise of the room below the beep, dB", le=80)
 
 
-class StrapImages(_Settings):
+class StrapImages(Settings):
     """Images of an arm with its strap."""
 
-    duration_s: float = Field(20.0, ge=8, le=120, description="length of the recording, s")
-    every: int = Field(5, ge=1, le=60, description="one image every this many camera frames")
+    duration_s: float = setting(20.0, "length of the recording, s", ge=8, le=120)
+    every: int = setting(5, "one image every this many camera frames", ge=1, le=60)

@@ -54,16 +54,6 @@ def test_clean_is_clean():
     assert (simulated.recording.arm.state[:, :4] == JointState.TRACKED).all()
 
 
-@pytest.mark.slow
-def test_correlated_noise_has_its_time_constant():
-    noise = residual(make(noise_correlated_m=0.008, noise_correlated_s=0.3, duration_s=600)).reshape(-1, 12)
-    # 600 s hold about 1000 independent values at this memory.
-    np.testing.assert_allclose(noise.std(axis=0), 0.008, rtol=0.12)
-    for frames in (3, 9, 18):
-        measured = (noise[frames:] * noise[:-frames]).mean() / 0.008**2  # mean of twelve tracks
-        assert measured == pytest.approx(np.exp(-frames / 30 / 0.3), abs=0.06)
-
-
 def test_depth_noise_lies_along_the_ray_and_grows_with_distance():
     sigma = {}
     for distance in (1.5, 3.0):
@@ -92,49 +82,11 @@ def test_joint_biases_are_constant_and_told():
     assert np.std(drawn) == pytest.approx(0.008, rel=0.2)  # 300 values
 
 
-@pytest.mark.slow
-def test_the_azure_preset_has_the_measured_sizes_and_memory():
-    """Six minutes of the preset: constant, slow and white errors told apart by their memory."""
-    quiet = {"noise_m": 0.0, "noise_depth_m": 0.0}
-    settings: dict[str, Any] = {"protocol": "random", "duration_s": 360.0, "occlusion_lengths_s": ()}
-    settings |= {"latency_s": 0.0, "frame_jitter_s": 0.0, "dropped_frames": 0.0, "strap": True}
-    simulated = simulate_arm(ArmSimulation.preset("azure", **settings, **quiet), 0)
-    error = residual(simulated)
-    off = np.stack([simulated.parameters["joint_bias"][joint] for joint in JOINTS[:4]])
-    assert ((np.linalg.norm(off, axis=1) >= 0.013) & (np.linalg.norm(off, axis=1) <= 0.017)).all()
-    slow = error - off
-    # 360 s hold about 300 independent values an axis at this memory.
-    size = np.sqrt((slow**2).sum(axis=2).mean(axis=0))
-    np.testing.assert_allclose(size, [0.017, 0.023, 0.054, 0.054], rtol=0.1)
-    scaled = (slow / size[:, None]).reshape(-1, 12) * np.sqrt(3)
-    lags = np.arange(1, 60)
-    memory = np.array([(scaled[lag:] * scaled[:-lag]).mean() for lag in lags])
-    assert 0.5 < lags[memory < np.exp(-1)][0] / 30 < 0.7
-    white = residual(simulate_arm(ArmSimulation.preset("azure", **settings), 0)) - error
-    across = white.reshape(-1, 12).std(axis=0)
-    assert (across >= 0.0075).all() and (across < 0.012).all()  # 8 mm, more along the ray
-
-
 def test_late_stamps_and_the_sign_of_the_offset():
     simulated = make(latency_s=0.02)
     assert simulated.parameters["clock_offset_s"] == -0.02  # t_imu = t_camera + offset
     np.testing.assert_allclose(residual(simulated, latency_s=0.02), 0, atol=2e-5)
     assert residual(simulated)[:, WRIST].std() > 0.005  # half a metre a second for 20 ms
-
-
-def test_frame_jitter_keeps_the_order():
-    exact = make().recording.arm.t_s
-    jitter = make(frame_jitter_s=0.003).recording.arm.t_s - exact
-    assert jitter.std() == pytest.approx(0.003, rel=0.1)
-    assert (np.diff(make(frame_jitter_s=0.1).recording.arm.t_s) > 0).all()
-
-
-def test_dropped_frames():
-    simulated = make(dropped_frames=0.1)
-    whole = make().recording.arm.t_s
-    assert len(simulated.recording.arm) / len(whole) == pytest.approx(0.9, abs=0.03)  # sigma 0.006
-    assert len(simulated.occluded) == len(simulated.recording.arm)
-    assert np.isin(simulated.recording.arm.t_s, whole).all()
 
 
 def test_outliers():
@@ -151,21 +103,6 @@ def test_imu_noise_density():
     imu, ideal = simulated.recording.imu, simulated.ideal_imu
     np.testing.assert_allclose((imu.acc - ideal.acc).std(axis=0), 0.003 * 10, rtol=0.05)
     np.testing.assert_allclose((imu.gyro - ideal.gyro).std(axis=0), 0.0003 * 10, rtol=0.05)
-
-
-@pytest.mark.slow
-def test_imu_biases_are_told_and_walk():
-    first, steps = [], []
-    for seed in range(40):
-        simulated = make(seed, accelerometer_bias=0.05, gyroscope_walk=0.002, duration_s=9)
-        imu, ideal, told = simulated.recording.imu, simulated.ideal_imu, simulated.parameters
-        np.testing.assert_allclose(imu.acc - ideal.acc, told["accelerometer_bias_t"], atol=1e-12)
-        np.testing.assert_allclose(imu.gyro - ideal.gyro, told["gyroscope_bias_t"], atol=1e-12)
-        np.testing.assert_allclose((imu.acc - ideal.acc).mean(axis=0), told["accelerometer_bias"])
-        first.append(told["accelerometer_bias_t"][0])
-        steps.append(told["gyroscope_bias_t"][-1])
-    assert np.std(first) == pytest.approx(0.05, rel=0.3)  # 120 values
-    assert np.std(steps) == pytest.approx(0.002 * np.sqrt(9), rel=0.3)
 
 
 def test_scale_and_misalignment():
@@ -236,13 +173,6 @@ def test_the_belly_can_be_poor(state: str):
     assert all(1.5 < frames / 30 < 5 for frames in stretches)
 
 
-def test_the_shoulder_can_get_lost():
-    simulated = simulate_arm(ArmSimulation.preset("clean", shoulder_lost=0.5, repetitions=4), 0)
-    seen = simulated.recording.arm.tracked("shoulder")
-    assert seen[~simulated.occluded].all()
-    assert seen[simulated.occluded].mean() == pytest.approx(0.5, abs=0.15)  # 380 frames
-
-
 def test_frozen_joints_stand_still_and_say_tracked():
     simulated = simulate_arm(ArmSimulation.preset("white", frozen_gaps=1.0), 0)
     assert len(simulated.parameters["frozen"]) == 4
@@ -265,26 +195,6 @@ def test_swapped_arms_are_the_other_arm_and_say_tracked(side: str):
         across = tracks.joint("shoulder")[gap, 0] - tracks.joint("wrist")[gap, 0]
         assert (outward * across > 0.2).all()
         assert (tracks.joint("wrist")[gap, 1] < tracks.joint("shoulder")[gap, 1] - 0.35).all()
-
-
-@pytest.mark.slow
-def test_some_gaps_frozen_some_swapped_some_honest():
-    simulated = simulate_arm(
-        ArmSimulation.preset("white", protocol="random", duration_s=300, frozen_gaps=0.3, swapped_gaps=0.3), 0
-    )
-    count = len(runs(simulated.occluded))
-    frozen, swapped = (len(simulated.parameters[name]) for name in ("frozen", "swapped"))
-    honest = sum(not simulated.recording.arm.tracked("wrist")[gap].any() for gap in runs(simulated.occluded))
-    assert frozen + swapped + honest == count
-    assert min(frozen, swapped, honest) > 0.1 * count
-
-
-def test_the_strap_can_be_seen():
-    simulated = make(strap=True)
-    truth, tracks = simulated.recording.truth, simulated.recording.arm
-    inside = (tracks.t_s > 0.2) & (tracks.t_s < truth.t_s[-1] - 0.2)
-    at = make_interp_spline(truth.t_s, truth.position, k=5)(tracks.t_s[inside])
-    np.testing.assert_allclose(tracks.joint("strap")[inside], at, atol=2e-5)
 
 
 @pytest.mark.slow

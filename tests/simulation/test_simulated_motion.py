@@ -7,7 +7,7 @@ import pytest
 from scipy.interpolate import make_interp_spline
 from scipy.spatial.transform import Rotation
 
-from smoother.recording import JOINTS, CameraFrame, Truth
+from smoother.recording import JOINTS, Truth
 from smoother.simulation import (
     ArmSimulation,
     PeopleSimulation,
@@ -107,33 +107,6 @@ def test_at_rest_the_accelerometer_shows_gravity_upwards():
     assert not simulated.occluded.any()
 
 
-@pytest.mark.parametrize("frame", list(CameraFrame))
-def test_gravity_is_3_to_10_degrees_off_the_camera(frame: CameraFrame):
-    for seed in range(5):
-        config = ArmSimulation.preset("clean", still_all=True, repetitions=1, camera_frame=frame)
-        gravity = simulate_arm(config, seed).parameters["gravity"]
-        assert np.linalg.norm(gravity) == pytest.approx(9.81)
-        tilt = np.degrees(np.arccos(gravity @ frame.down / 9.81))
-        assert 3 <= tilt <= 10
-
-
-@pytest.mark.slow
-def test_people_and_their_movements_are_plausible(people: list[SimulatedArm]):
-    measures = np.array([[p.parameters["upper_arm_m"], p.parameters["forearm_m"]] for p in people])
-    assert measures.min(axis=0) == pytest.approx([0.26, 0.23], abs=0.02)
-    assert measures.max(axis=0) == pytest.approx([0.34, 0.28], abs=0.02)
-    peaks = []
-    for person in people:
-        truth = person.recording.truth
-        assert truth is not None
-        speed = np.linalg.norm(np.gradient(truth.joints["wrist"], truth.t_s, axis=0), axis=1)
-        peaks.append([speed.max(), np.linalg.norm(person.ideal_imu.gyro, axis=1).max()])
-        assert 1.8 < truth.joints["shoulder"][:, 2].mean() < 2.2
-    peaks_m_s, peaks_rad_s = np.transpose(peaks)
-    assert peaks_m_s.min() > 1.0 and peaks_m_s.max() < 2.6
-    assert peaks_rad_s.min() > 3.0 and peaks_rad_s.max() < 15.0
-
-
 def test_two_occlusions_a_repetition_of_one_to_three_seconds(people: list[SimulatedArm]):
     for person in people:
         gaps = runs(person.occluded)
@@ -184,41 +157,6 @@ def test_camera_frames_are_the_same_motion_in_other_axes():
     np.testing.assert_allclose(zup.position, kinect.position[:, [2, 0, 1]], atol=1e-12)
 
 
-def test_a_still_start_is_still():
-    simulated = simulate_arm(ArmSimulation.preset("clean", still_start_s=4, repetitions=1), 0)
-    imu, truth = simulated.recording.imu, simulated.recording.truth
-    still = imu.t_s < 3.95
-    np.testing.assert_allclose(imu.gyro[still], 0, atol=1e-6)
-    assert np.ptp(truth.position[still], axis=0).max() < 1e-6
-    assert truth.joints["wrist"][still, 1].max() < truth.joints["shoulder"][still, 1].min() - 0.3
-    assert np.ptp(truth.position[~still], axis=0).max() > 0.5
-    assert len(runs(simulated.occluded)) == 2
-
-
-def test_random_occlusions_have_the_lengths_asked_for():
-    config = ArmSimulation.preset("clean", protocol="random", duration_s=200, occlusion_lengths_s=(0.5, 2.0))
-    simulated = simulate_arm(config, 1)
-    lengths = np.array([(gap.stop - gap.start) / 30 for gap in runs(simulated.occluded)])
-    assert 20 <= len(lengths) <= 45
-    near = np.abs(lengths[:, None] - [0.5, 2.0]).min(axis=1)
-    assert near.max() < 1.01 / 30  # a length is whole frames
-    none = simulate_arm(ArmSimulation.preset("clean", protocol="random", occlusion_lengths_s=()), 1)
-    assert not none.occluded.any()
-
-
-def test_a_point_is_a_strap_alone():
-    simulated = simulate_point(PointSimulation.preset("clean"), 0)
-    recording = simulated.recording
-    assert recording.arm.present == ("strap",)
-    assert (recording.camera_frame, recording.side) == (CameraFrame.ZUP, "")
-    assert simulated.calibration.lever_arms == {}
-    assert simulated.occluded.any()
-    np.testing.assert_array_equal(recording.arm.tracked("strap"), ~simulated.occluded)
-    at = make_interp_spline(recording.truth.t_s, recording.truth.position, k=5)
-    seen = recording.arm.tracked("strap") & (recording.arm.t_s > 0.1) & (recording.arm.t_s < 29.9)
-    np.testing.assert_allclose(recording.arm.joint("strap")[seen], at(recording.arm.t_s[seen]), atol=1e-5)
-
-
 SHORT = {"protocol": "random", "duration_s": 8.0, "occlusion_lengths_s": ()}
 
 
@@ -244,25 +182,6 @@ def test_elbow_and_shoulder_are_constant_in_its_axes(side: str) -> None:
     along = joints["shoulder"] - joints["elbow"]
     np.testing.assert_allclose(bone[:, :, 1], along / np.linalg.norm(along, axis=1)[:, None], atol=1e-9)
     np.testing.assert_allclose(bone[:, :, 2], made.motion.bone_axes(t)[0], atol=1e-9)  # type: ignore[attr-defined]
-
-
-def test_soft_tissue_turns_it_as_much_as_asked() -> None:
-    made = two_imu_arm(upper_wobble_deg=5.0)
-    still = two_imu_arm()
-    assert made.upper_motion is not None and still.upper_motion is not None
-    t = np.linspace(0.0, 8.0, 400)
-    turn = Rotation.from_matrix(
-        made.upper_motion.imu_pose(t)[0].transpose(0, 2, 1) @ still.upper_motion.imu_pose(t)[0]
-    )
-    assert np.degrees(np.sqrt(np.mean(turn.magnitude() ** 2))) == pytest.approx(5.0, rel=0.15)
-
-
-def test_the_end_is_occluded() -> None:
-    made = two_imu_arm(end_gap_s=3.0)
-    t = made.recording.arm.t_s
-    np.testing.assert_array_equal(made.occluded, t >= 5.0)
-    assert not made.recording.arm.tracked("wrist")[t > 5.2].any()
-    assert made.recording.arm.tracked("shoulder")[t > 5.2].all()
 
 
 def trunk_arm(**changes: object) -> SimulatedArm:

@@ -20,18 +20,9 @@ from smoother.io.wire.schemas import message_class
 from smoother.simulation.panel import FIELD_W, PanelSimulation, SimulatedPanel, panel_corners, simulate_panel
 
 
-def blob(infrared: np.ndarray, pixel: np.ndarray, reach: int = 7) -> np.ndarray:
-    """Centroid of what stands out of the background about a pixel."""
-    column, row = np.rint(pixel).astype(int)
-    patch = infrared[row - reach : row + reach + 1, column - reach : column + reach + 1].astype(float)
-    weight = np.clip(patch - 0.1 * 65535, 0, None)
-    v, u = np.mgrid[row - reach : row + reach + 1, column - reach : column + reach + 1]
-    return np.array([(weight * u).sum(), (weight * v).sum()]) / weight.sum()
-
-
 def board_depth(panel: SimulatedPanel, number: int = 0) -> np.ndarray:
     """Depth of the panel's plane in every pixel, mm: ray against plane, by hand."""
-    pose, rays = panel.poses[number], panel.lens.all_rays()
+    pose, rays = panel.poses[number], panel.lens.ray_image()
     normal = pose.R_K_P[:, 2]
     return 1000 * (normal @ pose.p_K_P) / (rays @ normal[:2] + normal[2])
 
@@ -41,7 +32,7 @@ def on_board(panel: SimulatedPanel, inset_px: int, number: int = 0) -> np.ndarra
     import cv2
 
     pose = panel.poses[number]
-    outline = panel.lens.project(panel_corners(panel.config) @ pose.R_K_P.T + pose.p_K_P)
+    outline = panel.lens.pixels(panel_corners(panel.config) @ pose.R_K_P.T + pose.p_K_P)
     mask = np.zeros(pose.depth.shape, np.uint8)
     cv2.fillConvexPoly(mask, np.rint(outline).astype(np.int32), 1)
     mask = cv2.erode(mask, np.ones((2 * inset_px + 1,) * 2, np.uint8))
@@ -53,19 +44,6 @@ def on_board(panel: SimulatedPanel, inset_px: int, number: int = 0) -> np.ndarra
 @pytest.fixture(scope="module")
 def ideal() -> SimulatedPanel:
     return simulate_panel(PanelSimulation.ideal(poses=4, quantised=False), seed=5)
-
-
-def test_lens_agrees_with_opencv_both_ways():
-    import cv2
-
-    lens = simulate_panel(PanelSimulation.ideal(width=96, height=80, focal_px=70.0), 1).lens
-    rays = lens.all_rays().reshape(-1, 2)
-    points = np.column_stack([rays, np.ones(len(rays))]) * 1.7
-    ours = lens.project(points)
-    theirs, _ = cv2.projectPoints(points, np.zeros(3), np.zeros(3), lens.matrix, np.array(lens.distortion))
-    np.testing.assert_allclose(ours, theirs[:, 0], atol=1e-9)
-    v, u = np.mgrid[: lens.height, : lens.width]
-    np.testing.assert_allclose(ours, np.column_stack([u.ravel(), v.ravel()]), atol=1e-8)
 
 
 def test_depth_is_the_panels_plane(ideal: SimulatedPanel):
@@ -85,40 +63,6 @@ def test_answer_brings_the_mocap_markers_to_the_panel(ideal: SimulatedPanel):
         assert np.linalg.det(pose.R_K_P) == pytest.approx(1)
         assert pose.R_K_P[:, 2] @ pose.p_K_P < 0  # z towards the camera
     assert any((p.marker_order != np.arange(4)).any() for p in ideal.poses)  # shuffled
-
-
-@pytest.mark.slow
-def test_blobs_are_centred(ideal: SimulatedPanel):
-    """Blurred and clipped, a blob still lies where the marker's centre is."""
-    errors = np.concatenate(
-        [
-            [blob(pose.infrared, pixel) - pixel for pixel in pose.marker_pixels]
-            for panel in (ideal, simulate_panel(PanelSimulation.ideal(poses=8), seed=6))
-            for pose in panel.poses
-        ]
-    )
-    # Clipping leaves about 0.03 px that depends on where in a pixel the centre falls: 48 of them, so the
-    # mean's own sigma is 0.005.
-    assert np.abs(errors.mean(axis=0)).max() < 0.02
-    assert errors.std() < 0.06
-    assert any((pose.infrared == 65535).sum() >= 4 for pose in ideal.poses)  # saturated in their middle
-
-
-def test_noise_holes_and_rims():
-    config = PanelSimulation(hand=False, depth_noise_m=0.002, distance_m=(1.49, 1.51), tilt_deg=(0, 5))
-    panel = simulate_panel(config, seed=2)
-    pose, mask = panel.poses[0], on_board(panel, 4)
-    error = pose.depth[mask] - board_depth(panel)[mask]
-    assert 1.8 < np.std(error) < 2.4  # 2 mm at 1.5 m, somewhat more off the middle
-    assert abs(error.mean()) < 0.1
-    for u, v in pose.marker_pixels:
-        assert pose.depth[round(v), round(u)] == 0  # a hole in every marker
-    ring = on_board(panel, 0) & ~on_board(panel, 2)
-    assert (
-        np.abs(pose.depth[ring] - board_depth(panel)[ring]) > 20
-    ).sum() >= 5  # flying pixels, or none at all
-    longer = simulate_panel(config.model_copy(update={"depth_offset_m": 0.005}), seed=2).poses[0]
-    np.testing.assert_allclose((longer.depth[mask] - pose.depth[mask].astype(float)).mean(), 5, atol=0.1)
 
 
 def test_spots_that_are_added_and_taken_away():
