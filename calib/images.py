@@ -263,9 +263,11 @@ def drawn_spots(infrared: FloatArray, blobs: Blobs) -> bytes:  # infrared (heigh
     grey = (255 * np.clip(infrared / top, 0, 1) ** 0.6).astype(np.uint8)
     image = cv2.resize(grey, None, fx=factor, fy=factor, interpolation=cv2.INTER_NEAREST)
     rings = [
-        cv2.KeyPoint(*(factor * (pixel + 0.5) - 0.5).tolist(), 2 * factor * (radius + 3))
-        for pixel, radius in zip(blobs.pixels, blobs.radii_px.tolist(), strict=True)
+        cv2.KeyPoint(factor * (u + 0.5) - 0.5, factor * (v + 0.5) - 0.5, 2 * factor * (radius + 3))
+        for (u, v), radius in zip(blobs.pixels.tolist(), blobs.radii_px.tolist(), strict=True)
     ]
-    picture = cv2.drawKeypoints(image, rings, None, (0, 170, 255), cv2.DRAW_MATCHES_FLAGS_DRAW_RICH_KEYPOINTS)
+    picture = cv2.drawKeypoints(
+        image, rings, image, (0, 170, 255), cv2.DRAW_MATCHES_FLAGS_DRAW_RICH_KEYPOINTS
+    )
     _, packed = cv2.imencode(".png", picture)
     return bytes(packed.tobytes())

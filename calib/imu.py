@@ -119,14 +119,14 @@ _NO = np.zeros((0, 3))
 NO_RESTS = Rests(np.zeros((0, 2), int), _NO, _NO, np.zeros(3), np.zeros(3), np.zeros(0, int))
 
 
-def find_rests(imu: ImuStream) -> Rests:
-    """All rests of a stream."""
+def find_rests(imu: ImuStream, slack: float = 1.0) -> Rests:
+    """All rests of a stream; `slack` times as much motion passes as in a sensor that lies, as in a hand."""
     rate = imu.rate_hz
     width = max(round(LOOK_S * rate), 5) | 1
     if len(imu) < 2 * width:
         return NO_RESTS
-    still = _still(imu.acc, width, STILL_ACC, MOVING_ACC, CREEP_ACC)
-    still &= _still(imu.gyro, width, STILL_GYRO, MOVING_GYRO, CREEP_GYRO)
+    still = _still(imu.acc, width, slack * STILL_ACC, MOVING_ACC, slack * CREEP_ACC)
+    still &= _still(imu.gyro, width, slack * STILL_GYRO, MOVING_GYRO, slack * CREEP_GYRO)
     # less than half a look, so that two rests with nothing but a jump between them stay two
     let_go = max(width // 6, 1)
     still = binary_dilation(still, iterations=width // 2 - let_go)

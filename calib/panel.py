@@ -196,10 +196,12 @@ def identify_spots(blobs: Blobs, depth_m: FloatArray, rays: FloatArray, panel: P
     sets = np.array(list(combinations(range(len(blobs)), 4)))
     thetas = _planes(blobs.pixels[sets], depth_m, rays)
     known = np.isfinite(thetas).all(axis=1)
+    spread = np.linalg.svd(blobs.rays - blobs.rays.mean(axis=0), compute_uv=False)
+    edge_on = NotSeen(f"{name}: the panel is seen edge-on; {TURN_IT}")
+    on_one_line = bool(spread[1] < ON_ONE_LINE * spread[0])
     if not known.any():
-        if _on_one_line(blobs):
-            raise _edge_on_line(name)
-        raise NotSeen(f"{name}: depth is missing under the panel; {SEE_DEPTH}")
+        depth = NotSeen(f"{name}: depth is missing under the panel; {SEE_DEPTH}")
+        raise edge_on if on_one_line else depth
     sets, thetas = sets[known], thetas[known]
     ray = np.concatenate([blobs.rays[sets], np.ones((*sets.shape, 1))], axis=2)
     inverse = np.einsum("skj,sj->sk", ray, thetas)
@@ -213,7 +215,16 @@ def identify_spots(blobs: Blobs, depth_m: FloatArray, rays: FloatArray, panel: P
             final=True,
         )
     if not facing:
-        raise _none_fits(name, blobs, places)
+        four, is_steep = places[0], False
+        if len(blobs) == 4 and np.isfinite(four).all():
+            normal, ray = np.linalg.svd(four - four.mean(axis=0))[2][2], unit(four.mean(axis=0))
+            is_steep = abs(float(normal @ ray)) < np.cos(np.radians(EDGE_ON_DEG - 10))
+        if on_one_line or is_steep:
+            raise edge_on
+        raise NotIdentified(
+            f"{name}: of {len(blobs)} bright spots no four have the distances of the panel's definition; see"
+            " that all four markers are visible and the panel was measured in metres; cover reflections."
+        )
     return _clearly_best(
         facing,
         f"{name}: {len(blobs)} bright spots are visible and fit the panel in more than one way; cover"
@@ -283,38 +294,6 @@ def _planes(corners: FloatArray, depth_m: FloatArray, rays: FloatArray) -> Float
         if len(u) >= 30:
             thetas[row] = robust_plane(rays[v, u], depth_m[v, u])
     return thetas
-
-
-def _none_fits(name: str, blobs: Blobs, places: FloatArray) -> NotSeen:
-    """The message where no four spots fit the panel; `places` (S, 4, 3) of all sets of four."""
-    if _on_one_line(blobs):
-        return _edge_on_line(name)
-    if len(blobs) > 4:
-        return NotIdentified(
-            f"{name}: of {len(blobs)} bright spots no four have the distances of the panel's definition;"
-            " check that all four markers are visible, and cover other reflections."
-        )
-    centre = places[0].mean(axis=0)
-    if np.isfinite(centre).all():
-        normal = np.linalg.svd(places[0] - centre)[2][2]
-        angle = np.degrees(np.arccos(min(abs(normal @ centre) / np.linalg.norm(centre), 1.0)))
-        if angle > EDGE_ON_DEG - 10:
-            return NotSeen(f"{name}: the panel is seen edge-on; {TURN_IT}")
-    return NotIdentified(
-        f"{name}: the four bright spots do not have the distances of the panel's definition; check that"
-        " all four are markers of this panel, and that the panel was measured in metres."
-    )
-
-
-def _on_one_line(blobs: Blobs) -> bool:
-    spread = np.linalg.svd(blobs.rays - blobs.rays.mean(axis=0), compute_uv=False)
-    return bool(spread[1] < ON_ONE_LINE * spread[0])
-
-
-def _edge_on_line(name: str) -> NotSeen:
-    return NotSeen(
-        f"{name}: the bright spots lie on one line, as those of a panel that is seen edge-on; {TURN_IT}"
-    )
 
 
 #: A constant error of the depth before anything is known of it, m (Kinect v2: some mm).

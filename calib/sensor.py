@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Annotated, Any, Self
 
 import numpy as np
@@ -17,57 +17,14 @@ from smoother.runtime.store import large_array
 from .file import CalibrationFile, Vector, checked
 
 
-@dataclass(frozen=True)
-class SensorCalibration:
-    """Corrections of one sensor; None where not measured."""
-
-    accelerometer: tuple[FloatArray, FloatArray] | None = None  # Offset (3,) and matrix (3, 3)
-    gyroscope: FloatArray | None = None  # Offset (3,)
-    magnetometer: tuple[FloatArray, FloatArray] | None = None  # Offset (3,) and matrix (3, 3)
-    accelerometer_density: float | None = None  # White noise, m/s^2/sqrt(Hz) and rad/s/sqrt(Hz)
-    gyroscope_density: float | None = None  # White noise, m/s^2/sqrt(Hz) and rad/s/sqrt(Hz)
-
-    def apply(self, imu: ImuStream) -> ImuStream:
-        """The corrected stream."""
-        acc, gyro, mag = imu.acc, imu.gyro, imu.mag
-        if self.accelerometer is not None:
-            offset, matrix = self.accelerometer
-            acc = (acc - offset) @ matrix.T
-        if self.gyroscope is not None:
-            gyro = gyro - self.gyroscope
-        if self.magnetometer is not None and mag is not None:
-            offset, matrix = self.magnetometer
-            mag = (mag - offset) @ matrix.T
-        return replace(
-            imu,
-            acc=acc,
-            gyro=gyro,
-            mag=mag,
-            mag_calibrated=mag is not None and self.magnetometer is not None,
-            accelerometer_density=self.accelerometer_density,
-            gyroscope_density=self.gyroscope_density,
-        )
-
-    @property
-    def named(self) -> tuple[str, ...]:
-        """What is corrected, in words."""
-        pairs = (("accelerometer", self.accelerometer), ("gyroscope", self.gyroscope))
-        return tuple(name for name, held in (*pairs, ("magnetometer", self.magnetometer)) if held is not None)
-
-
-def sensor_name(topic: str) -> str:
-    """A stream's name in the calibration file: its topic without `/imu/`."""
-    return topic.strip("/").removeprefix("imu/") or "imu"
-
-
-class _Part(BaseModel):
-    """What is read of a sensor's table; its further keys are for people."""
+class Correction(BaseModel):
+    """What is read of a sensor's table, corrected = matrix (raw - offset); further keys are for people."""
 
     model_config = ConfigDict(allow_inf_nan=False, defer_build=True)
 
     offset: Vector | None = None
     matrix: Annotated[list[Vector], Field(min_length=3, max_length=3)] | None = None
-    noise_density: float | None = Field(default=None, gt=0, strict=True)
+    noise_density: float | None = Field(default=None, gt=0, strict=True)  # White, per sqrt(Hz)
 
     @model_validator(mode="after")
     def _invertible(self) -> Self:
@@ -77,35 +34,52 @@ class _Part(BaseModel):
         return self
 
     @property
-    def affine(self) -> tuple[FloatArray, FloatArray] | None:
-        """Offset (3,) and matrix (3, 3); None without either."""
-        if self.offset is None and self.matrix is None:
-            return None
-        return np.array(self.offset or np.zeros(3)), np.array(self.matrix or np.eye(3))
+    def is_known(self) -> bool:
+        """Whether there is something to correct."""
+        return self.offset is not None or self.matrix is not None
+
+    def apply(self, raw: FloatArray) -> FloatArray:
+        """Corrected samples (N, 3)."""
+        left = raw if self.offset is None else raw - np.array(self.offset)
+        return left if self.matrix is None else left @ np.array(self.matrix).T
 
 
-class _Parts(BaseModel):
+class SensorCalibration(BaseModel):
+    """Corrections of one sensor."""
+
     model_config = ConfigDict(defer_build=True)
 
-    accelerometer: _Part = Field(default_factory=_Part)
-    gyroscope: _Part = Field(default_factory=_Part)
-    magnetometer: _Part = Field(default_factory=_Part)
+    accelerometer: Correction = Field(default_factory=Correction)
+    gyroscope: Correction = Field(default_factory=Correction)
+    magnetometer: Correction = Field(default_factory=Correction)
+
+    @property
+    def named(self) -> list[str]:
+        """What is corrected, in words."""
+        return [name for name in type(self).model_fields if getattr(self, name).is_known]
+
+    def apply(self, imu: ImuStream) -> ImuStream:
+        """The corrected stream."""
+        return replace(
+            imu,
+            acc=self.accelerometer.apply(imu.acc),
+            gyro=self.gyroscope.apply(imu.gyro),
+            mag=None if imu.mag is None else self.magnetometer.apply(imu.mag),
+            mag_calibrated=imu.mag is not None and self.magnetometer.is_known,
+            accelerometer_density=self.accelerometer.noise_density,
+            gyroscope_density=self.gyroscope.noise_density,
+        )
+
+
+def sensor_name(topic: str) -> str:
+    """A stream's name in the calibration file: its topic without `/imu/`."""
+    return topic.strip("/").removeprefix("imu/") or "imu"
 
 
 def sensor_of(file: CalibrationFile, topic: str) -> SensorCalibration | None:
     """The calibration of a stream's sensor; None where the file has none of that name."""
     held = sensors_in(file).get(sensor_name(topic))
-    if held is None:
-        return None
-    parts = checked(_Parts, held, f"{file.source}: imu.{sensor_name(topic)}")
-    acc, gyro = parts.accelerometer, parts.gyroscope
-    return SensorCalibration(
-        accelerometer=acc.affine,
-        gyroscope=None if gyro.offset is None else np.array(gyro.offset),
-        magnetometer=parts.magnetometer.affine,
-        accelerometer_density=acc.noise_density,
-        gyroscope_density=gyro.noise_density,
-    )
+    return held and checked(SensorCalibration, held, f"{file.source}: imu.{sensor_name(topic)}")
 
 
 def sensors_in(file: CalibrationFile) -> dict[str, Any]:
@@ -130,7 +104,7 @@ def corrected(recording: Recording, calibration: CalibrationFile) -> Recording:
             return imu
         named = [name for name in found.named if name != "magnetometer" or imu.mag is not None]
         said = f"{imu.name}: {', '.join(named)} corrected" if named else f"{imu.name}: nothing to correct"
-        if found.accelerometer_density is not None or found.gyroscope_density is not None:
+        if found.accelerometer.noise_density or found.gyroscope.noise_density:
             said += "; its measured noise is used"
         notes.append(f"{said} ({calibration.source})")
         return _applied(found, imu)
@@ -158,7 +132,7 @@ def corrected_streams(streams: Sequence[ImuStream], file: CalibrationFile) -> tu
     if sensor is None:
         return list(streams), False
     once = {id(stream): sensor.apply(stream) for stream in streams}
-    return [once[id(stream)] for stream in streams], sensor.accelerometer is not None
+    return [once[id(stream)] for stream in streams], sensor.accelerometer.is_known
 
 
 def _applied(sensor: SensorCalibration, imu: ImuStream) -> ImuStream:

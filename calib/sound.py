@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.ndimage import minimum_filter1d, uniform_filter1d
 from scipy.optimize import OptimizeResult, least_squares
-from scipy.signal import fftconvolve, find_peaks, get_window
+from scipy.signal import ShortTimeFFT, fftconvolve, find_peaks, get_window
 
 from smoother.array_types import FloatArray
 from smoother.errors import CalibrationError
@@ -62,21 +62,14 @@ def direct_end(
     return float(places[-1]), float(places[-1] - places[0])
 
 
-@dataclass(frozen=True)
-class Fall:
-    """A step to a decaying tail, fitted to a complex envelope."""
-
-    end_s: float  # The step
-    variance_s2: float  # The variance of it that the residuals leave
-    tail: float  # Size of the tail against the beep
-    decay_s: float  # Its time constant
-    drop: float  # What stops at once, against the beep; 1 without a tail
-
-
 def fit_fall(
     envelope: np.ndarray, kernel: FloatArray, t: FloatArray, rate_hz: float, near_s: float, slack_s: float
-) -> Fall:
-    """The end of a beep: before it a constant, after it the buzzer's ring and the room's tail."""
+) -> tuple[float, float, float, float, float]:
+    """The end of a beep: before it a constant, after it the buzzer's ring and the room's tail.
+
+    The step, s, and its variance; the tail's size against the beep, its time constant, s, and what stops at
+    once against the beep.
+    """
     half = len(kernel) // 2
     inside = slice(half, len(t) - half)
     before = t[inside] < near_s - 0.003
@@ -121,13 +114,8 @@ def fit_fall(
     variance = 2 * best.cost * worth / max(2 * len(envelope) - 7 * worth, 1.0)
     spread = np.linalg.pinv(best.jac.T @ best.jac) * variance
     _, weight = sizes(best.x)
-    return Fall(
-        end_s=float(best.x[0]),
-        variance_s2=float(spread[0, 0]),
-        tail=float(abs(weight[1]) / max(abs(weight[0]), 1e-12)),
-        decay_s=float(np.exp(best.x[1])),
-        drop=float(abs(weight[0] - weight[1]) / max(abs(weight[0]), 1e-12)),
-    )
+    tail, drop = (abs(part) / max(abs(weight[0]), 1e-12) for part in (weight[1], weight[0] - weight[1]))
+    return float(best.x[0]), float(spread[0, 0]), float(tail), float(np.exp(best.x[1])), float(drop)
 
 
 #: Frames of the first search, s.
@@ -209,17 +197,15 @@ def find_beeps(
 def _spectrogram(samples: FloatArray, rate_hz: float) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Frame centres (n,), frequencies (f,) and power (n, f) in the range of buzzers."""
     size, hop = max(int(FRAME_S * rate_hz), 16), max(int(HOP_S * rate_hz), 4)
-    frequency = np.fft.rfftfreq(size, 1 / rate_hz)
-    band = (frequency >= TONES_HZ[0]) & (frequency <= min(TONES_HZ[1], 0.45 * rate_hz))
-    window = get_window("hann", size)
-    starts = np.arange(0, len(samples) - size + 1, hop)
-    views = np.lib.stride_tricks.sliding_window_view(samples, size)
+    frames = ShortTimeFFT(get_window("hann", size), hop, rate_hz)
+    band = (frames.f >= TONES_HZ[0]) & (frames.f <= min(TONES_HZ[1], 0.45 * rate_hz))
+    first, last = -(-size // 2 // hop), (len(samples) - size // 2) // hop + 1
     step = max(int(BATCH_S / HOP_S), 1)
     parts = [
-        (np.abs(np.fft.rfft(views[starts[k : k + step]] * window, axis=1))[:, band] ** 2).astype(np.float32)
-        for k in range(0, len(starts), step)
+        frames.spectrogram(samples, p0=k, p1=min(k + step, last))[band].T.astype(np.float32)
+        for k in range(first, last, step)
     ]
-    return np.asarray((starts + 0.5 * size) / rate_hz), np.asarray(frequency[band]), np.concatenate(parts)
+    return np.arange(first, last) * hop / rate_hz, np.asarray(frames.f[band]), np.concatenate(parts)
 
 
 def _clearest(
@@ -288,24 +274,15 @@ def _fit_end(
     half = len(kernel) // 2
     inside = slice(half, len(t) - half)
     envelope = fftconvolve(mixed, kernel, mode="same")[inside]
-    fall = fit_fall(envelope, kernel, t, rate_hz, near, SLACK_S)
-    loud_room = fall.tail > LOUD_TAIL and fall.decay_s > LONG_TAIL_S
+    end, variance, tail, decay_s, drop = fit_fall(envelope, kernel, t, rate_hz, near, SLACK_S)
+    loud_room = tail > LOUD_TAIL and decay_s > LONG_TAIL_S
     # the buzzer stops somewhere in a period of its tone, and no tail is quite exponential: the less stops
     # at once, the more the tail's shape counts
-    shape = TAIL_PART * min(fall.decay_s, AFTER_S) * min(fall.tail, 1.0) / max(fall.drop, 0.05)
+    shape = TAIL_PART * min(decay_s, AFTER_S) * min(tail, 1.0) / max(drop, 0.05)
     doubt *= DOUBT_PART
-    sigma = float(
-        np.sqrt(fall.variance_s2 + (1 / tone_hz) ** 2 / 12 + MODEL_SIGMA_S**2 + shape**2 + doubt**2)
-    )
-    return Beep(
-        start_s=start_s,
-        end_s=fall.end_s,
-        sigma_s=sigma,
-        frequency_hz=tone_hz,
-        above_quiet_db=above_db,
-        decay_s=fall.decay_s,
-        loud_room=loud_room or doubt > MODEL_SIGMA_S,
-    )
+    sigma = float(np.sqrt(variance + (1 / tone_hz) ** 2 / 12 + MODEL_SIGMA_S**2 + shape**2 + doubt**2))
+    loud_room |= doubt > MODEL_SIGMA_S
+    return Beep(start_s, end, sigma, tone_hz, above_db, decay_s, loud_room)
 
 
 def _steady(samples: FloatArray, rate_hz: float, start_s: float, end_s: float, tone_hz: float) -> float:

@@ -31,6 +31,8 @@ from .sensor import corrected_streams, sensor_of
 
 #: A rest this near to a pose's time is the pose's, s; it is averaged over what lies so near.
 REACH_S = 1.0
+#: A hand moves a panel by so many times what a sensor that lies is allowed (0.2 m/s^2, 0.075 rad/s).
+HAND = 5.0
 #: What a gyroscope's scale, axes and bias add to a turn: a share of it, and rad a second.
 GYRO_SCALE, GYRO_DRIFT_RAD_S = 0.003, 2e-4
 #: A pause of an IMU that breaks the link between two poses, s.
@@ -170,8 +172,6 @@ _GUESS_ROUNDS = 25
 _APART_RAD, _MOST = 0.3, 4
 #: Mean square (rad^2 per pose) by which a guess may fit worse than the best and still lead to the answer.
 _HOPELESS = 0.01
-#: A turn between poses is treated as a direction where it is larger than this, rad.
-_TURN_RAD = 0.1
 _DIP_RAD = 0.8
 
 
@@ -201,7 +201,7 @@ def _attitudes(poses: list[WorldPose], pairs: _Pairs, R_P_I: FloatArray) -> Atti
 
 
 class _Pairs:
-    """Directions that both IMUs know: up, the field, and the axes of the camera's own turns."""
+    """Directions that both IMUs know: up, and the field."""
 
     def __init__(self, poses: list[WorldPose]):
         self.R_K_P = np.array([pose.R_K_P for pose in poses])
@@ -211,13 +211,6 @@ class _Pairs:
             panel.append([np.asarray(pose.panel.mag) for pose in poses])
         # (kinds, n, 3) unit vectors
         self._in_B, self._in_I = unit(np.array(base)), unit(np.array(panel))
-        linked = [
-            i for i, p in enumerate(poses) if i and p.base_turn is not None and p.panel_turn is not None
-        ]
-        self._linked = np.array(linked, dtype=int)
-        turns = [(poses[i].base_turn, poses[i].panel_turn) for i in linked]
-        self._turn_B = np.array([b.R for b, _ in turns if b is not None]).reshape(-1, 3, 3)
-        self._turn_I = np.array([i.R for _, i in turns if i is not None]).reshape(-1, 3, 3)
 
     def in_turn(self, R_P_I: FloatArray, rounds: int) -> tuple[float, FloatArray]:
         """Improve the mounting; its loss, and the mounting."""
@@ -232,14 +225,6 @@ class _Pairs:
         """`R_K_B` for a mounting, and the sum of squares that is left."""
         in_K = np.einsum("nij,jk,mnk->mni", self.R_K_P, R_P_I, self._in_I).reshape(-1, 3)
         in_B = self._in_B.reshape(-1, 3)
-        if len(self._linked):
-            # X D_B X' = Z_a Y D_I Y' Z_b': the camera's own turn, seen in {B} and in {K}
-            turned = R_P_I @ self._turn_I @ R_P_I.T
-            a, b = self.R_K_P[self._linked - 1], self.R_K_P[self._linked]
-            of_K = Rotation.from_matrix(a @ turned @ np.swapaxes(b, 1, 2)).as_rotvec()
-            of_B = Rotation.from_matrix(self._turn_B).as_rotvec()
-            far = np.minimum(np.linalg.norm(of_K, axis=1), np.linalg.norm(of_B, axis=1)) > _TURN_RAD
-            in_K, in_B = np.vstack([in_K, unit(of_K[far])]), np.vstack([in_B, unit(of_B[far])])
         return _wahba(in_K, in_B)
 
 
@@ -416,7 +401,7 @@ def world_poses(
     poses: list[WorldPose] = []
     notes: list[str] = []
     last = -1
-    held = {id(imu): find_rests(imu) for imu in {id(imu): imu for imu in (*panel, *base)}.values()}
+    held = {id(imu): find_rests(imu, HAND) for imu in {id(imu): imu for imu in (*panel, *base)}.values()}
     for i, view in enumerate(views):
         try:
             on_panel, on_base = (
@@ -711,7 +696,7 @@ def with_gravity(recording: Recording, file: CalibrationFile) -> Recording:
     if known is None or base is None or len(base) == 0:
         return recording
     sensor = sensor_of(file, base.name)
-    is_corrected = sensor is not None and sensor.accelerometer is not None
+    is_corrected = sensor is not None and sensor.accelerometer.is_known
     if recording.camera_frame not in _FROM_OPTICAL:
         note = "The base IMU was not used: the camera's axes of the recording are unknown."
     elif is_corrected != known.accelerometer_corrected:

@@ -86,30 +86,6 @@ def test_toml_of_any_plain_values(table: dict):
     assert tomllib.loads(to_toml({"x": table})) == {"x": table}
 
 
-def test_the_file_reads_well(tmp_path: Path):
-    path = tmp_path / "cal.toml"
-    arm = ArmCalibration(
-        "right",
-        {"elbow": LeverArm(np.array([0.03, -0.2, 0.0]), np.full(3, 0.005))},
-        Length(0.3, 0.004),
-        np.eye(3),
-    )
-    write_calibration(path, CalibrationFile().with_arm(arm))
-    assert path.read_text() == (
-        'format = "unocclude calibration"\n'
-        "version = 1\n"
-        "\n"
-        "[arm.right]\n"
-        "upper_arm_m = 0.3\n"
-        "upper_arm_sigma_m = 0.004\n"
-        "R_F_A = [1.0, 0.0, 0.0, 0.0]\n"
-        "\n"
-        "[arm.right.lever_arm.elbow]\n"
-        "position_m = [0.03, -0.2, 0.0]\n"
-        "sigma_m = [0.005, 0.005, 0.005]\n"
-    )
-
-
 def test_writing_merges(tmp_path: Path):
     path = tmp_path / "cal.toml"
     path.write_text(

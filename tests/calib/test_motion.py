@@ -9,17 +9,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 from commands import done, refused
-from scipy.spatial.transform import Rotation
 
 from calib import CalibrationFile, read_calibration, sigma_factor, write_calibration
 from calib.file import sigma_factors_of
 from calib.motion import (
     ArmEstimates,
-    ClockOffset,
     Evidence,
     beyond,
     calibrate_motion,
-    clocks_not_determined,
     forearm_frame,
     motion_answer,
     not_determined,
@@ -142,41 +139,6 @@ def test_refusals(file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
     assert bad.read_text() == "x = 1\n"
 
 
-@pytest.mark.slow
-def test_recordings_of_two_mountings_are_refused_by_name(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
-    """Halves of one recording belong together; another person's does not."""
-    settings = ArmSimulation.preset("realistic", protocol="random", duration_s=40.0)
-    first, other = simulate_arm(settings, 0).recording, simulate_arm(settings, 1).recording
-    middle_s = float(np.mean(first.imu.t_s[[0, -1]]))
-    for name, recording in (
-        (
-            "a",
-            replace(
-                first,
-                imu=first.imu.select(first.imu.t_s < middle_s),
-                arm=first.arm.select(first.arm.t_s < middle_s),
-            ),
-        ),
-        (
-            "b",
-            replace(
-                first,
-                imu=first.imu.select(first.imu.t_s >= middle_s),
-                arm=first.arm.select(first.arm.t_s >= middle_s),
-            ),
-        ),
-        ("c", other),
-    ):
-        write_recording(replace(recording, truth=None), tmp_path / f"{name}.mcap")
-    files = [tmp_path / f"{name}.mcap" for name in "abc"]
-    done("calibrate", "motion", *files[:2], "-o", tmp_path / "same.toml", "--processes", "1")
-    capsys.readouterr()
-    assert command(*files, "-o", tmp_path / "mixed.toml") == 1
-    said = capsys.readouterr().err
-    assert "2 mountings or persons" in said and "a.mcap, b.mcap; c.mcap" in said
-    assert not (tmp_path / "mixed.toml").exists()
-
-
 FRAMES = dict.fromkeys(("shoulder", "elbow", "wrist", "hand", "strap", "upper_arm"), 500)
 GOOD = Evidence(visible_s=25.0, frames=FRAMES, turning_rad_s=2.0, axial_rad=2.5)
 NOTHING = ArmCalibration(side="right")
@@ -198,26 +160,6 @@ def an_arm(sigma_m: float = 0.003, distance_m: float = 0.035) -> ArmCalibration:
 
 def said(arm: ArmCalibration, evidence: Evidence = GOOD, known: ArmCalibration = NOTHING) -> str:
     return "\n".join(not_determined(arm, forearm_frame(arm), evidence, known))
-
-
-def turned(arm: ArmCalibration, R: np.ndarray) -> ArmCalibration:
-    levers = {joint: LeverArm(R @ each.position_m, each.sigma_m) for joint, each in arm.lever_arms.items()}
-    return replace(arm, lever_arms=levers)
-
-
-@pytest.mark.parametrize("seed", range(5))
-def test_axes_of_the_forearm(seed):
-    R = Rotation.random(random_state=seed).as_matrix()
-    frame = forearm_frame(turned(an_arm(), R))
-    assert frame is not None and frame.R_F_A is not None
-    np.testing.assert_allclose(frame.R_F_A, R.T, atol=1e-12)  # {A} was {F} before it was turned
-    assert np.linalg.det(frame.R_F_A) == pytest.approx(1.0)
-    assert frame.distance_m == pytest.approx(0.035)
-    assert frame.length_m == pytest.approx(0.25)
-    # 3 mm on 35 mm
-    assert np.degrees(frame.roll_sigma_rad) == pytest.approx(np.degrees(3 / 35), rel=1e-6)
-    assert frame.distance_sigma_m == pytest.approx(0.003, rel=1e-6)
-    assert frame.length_sigma_m == pytest.approx(0.003 * np.sqrt(2), rel=1e-6)
 
 
 WRIST_ALONE = replace(an_arm(), lever_arms={"wrist": an_arm().lever_arms["wrist"]}, upper_arm=None)
@@ -279,14 +221,6 @@ def test_what_is_given_is_not_called_open():
     arm = an_arm(sigma_m=0.03)
     evidence = replace(GOOD, frames=FRAMES | {"upper_arm": 0})
     assert said(arm, evidence, replace(arm, R_F_A=np.eye(3))) == ""
-
-
-def test_clocks():
-    offsets = [ClockOffset("a", 0.02, 0.001, 0.0), ClockOffset("b", 0.02, 0.04, 0.0), ClockOffset("c")]
-    assert clocks_not_determined(offsets) == [
-        "b: the clock offset is known to 40 ms only; the arm moved too little or too slowly",
-        "c: IMU and visible forearm never overlap; it was not used",
-    ]
 
 
 def test_errors_of_the_camera_are_no_fault_of_the_motion():
@@ -362,3 +296,38 @@ def test_the_calibration_keeps_them(calibrated: ArmEstimates) -> None:
     assert {row.gaps for row in factors.by_length} == {FEW}
     kept = sigma_factors_of(motion_answer(calibrated).table)
     assert kept is not None and kept.at(1.0) == pytest.approx(factors.at(1.0), abs=1e-4)
+
+
+@pytest.mark.slow
+def test_recordings_of_two_mountings_are_refused_by_name(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    """Halves of one recording belong together; another person's does not."""
+    settings = ArmSimulation.preset("realistic", protocol="random", duration_s=40.0)
+    first, other = simulate_arm(settings, 0).recording, simulate_arm(settings, 1).recording
+    middle_s = float(np.mean(first.imu.t_s[[0, -1]]))
+    for name, recording in (
+        (
+            "a",
+            replace(
+                first,
+                imu=first.imu.select(first.imu.t_s < middle_s),
+                arm=first.arm.select(first.arm.t_s < middle_s),
+            ),
+        ),
+        (
+            "b",
+            replace(
+                first,
+                imu=first.imu.select(first.imu.t_s >= middle_s),
+                arm=first.arm.select(first.arm.t_s >= middle_s),
+            ),
+        ),
+        ("c", other),
+    ):
+        write_recording(replace(recording, truth=None), tmp_path / f"{name}.mcap")
+    files = [tmp_path / f"{name}.mcap" for name in "abc"]
+    done("calibrate", "motion", *files[:2], "-o", tmp_path / "same.toml", "--processes", "1")
+    capsys.readouterr()
+    assert command(*files, "-o", tmp_path / "mixed.toml") == 1
+    said = capsys.readouterr().err
+    assert "2 mountings or persons" in said and "a.mcap, b.mcap; c.mcap" in said
+    assert not (tmp_path / "mixed.toml").exists()

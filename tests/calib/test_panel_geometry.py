@@ -64,15 +64,6 @@ def test_spots_to_a_fraction_of_a_pixel(bits: int, radius: float):
     np.testing.assert_allclose(found.rays[order] * 300 + [99.5, 79.5], found.pixels[order], atol=1e-9)
 
 
-def test_a_spot_cut_off_by_the_rim_and_a_streak_are_left_out():
-    rng = np.random.default_rng(1)
-    image = discs(np.array([[60, 60], [199, 100], [100, 1]]), 3.0, 16, rng)
-    image[120:123, 20:120] = 60000
-    found = next(iter(find_blobs(image, Intrinsics(200, 160, 300.0, 300.0, 99.5, 79.5))))
-    assert len(found) == 1
-    np.testing.assert_allclose(found.pixels[0], [60, 60], atol=0.2)
-
-
 # Which is which
 
 
@@ -118,7 +109,7 @@ def test_what_cannot_be_told_is_refused_in_words():
         identify_spots(blobs_of(np.empty((0, 3))), depth, rays, PANEL, "view")
     with pytest.raises(NotSeen, match="depth is missing"):
         identify_spots(right, np.full_like(depth, np.nan), rays, PANEL, "view")
-    with pytest.raises(NotIdentified, match="do not have the distances"):
+    with pytest.raises(NotIdentified, match="no four have the distances"):
         identify_spots(blobs_of(pose.points(1.2 * PANEL.markers_P)), depth, rays, PANEL, "view")
     flat = held(20, 80, 40)
     with pytest.raises(NotSeen, match="edge-on"):
@@ -131,7 +122,7 @@ def test_a_panel_seen_so_flat_that_its_depth_is_lost_is_edge_on(behind_m: float,
     flat = held(20, 88, 40)
     depth = np.full_like(flat.depth(), behind_m)  # of a panel less than a pixel thick
     spots = blobs_of(flat.points(np.concatenate([PANEL.markers_P, np.reshape(further, (-1, 2))])))
-    with pytest.raises(NotSeen, match="on one line"):
+    with pytest.raises(NotSeen, match="edge-on"):
         identify_spots(spots, depth, LENS.ray_image(), PANEL, "view")
 
 
@@ -206,14 +197,6 @@ def test_a_hand_and_flying_pixels_are_left_out():
     assert np.abs(on_plane(plane.theta, rays)[:, 2] - on_plane(pose.theta, rays)[:, 2]).max() < 4e-4
 
 
-def test_offset_of_the_depth_to_second_order():
-    pixels, rays, depth = patch(held(0, 25, 30), 0.0, np.random.default_rng(0))
-    plane = fit_plane(pixels, rays, depth + 0.008)
-    refitted = fit_plane(pixels, rays, depth)
-    np.testing.assert_allclose(plane.at_offset(0.008), refitted.theta, atol=1e-7)
-    np.testing.assert_allclose(plane.at_offset(0.008), held(0, 25, 30).theta, atol=1e-7)
-
-
 def test_a_bent_depth_widens_sigma():
     pixels, rays, depth = patch(held(), 0.001, np.random.default_rng(0))
     flat = fit_plane(pixels, rays, depth)
@@ -261,27 +244,6 @@ def test_one_pose(seed: int):
     assert row["squared"].max() < 16
     degrees, mm = row["published"]
     assert degrees < 0.6 and mm < 3
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    "settings",
-    [
-        {"marker_shape": "sphere", "marker_diameter_m": 0.014},
-        {"marker_diameter_m": 0.03, "marker_gain": 20.0, "distractors": 3},
-        {"marker_diameter_m": 0.009, "marker_gain": 0.6, "blur_px": 1.0},
-        {"width": 640, "height": 576, "focal_px": 504.0, "distance_m": (1.6, 2.4)},
-        {
-            "markers": ((0.0, 0.0), (0.4, 0.0), (0.0, 0.12), (0.0, 0.3)),
-            "extent": ((-0.02, -0.02), (0.42, 0.32)),
-        },
-    ],
-)
-def test_other_markers_cameras_and_panels(settings: dict):
-    row = panel.trial(PanelSimulation(poses=1, **settings), 11)
-    degrees, mm = row["ours"]
-    assert degrees < 0.25 and mm < 1.3
-    assert row["squared"].max() < 16
 
 
 @pytest.mark.slow

@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from calib.imu import find_rests
 from calib.world import (
-    BIAS_M_S2,
-    CORRECTED_M_S2,
     PanelView,
     WorldCalibration,
     accuracy,
@@ -113,22 +112,6 @@ def test_exact_without_noise(how: str):
 
 
 @pytest.mark.slow
-def test_six_poses_with_a_phones_imus():
-    """The figure: within 0.3 degrees, mounting found; sigmas that hold."""
-    errors, nees = [], []
-    for seed in range(20, 26):
-        session = Session(seed, camera_tilt_deg=30)
-        found = calibrate_world(*session.poses())
-        errors.append([session.error_deg(found), degrees(found.R_P_I.T @ session.R_P_I)])
-        left = Rotation.from_matrix(found.R_K_B @ session.R_K_B.T).as_rotvec()
-        nees.append(left @ np.linalg.solve(found.solution.covariance[:3, :3], left) / 3)
-        assert accuracy(found).off_deg == pytest.approx(3.0, abs=0.4)
-    assert np.max(errors, axis=0)[0] < 0.3
-    assert np.max(errors, axis=0)[1] < 0.4
-    assert 0.02 < np.mean(nees) < 1.5  # stated sigmas leave room for worse accelerometers than these
-
-
-@pytest.mark.slow
 def test_camera_that_stands_still_has_tilt_and_no_heading():
     for seed in (5, 6):
         session = Session(seed)
@@ -157,12 +140,6 @@ def test_one_pose_is_the_papers_way():
     assert session.error_deg(found) == pytest.approx(3, abs=4)
     assert world_answer(found).grade == "not good enough"
     assert any("four different poses" in line for line in world_answer(found).next)
-
-
-def test_any_side_of_the_imu_may_be_up():
-    session = Session(10, imu_mounting_deg=170.0, camera_tilt_deg=30)
-    found = calibrate_world(*session.poses())
-    assert session.error_deg(found) < 0.5 and accuracy(found).off_deg == pytest.approx(170, abs=0.5)
 
 
 @pytest.mark.slow
@@ -201,19 +178,11 @@ def test_moving_imus_are_told():
 
 def test_rest_and_turn():
     session = Session(14, poses=2, **CLEAN)
-    first, last = (rest_at(session.panel, view.t_s, view.name, "") for view in session.views)
+    rests = find_rests(session.panel, 5.0)
+    first, last = (rest_at(session.panel, rests, view.t_s, view.name, "") for view in session.views)
     assert np.linalg.norm(first.acc) == pytest.approx(9.81, abs=1e-6)
     turn = turn_between(session.panel, first, last)
     true = (session.R_K_P[0] @ session.R_P_I).T @ session.R_W_K[0].T @ session.R_W_K[1]
     assert degrees(turn.R.T @ true @ session.R_K_P[1] @ session.R_P_I) < 0.02
     keep = np.abs(session.panel.t_s - 3.0) > 0.1
     assert turn_between(session.panel.select(keep), first, last) is None  # a pause breaks the link
-
-
-@pytest.mark.slow
-def test_calibrated_accelerometers_are_believed_more():
-    session = Session(16, accelerometer_bias=0.01)
-    poses, notes = session.poses()
-    made, corrected = (calibrate_world(poses, notes, sigma) for sigma in (BIAS_M_S2, CORRECTED_M_S2))
-    assert accuracy(corrected).tilt_deg < 0.95 * accuracy(made).tilt_deg
-    assert session.tilt_deg(corrected) < 0.3

@@ -19,7 +19,7 @@ from calib.imu import calibrate_imu, imu_answer
 from smoother.cli.load import load_arm
 from smoother.cli.run import run
 from smoother.config import Config
-from smoother.io import open_csv, read_imu, write_recording
+from smoother.io import read_imu, write_recording
 from smoother.io.mcap.messages import nanoseconds
 from smoother.io.recording.streams import ImuSamples, RecordingFile
 from smoother.linalg import sphere
@@ -93,18 +93,6 @@ def test_sound_in_a_recording(tmp_path: Path):
         tmp_path / "d.json",
     )
     assert "ends in the middle" in json.loads((tmp_path / "d.json").read_text())["notes"][0]
-
-
-def test_missed_receptions_are_told_in_any_spelling(tmp_path):
-    plain, spelt = tmp_path / "plain.csv", tmp_path / "spelt.csv"
-    heard = "".join(f"{k},a,{k}.0\n{k},b,{k + 7}.0\n" for k in range(6))
-    plain.write_text("round,node,t_s\n" + heard)
-    missed = "".join(f"9{k},a,99\n9{k},b,{word}\n" for k, word in enumerate(("", "nan", "NA", "None")))
-    spelt.write_text("round,node,t_s\n" + heard + missed)
-    for path in (plain, spelt):
-        done("calibrate", "clock", "--broadcast", path, "--json", path.with_suffix(".json"))
-    links = [json.loads(path.with_suffix(".json").read_text())["links"] for path in (plain, spelt)]
-    assert links[0] == links[1] and links[0][0]["offset_s"] == pytest.approx(7.0)
 
 
 @pytest.mark.parametrize(("node", "groups"), [("Base IMU", 1), ("7", 2)])
@@ -234,22 +222,6 @@ def test_corrections_are_applied_as_a_recording_is_loaded(tmp_path, capsys):
     assert "imu.forearm_right.accelerometer.offset" in said
 
 
-def test_plain_files_of_a_sensor_alone(tmp_path, capsys):
-    stream, _ = rest_poses(sensor(), 10)
-    folder = tmp_path / "poses"
-    folder.mkdir()
-    (folder / "recording.toml").write_text('[imu.forearm_right]\nfile = "imu.csv"\n')
-    rows = np.hstack([stream.t_s[:, None], stream.acc, stream.gyro])
-    np.savetxt(folder / "imu.csv", rows, "%.6f", ",", header="t_s,ax,ay,az,gx,gy,gz", comments="")
-    path = tmp_path / "poses.mcap"
-    done("import", "csv", folder, "-o", path)
-    assert read_imu(path)[0].acc == pytest.approx(stream.acc, abs=1e-6)
-    assert not open_csv(folder).arms
-    done("calibrate", "imu", path, "-o", tmp_path / "cal.toml")
-    capsys.readouterr()
-    failed(capsys, ["smooth", path, "-o", tmp_path / "o.mcap"], "has no skeleton")
-
-
 #: A normalised error beyond this has a chance of one in fifteen thousand.
 MOST_SIGMAS = 4.0
 
@@ -357,3 +329,15 @@ def test_nothing_is_overwritten_unasked(tmp_path: Path, capsys) -> None:
     (tmp_path / "d" / "notes.txt").write_text("mine")
     said = refused(capsys, "simulate", "clock", "-o", tmp_path / "d", "--force")
     assert "contains other things than a simulation" in said
+
+
+def test_missed_receptions_are_told_in_any_spelling(tmp_path):
+    plain, spelt = tmp_path / "plain.csv", tmp_path / "spelt.csv"
+    heard = "".join(f"{k},a,{k}.0\n{k},b,{k + 7}.0\n" for k in range(6))
+    plain.write_text("round,node,t_s\n" + heard)
+    missed = "".join(f"9{k},a,99\n9{k},b,{word}\n" for k, word in enumerate(("", "nan", "NA", "None")))
+    spelt.write_text("round,node,t_s\n" + heard + missed)
+    for path in (plain, spelt):
+        done("calibrate", "clock", "--broadcast", path, "--json", path.with_suffix(".json"))
+    links = [json.loads(path.with_suffix(".json").read_text())["links"] for path in (plain, spelt)]
+    assert links[0] == links[1] and links[0][0]["offset_s"] == pytest.approx(7.0)
