@@ -114,8 +114,15 @@ def test_outliers_are_rejected_and_the_rest_is_kept() -> None:
     assert kept.used[:, forearm][(tracked & ~wrong)[:, forearm]].mean() > 0.93
 
 
-def test_a_left_arm_in_another_frame() -> None:
-    rms, worst, degrees, _ = pooled([blind(arm(1, side="left", camera_frame="optical"))])
+@pytest.mark.parametrize(
+    ("seed", "changes"),
+    [
+        pytest.param(1, {"side": "left", "camera_frame": "optical"}, id="a left arm in another frame"),
+        pytest.param(0, {"strap": True}, id="the strap is tracked too"),
+    ],
+)
+def test_other_arms(seed: int, changes: dict[str, Any]) -> None:
+    rms, worst, degrees, _ = pooled([blind(arm(seed, **changes))])
     assert rms <= WHITE_RMS_M
     assert worst <= WHITE_MAX_M
     assert degrees <= WHITE_DEG
@@ -183,13 +190,6 @@ def test_the_strap_alone() -> None:
     scene = blind(point(2))
     figures = scene.validation.occluded
     assert figures.position_rms_m <= 0.012
-
-
-def test_the_camera_finds_the_strap_too() -> None:
-    """The sensor's own position: no lever arm is asked of it, and it makes the others easier."""
-    rms, worst, _, _ = pooled([blind(arm(0, strap=True))])
-    assert rms <= WHITE_RMS_M
-    assert worst <= WHITE_MAX_M
 
 
 def test_what_is_calibrated_is_no_worse(white_arms: list[Scene]) -> None:

@@ -535,6 +535,21 @@ def test_a_stamp_s_column_is_the_derivative_of_the_data() -> None:
     np.testing.assert_allclose(columns @ late_s, change, atol=1e-6 * np.abs(change).max())
 
 
+def test_what_the_window_says_of_its_clock(pair: tuple[Optimum, Solution]) -> None:
+    """All variables eliminated from the dense equations; samples that share a node scatter about its mean."""
+    best, found = pair
+    column = stamp_columns(best.solved)[:, 0]
+    across = best.A.T @ column
+    expected = column @ column - across @ best.covariance @ across
+    for measured in best.window.joint_measurements:
+        velocity = found.forearm.states.v[measured.node] + measured.velocity
+        for node in np.unique(measured.node):
+            rows = measured.node == node
+            off = (velocity[rows] - velocity[rows].mean(axis=0)) / measured.sigma_m[rows, None]
+            expected += float(np.sum(off**2))
+    assert found.offset_information == pytest.approx(expected, rel=1e-2)
+
+
 def test_synthetic_stamps_widen_the_covariance() -> None:
     """More the farther the frames may be off, and nothing where they were measured."""
     window = small_window(upper=False)[0]

@@ -9,7 +9,7 @@ import gtsam
 import numpy as np
 import pytest
 from scipy.stats import chi2
-from small_window import NODES, NOISE, small_window
+from small_window import NOISE, small_window
 
 from smoother.graph import optimise as module
 from smoother.graph.build import build
@@ -63,22 +63,6 @@ class Descents:
         return [[round(sigmas[k], 6) for k in KNOTS] for sigmas, _, _ in self.calls]
 
 
-def test_without_a_long_gap_there_is_one_stage(window: Window, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(module, "LONG_S", 0.5)
-    descents = Descents(monkeypatch)
-    found = optimise(*build(window), window, 1e-4)
-    assert descents.calls == [([SIGMA_M] * 6, module.MAX_ITERATIONS, 1e-4)]
-    assert found is descents.answers[0] and found.accepted
-
-
-def test_with_an_upper_arm_s_imu_there_is_one_stage(monkeypatch: pytest.MonkeyPatch) -> None:
-    window = small_window(1)[0]
-    descents = Descents(monkeypatch)
-    for tolerance, used in ((1e-2, module.LAST_TOLERANCE), (1e-5, 1e-5)):
-        assert optimise(*build(window), window, tolerance).accepted
-        assert descents.calls.pop() == ([SIGMA_M] * 6, module.LAST_ITERATIONS, used)
-
-
 def test_the_upper_arm_comes_in_step_by_step(window: Window, monkeypatch: pytest.MonkeyPatch) -> None:
     """Loose at first, from the gap's ends inwards, then as it is; the answer is the straight one's."""
     graph, values, groups = build(window)
@@ -93,39 +77,6 @@ def test_the_upper_arm_comes_in_step_by_step(window: Window, monkeypatch: pytest
     assert found.error == pytest.approx(found.graph.error(found.values), abs=1e-9)
     assert found.accepted and found.graph is graph
     assert found.iterations == sum(each.iterations for each in descents.answers)
-
-
-def test_another_strategy_where_the_first_ends_high(window: Window, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A rise of what is usual a knot, and no less; then the second, which agrees, is the last."""
-    usual = module.USUAL * len(KNOTS)
-    descents = Descents(monkeypatch, raised=usual - 0.05)
-    rise = _rise(window)
-    descents.calls.clear()
-    assert rise < 0.02
-    optimise(*build(window), window, 1e-6)
-    assert len(descents.calls) == 4
-    descents = Descents(monkeypatch, raised=2.0 * usual)
-    found = optimise(*build(window), window, 1e-6)
-    tighter = [[sigma] * 2 for sigma in module.TIGHTER_M]
-    assert descents.stages[4:] == [*tighter, [SIGMA_M] * 2]
-    assert found.accepted  # an error of one is no contradiction
-
-
-def _rise(window: Window) -> float:
-    """How much the upper arm's length raises the error in the gap."""
-    graph, values, groups = build(window)
-    gap = module._long_gap(window)
-    assert gap is not None and gap.knots.tolist() == KNOTS
-    whole = optimise(graph, values, groups, window, 1e-6)
-    loose = gtsam.NonlinearFactorGraph(graph)
-    lengths = [
-        i for i in range(graph.size()) if isinstance(graph.at(i), gtsam.RangeFactorWithTransformBias3D)
-    ]
-    factors = module.upper_arm_factors(window, np.full(len(KNOTS), LOOSE_M), np.array(KNOTS))
-    for knot, factor in zip(KNOTS, factors, strict=True):
-        loose.replace(lengths[knot], factor)
-    best = gtsam.LevenbergMarquardtOptimizer(loose, values).optimize()
-    return float(whole.graph.error(whole.values) - loose.error(best))
 
 
 def test_all_strategies_where_none_agrees(window: Window, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -177,28 +128,6 @@ def test_the_limit_is_that_of_the_likelihood_ratio(knots: int) -> None:
     assert explained(limit * (1 - 1e-9), knots) and not explained(limit * (1 + 1e-9), knots)
 
 
-def test_knots_in_gaps_that_are_long(window: Window, monkeypatch: pytest.MonkeyPatch) -> None:
-    t = np.arange(NODES) * 0.25
-    window = replace(window, t=t)
-    monkeypatch.setattr(module, "LONG_S", 0.75)  # as long as this gap is
-    gap = module._long_gap(window)
-    assert gap is not None and gap.knots.tolist() == KNOTS
-    np.testing.assert_array_equal(gap.since_s, [0.25, 0.75])
-    np.testing.assert_array_equal(gap.until_s, [0.5, 0.0])
-    monkeypatch.setattr(module, "LONG_S", 0.76)
-    assert module._long_gap(window) is None
-    monkeypatch.setattr(module, "LONG_S", 0.5)
-    change = np.full(NODES - 1, np.inf)
-    change[[0, 1, 7, 8]] = 1.0  # at both ends of the window: nobody knows when it began, or will end
-    gap = module._long_gap(replace(window, velocity_change=change))
-    assert gap is not None and gap.knots.tolist() == [0, 1, 4, 5]
-    np.testing.assert_array_equal(gap.since_s, [np.inf, np.inf, 0.0, 0.5])
-    np.testing.assert_array_equal(gap.until_s, [0.5, 0.0, np.inf, np.inf])
-    layout = replace(window.priors.layout, has_upper_arm=False)
-    assert module._long_gap(replace(window, shoulder=None)) is None
-    assert module._long_gap(replace(window, priors=replace(window.priors, layout=layout))) is None
-
-
 def test_the_order_of_the_strategies() -> None:
     """Knots half a second apart in a gap of 2 s: sigmas stage by stage."""
     since = np.array([0.0, 0.5, 1.0, 1.5, 2.0])
@@ -221,12 +150,3 @@ def test_the_order_of_the_strategies() -> None:
     ]
     assert backwards == []  # no end to begin from
     assert next(gap.strategies(np.full(5, 0.01), True)) == []  # an earlier answer is tried as it is first
-
-
-def test_steps_grow_in_gaps_of_minutes() -> None:
-    """Even in gaps that the tables of errors know; a gap of three minutes takes no sixty stages."""
-    assert list(module._reaches(3.0, 16.0)) == [3.0, 6.0, 9.0, 12.0, 15.0]
-    assert not list(module._reaches(3.0, 3.0))
-    reaches = np.array(list(module._reaches(3.0, 180.0)))
-    assert reaches[-1] < 180.0 and len(reaches) < 25
-    assert (np.diff(np.diff(reaches)) >= 0.0).all()

@@ -165,18 +165,6 @@ def test_too_little_seen_is_no_segment(
     assert prepare(early, made.calibration, clock, SIGMA_M, MARGIN_S) is None
 
 
-def test_a_given_alignment_is_used_as_it_is(made: SimulatedArm, segment: Segment, clock: Clock) -> None:
-    answer = prepare(segment, made.calibration, clock, SIGMA_M, MARGIN_S)
-    turned = replace(answer[1], R_K_E=Rotation.from_rotvec([0.0, 0.3, 0.0]) * answer[1].R_K_E)
-    again = prepare(segment, made.calibration, clock, SIGMA_M, MARGIN_S, turned)
-    assert again[1] is turned
-    off = (
-        Rotation.from_matrix(again[0].forearm.attitude)
-        * Rotation.from_matrix(answer[0].forearm.attitude).inv()
-    )
-    np.testing.assert_allclose(off.as_rotvec(), np.tile([0.0, 0.3, 0.0], (len(again[0].t), 1)), atol=1e-9)
-
-
 #: Rounding of sums of steps: times are some tens of seconds.
 EPS = 1e-9
 steps = st.lists(st.floats(0.0, 3.0) | st.floats(0.0, 0.02), min_size=0, max_size=60)
@@ -267,8 +255,3 @@ def test_a_lost_sample_or_four_are_no_pause() -> None:
         keep = np.ones(200, dtype=bool)
         keep[100 : 100 + lost] = False
         assert len(split_at_pauses(stream(t[keep]))) == 1
-
-
-def test_short_streams() -> None:
-    assert split_at_pauses(stream(np.zeros(0))) == [slice(0, 0)]
-    assert split_at_pauses(stream(np.array([1.0]))) == [slice(0, 1)]
