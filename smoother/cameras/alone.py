@@ -48,8 +48,8 @@ HAND_PART, STRAP_PART = 0.3, -0.2
 UPPER_ARM_RATIO = 1.27
 #: Shoulders are behind elbows rather than before them: so much of the loss, m, a metre.
 BEHIND = 0.1
-#: Arms are about so far away, and no nearer or farther, m.
-USUAL_M, NEAREST_M, FARTHEST_M = 2.0, 0.4, 12.0
+#: Arms are no nearer or farther, m.
+NEAREST_M, FARTHEST_M = 0.4, 12.0
 
 ELBOW, WRIST = JOINTS.index("elbow"), JOINTS.index("wrist")
 

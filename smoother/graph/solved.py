@@ -112,7 +112,7 @@ class SolvedWindow:
 
     def joint_at_nodes(self, measured: JointMeasurements) -> FloatArray:
         """Where a joint is at the nodes of its samples (k, 3), m."""
-        rows = self.window.priors.layout.lever_of_sample(measured.joint, measured.segment)
+        rows = self.window.priors.layout.levers(measured.segment).get(measured.joint)
         lever, own = np.zeros(3) if rows is None else self.shared[rows], self.states[measured.segment]
         return np.asarray(own.p[measured.node] + own.R[measured.node] @ lever)
 

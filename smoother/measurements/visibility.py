@@ -93,7 +93,6 @@ class Gap:
     end_s: float  # The first visible frame after the gap; the end of the IMU where the gap is open there
     # That side has no visible frame, so the gap is recovered from the other side alone
     open_start: bool = False
-    # That side has no visible frame, so the gap is recovered from the other side alone
     open_end: bool = False
 
     @property

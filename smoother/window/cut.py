@@ -137,7 +137,7 @@ def _of_run(
     origins = origins_of(prepared.ray_origin_m, by_frame, len(inside))
     cameras = np.zeros(1, int) if prepared.camera is None else np.unique(prepared.camera)
     for joint, camera in product(joints, cameras.tolist()):
-        column, rows_of = JOINTS.index(joint), layout.lever_of_sample(joint, run.segment)
+        column, rows_of = JOINTS.index(joint), layout.levers(run.segment).get(joint)
         rows = np.flatnonzero(prepared.accepted[inside, column] & (by_frame == camera))
         if len(rows):
             lever = np.zeros(3) if rows_of is None else mean[rows_of]

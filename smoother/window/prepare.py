@@ -74,7 +74,7 @@ class PreparedSegment:
     acceleration_std: FloatArray  # (n,) m/s^2: how much the sensor's acceleration varies
     still: BoolArray  # bool (n,): where the forearm's sensor lies still
     start_s: float  # What the answer is wanted for; nodes beyond only support it
-    end_s: float  # What the answer is wanted for; nodes beyond only support it
+    end_s: float
     camera: CameraNumbers | None = None  # int (f,): which camera each frame is of; None where all are of one
     ray_origin_m: FloatArray | None = None  # (c, 3) m: Where the rays of each camera without depth begin
     is_started: bool = False  # The start values are an earlier solution's
@@ -117,16 +117,19 @@ def prepare(
     visible = seen_by_any(frame_t_imu, enough_joints(accepted, segment.needed), segment.camera)
     rows = np.flatnonzero(inside)
     gaps = find_gaps(frame_t_imu[rows], visible[rows], start_s, end_s)
-    t, frame_node = _nodes(
-        frame_t_imu,
-        measured,
-        visible,
-        near_impacts(segment.signal, frame_t_imu),
-        (start_s, end_s),
-        reach(core_start_s, core_end_s, gaps, margin_s),
-        gaps if with_further else (),
-        1 if segment.camera is None else int(segment.camera.max(initial=0)) + 1,
-    )
+    # nodes of the time range within reach, and the node of each frame, -1 where there is none
+    cameras = 1 if segment.camera is None else int(segment.camera.max(initial=0)) + 1
+    seen = np.flatnonzero(measured)
+    if cameras == 1:
+        seen = seen[decimate(frame_t_imu[seen])]
+    own = frame_t_imu[seen], visible[seen], near_impacts(segment.signal, frame_t_imu)[seen]
+    owner = seen[group_frames(*own) if cameras == 1 else group_frames_of_cameras(*own, cameras)]
+    t = insert_nodes(frame_t_imu[np.unique(owner)], start_s, end_s, gaps=gaps if with_further else ())
+    first_s, last_s = reach(core_start_s, core_end_s, gaps, margin_s)
+    t = t[(t >= first_s) & (t <= last_s)]
+    node = np.clip(np.searchsorted(t, frame_t_imu[owner] - 1e-9), 0, len(t) - 1)
+    frame_node = np.full(len(frame_t_imu), -1)
+    frame_node[seen] = np.where(np.abs(t[node] - frame_t_imu[owner]) < 1e-9, node, -1)
     if alignment is None:
         vectors = pairs(segment, frame_t_imu, accepted & segment.with_depth, calibration)
         if not vectors:
@@ -134,7 +137,17 @@ def prepare(
         alignment = align(vectors, start_s, end_s, segment.down)
     R = (alignment.at(t) * segment.attitude.at(t)).as_matrix()
     nearest = np.clip(np.searchsorted(alignment.t, t), 0, len(alignment.t) - 1)
-    position = _imu_positions(segment, frame_t_imu, accepted, alignment, calibration)
+    # where joints of known lever arms have the IMU, in the mean
+    R_frames = (alignment.at(frame_t_imu) * segment.attitude.at(frame_t_imu)).as_matrix()
+    total, count = np.zeros((len(frame_t_imu), 3)), np.zeros(len(frame_t_imu))
+    for joint in FOREARM_JOINTS:
+        lever, column = lever_of(calibration, joint), JOINTS.index(joint)
+        if lever is not None:
+            own_rows = accepted[:, column]
+            total[own_rows] += segment.position[own_rows, column] - R_frames[own_rows] @ lever
+            count[own_rows] += 1.0
+    known = count > 0
+    position = frame_t_imu[known], total[known] / count[known, None]
     carriers = prepare_further(segment, frame_t_imu, accepted, calibration, t)
     if carriers:
         position = forearm_in_gaps(carriers, t, R, gaps, calibration, position)
@@ -162,36 +175,8 @@ def prepare(
     return prepared, alignment
 
 
-def _nodes(
-    frame_t_imu: FloatArray,
-    measured: BoolArray,
-    visible: BoolArray,
-    near_impact: BoolArray,
-    range_s: tuple[float, float],
-    reach_s: tuple[float, float],
-    fine_gaps: tuple[Gap, ...],
-    cameras: int = 1,
-) -> tuple[FloatArray, IntArray]:
-    """Nodes (n,) of the time range within reach, and the node of each frame (f,), -1 where there is none."""
-    rows = np.flatnonzero(measured)
-    if cameras > 1:
-        own = frame_t_imu[rows], visible[rows], near_impact[rows]
-        owner = rows[group_frames_of_cameras(*own, cameras)]
-    else:
-        rows = rows[decimate(frame_t_imu[rows])]
-        owner = rows[group_frames(frame_t_imu[rows], visible[rows], near_impact[rows])]
-    t = insert_nodes(frame_t_imu[np.unique(owner)], *range_s, gaps=fine_gaps)
-    t = t[(t >= reach_s[0]) & (t <= reach_s[1])]
-    node = np.clip(np.searchsorted(t, frame_t_imu[owner] - 1e-9), 0, len(t) - 1)
-    frame_node = np.full(len(frame_t_imu), -1)
-    frame_node[rows] = np.where(np.abs(t[node] - frame_t_imu[owner]) < 1e-9, node, -1)
-    return t, frame_node
-
-
 def reach(start_s: float, end_s: float, gaps: tuple[Gap, ...], margin_s: float) -> tuple[float, float]:
-    """What has to be solved for an answer: its margins, and the far side of a gap that contains an end of
-    it.
-    """
+    """What has to be solved for an answer: its margins, the far side of a gap that contains an end of it."""
     first, last = start_s - margin_s, end_s + margin_s
     for gap in gaps:
         if gap.start_s <= start_s <= gap.end_s:
@@ -199,27 +184,6 @@ def reach(start_s: float, end_s: float, gaps: tuple[Gap, ...], margin_s: float) 
         if gap.start_s <= end_s <= gap.end_s:
             last = max(last, gap.end_s + margin_s)
     return first, last
-
-
-def _imu_positions(
-    segment: Segment,
-    frame_t_imu: FloatArray,
-    accepted: BoolArray,
-    alignment: Alignment,
-    calibration: ArmCalibration,
-) -> tuple[FloatArray, FloatArray]:
-    """Times (k,) and IMU positions (k, 3) at frames with a joint of known lever arm (mean over joints)."""
-    R = (alignment.at(frame_t_imu) * segment.attitude.at(frame_t_imu)).as_matrix()
-    total, count = np.zeros((len(frame_t_imu), 3)), np.zeros(len(frame_t_imu))
-    for joint in FOREARM_JOINTS:
-        lever, column = lever_of(calibration, joint), JOINTS.index(joint)
-        if lever is None:
-            continue
-        rows = accepted[:, column]
-        total[rows] += segment.position[rows, column] - R[rows] @ lever
-        count[rows] += 1.0
-    known = count > 0
-    return frame_t_imu[known], total[known] / count[known, None]
 
 
 def states_from_camera(t: FloatArray, R: FloatArray, frame_t_imu: FloatArray, position: FloatArray) -> States:
@@ -323,7 +287,8 @@ def forearm_in_gaps(
     visible: tuple[FloatArray, FloatArray],  # (k,) s, and ndarray, shape (k, 3), m
 ) -> tuple[FloatArray, FloatArray]:  # times (m,) s, position (m, 3) m
     """Forearm IMU positions from the camera, and in gaps by way of the segment that carries it."""
-    times, position = [visible[0]], [visible[1]]
+    seen_t = visible[0]
+    times, position = [seen_t], [visible[1]]
     for run in runs:
         joint = SEGMENTS[run.segment].shared_joint
         lever = calibration.lever_arms[joint].position_m
@@ -331,8 +296,8 @@ def forearm_in_gaps(
         nodes = np.arange(run.first, run.first + len(run.start.p))
         place = run.start.p + run.start.R @ joint_B
         hidden = occluded_at(t[nodes], gaps)
-        after = np.clip(np.searchsorted(visible[0], t[nodes]), 1, len(visible[0]) - 1)
-        apart = np.minimum(np.abs(visible[0][after] - t[nodes]), np.abs(visible[0][after - 1] - t[nodes]))
+        after = np.clip(np.searchsorted(seen_t, t[nodes]), 1, len(seen_t) - 1)
+        apart = np.minimum(np.abs(seen_t[after] - t[nodes]), np.abs(seen_t[after - 1] - t[nodes]))
         hidden &= apart > CLOSEST_S
         times.append(t[nodes[hidden]])
         position.append(place[hidden] - R[nodes[hidden]] @ lever)

@@ -66,11 +66,6 @@ class JointMeasurements:
             return self.ray
         return None if self.origin_m is None else directions(self.position, self.origin_m)
 
-    @property
-    def distance_m(self) -> FloatArray | None:
-        """How far the camera is from the samples (k,), m; None of a camera with depth."""
-        return None if self.origin_m is None else np.linalg.norm(self.position - self.origin_m, axis=1)
-
     def linearised(self, at_node: FloatArray) -> JointMeasurements:
         """The same about where the joint is at the samples' nodes (k, 3), m; as it is of one with depth."""
         if self.origin_m is None:
@@ -283,7 +278,7 @@ def joints_at_start(window: Window) -> dict[str, FloatArray]:
         return joints
     layout, mean = window.priors.layout, window.priors.shared.mean
     for measured in window.joint_measurements:
-        rows = layout.lever_of_sample(measured.joint, measured.segment)
+        rows = layout.levers(measured.segment).get(measured.joint)
         lever = np.zeros(3) if rows is None else mean[rows]
         place = np.full((len(window.t), 3), np.nan)
         for run in window.runs(measured.segment):

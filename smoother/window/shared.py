@@ -75,10 +75,6 @@ class SharedLayout:
         joints = self.joints if segment == FOREARM.name else SEGMENTS[segment].joints
         return {joint: self.lever(joint, segment) for joint in joints}
 
-    def lever_of_sample(self, joint: str, segment: str) -> slice | None:
-        """Rows of the lever arm that a joint's camera samples are tied to; None for the IMU's own place."""
-        return self.levers(segment).get(joint)
-
     def segment_of(self, joint: str) -> str:
         """The segment whose IMU a joint's camera samples are tied to."""
         return segment_of(joint, self.segments)
@@ -150,8 +146,3 @@ class Considered:
         """Of the errors at knots, (m, m) s^2: a Gauss-Markov process."""
         apart = np.abs(knots[:, None] - knots)
         return np.asarray(self.stamp_sigma_s**2 * np.exp(-apart / STAMP_MEMORY_S))
-
-    @property
-    def shared_covariance(self) -> FloatArray:
-        """What they add to the covariance of the shared vector, (s, s)."""
-        return np.asarray(self.shared @ self.covariance @ self.shared.T)
