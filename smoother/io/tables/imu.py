@@ -280,7 +280,7 @@ def _unit_by_resolution(gyro: FloatArray) -> str:
 
 def with_checked_turning(table: ImuTable) -> ImuTable:
     """An IMU whose gyroscope turns as gravity does in its axes: by an assumed unit, or with a note."""
-    if table.gyro is None or not np.isfinite(table.gyro).any():
+    if (gyro := table.gyro) is None or not np.isfinite(gyro).any():
         return table
     scale = turn_scale(table)
     if table.gyro_unit_assumed and scale is not None and not 1 / WRONG_SCALE < scale < WRONG_SCALE:
@@ -288,11 +288,11 @@ def with_checked_turning(table: ImuTable) -> ImuTable:
             ("deg/s", "rad/s", np.pi / 180) if scale < 1 else ("rad/s", "deg/s", 180 / np.pi)
         )
         said = f"The accelerometer turns with the gyroscope only if that is in {unit}, so that unit counts."
-        gyro, units = table.gyro * factor, table.units.replace(other, unit)
+        gyro, units = gyro * factor, table.units.replace(other, unit)
         notes = [*table.notes, said]
         table = replace(table, gyro=gyro, units=units, notes=notes, gyro_unit_assumed=False)
         scale /= factor
-    fast = float(np.nanpercentile(np.abs(table.gyro), 99))
+    fast = float(np.nanpercentile(np.abs(gyro), 99))
     if fast > _FASTEST or (scale is not None and scale < 1 / WRONG_SCALE):
         how, stated, probable = "larger", "rad/s", "deg/s"
     elif scale is not None and scale > WRONG_SCALE:

@@ -223,8 +223,8 @@ class RawSkeleton:
         """One skeleton a body."""
         self._drop_empty()
         if self.body is not None:  # a column that counts rows (an `id`) names no bodies
-            numbers, rows = np.unique(self.body[np.isfinite(self.body)], return_counts=True)
-            if len(numbers) > 10 and np.median(rows) < 3:
+            numbers, counts = np.unique(self.body[np.isfinite(self.body)], return_counts=True)
+            if len(numbers) > 10 and np.median(counts) < 3:
                 self.body = None
                 self.notes.append("The body column counts rows; assumed one body.")
         require_arm(self.position, self.path, "joints", list(self.position))

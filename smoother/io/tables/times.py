@@ -337,7 +337,7 @@ def shifts(streams: list[Timed], imu_starts_at_s: float | None = None) -> tuple[
             f"The first IMU sample was put {abs(imu_starts_at_s):g} s"
             f" {'before' if imu_starts_at_s < 0 else 'after'} the camera's first frame, as given."
         ]
-    sentences = []
+    sentences: list[str] = []
     for group, own in zip(groups, starts, strict=True):
         if any(_share(streams[row].t_s, c.t_s) for row in group for c in camera):
             continue
