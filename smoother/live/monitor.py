@@ -61,8 +61,9 @@ DOUBT_BEFORE_S = 0.2
 #: Values that repeat while the IMU turns or is shaken, rad/s and m/s^2.
 FROZEN_REPEATS, FROZEN_RATE, FROZEN_FORCE = 2, 0.15, 0.5
 
+_FOREARM = [JOINTS.index(joint) for joint in ("elbow", "wrist")]
 _COLUMNS = [JOINTS.index(joint) for joint in FOREARM_JOINTS]
-_SHOULDER, _ELBOW, _WRIST = (JOINTS.index(joint) for joint in ("shoulder", "elbow", "wrist"))
+_SHOULDER = JOINTS.index("shoulder")
 
 
 class Culprit(Enum):
@@ -88,19 +89,25 @@ class Finding:
 
 @dataclass(frozen=True)
 class JointResiduals:
-    """The forearm's joints in a frame against a solution."""
+    """The joints in a frame against a solution; nan where a joint is not compared."""
 
-    column: list[int]  # Of `JOINTS`
-    residual: FloatArray  # (k, 3) m: camera less prediction
-    covariance: FloatArray  # (k, 3, 3) m^2: of the residual
-    place: FloatArray  # (k, 3) m: predicted
+    residual: FloatArray  # (5, 3) m: camera less prediction
+    covariance: FloatArray  # (5, 3, 3) m^2: of the residual
+    place: FloatArray  # (5, 3) m: predicted
     predicted_m: float  # Standard deviation of the predicted position, worst axis
+    used: BoolArray  # bool (5,): which are compared
 
     @property
     def squared(self) -> FloatArray:
-        """Squared error in sigmas of each joint (k,), of three axes."""
-        whitened = np.linalg.solve(self.covariance, self.residual[:, :, None])[:, :, 0]
-        return np.asarray(np.sum(self.residual * whitened, axis=1))
+        """Squared error in sigmas of each joint that is compared (k,), of three axes."""
+        residual = self.residual[self.used]
+        whitened = np.linalg.solve(self.covariance[self.used], residual[:, :, None])[:, :, 0]
+        return np.asarray(np.sum(residual * whitened, axis=1))
+
+    @property
+    def off_m(self) -> FloatArray:
+        """Distances of those joints (k,) from the prediction."""
+        return np.asarray(np.linalg.norm(self.residual[self.used], axis=1))
 
 
 def residuals_of(
@@ -113,22 +120,19 @@ def residuals_of(
     noise: NoiseModel,
 ) -> JointResiduals | None:
     """A frame against a solution before it."""
-    joints = [JOINTS[k] for k in _COLUMNS if accepted[k] and JOINTS[k] in solution.levers]
-    if not joints or t_s < solution.newest.t - 1e-6:
+    names, used = list(solution.levers), np.zeros(len(JOINTS), bool)
+    used[[k for k in _COLUMNS if accepted[k] and JOINTS[k] in names]] = True
+    if not used.any() or t_s < solution.newest.t - 1e-6:
         return None
     prediction = predict(solution.newest, solution, signal, t_s, noise)
-    state, names = prediction.state, list(solution.levers)
-    whole = prediction.covariance(solution, names)
-    column, residual, covariance, place = list[int](), [], [], []
-    for joint in joints:
-        k = JOINTS.index(joint)
-        at, spread = joint_at(state.R, state.p, solution.levers[joint], names.index(joint), whole)
-        column.append(k)
-        place.append(at)
-        residual.append(position[k] - at)
-        covariance.append(spread + (model.joint_sigma_m[k] ** 2 + SLOW_M**2) * np.eye(3))
+    state, whole = prediction.state, prediction.covariance(solution, names)
+    place, covariance = np.full((len(JOINTS), 3), np.nan), np.full((len(JOINTS), 3, 3), np.nan)
+    for k in np.flatnonzero(used):
+        number = names.index(JOINTS[k])
+        place[k], spread = joint_at(state.R, state.p, solution.levers[JOINTS[k]], number, whole)
+        covariance[k] = spread + (model.joint_sigma_m[k] ** 2 + SLOW_M**2) * np.eye(3)
     predicted_m = float(np.sqrt(np.linalg.eigvalsh(whole[3:6, 3:6])[-1]))
-    return JointResiduals(column, np.array(residual), np.array(covariance), np.array(place), predicted_m)
+    return JointResiduals(position - place, covariance, place, predicted_m, used)
 
 
 @dataclass(frozen=True)
@@ -142,14 +146,9 @@ class _Seen:
     now: JointResiduals
 
     @property
-    def forearm(self) -> tuple[FloatArray, FloatArray] | None:
-        """From the elbow to the wrist as the camera sees it and as it is predicted; None without both."""
-        if not (self.accepted[_ELBOW] and self.accepted[_WRIST]):
-            return None
-        if _ELBOW not in self.now.column or _WRIST not in self.now.column:
-            return None
-        elbow, wrist = (self.now.place[self.now.column.index(k)] for k in (_ELBOW, _WRIST))
-        return self.position[_WRIST] - self.position[_ELBOW], wrist - elbow
+    def shows_forearm(self) -> bool:
+        """The camera sees elbow and wrist, and both are predicted."""
+        return bool(self.now.used[_FOREARM].all())
 
 
 class CameraMonitor:
@@ -211,11 +210,11 @@ class CameraMonitor:
             self._limit_s, self._jump_m = LONGEST_S, np.inf
             return self._left_out(t_s, _RESTS, self._seen[0].t_s)
         after_gap, self._visible_s = t_s - self._visible_s > 0.3, t_s
-        wrong = (now.squared > CONTRADICTS) & (np.linalg.norm(now.residual, axis=1) > CONTRADICTS_M)
+        wrong = (now.squared > CONTRADICTS) & (now.off_m > CONTRADICTS_M)
         if wrong.all():
             if after_gap or self._jumps(now):
                 self._limit_s = LONGEST_AFTER_GAP_S if after_gap else LONGEST_S
-                self._jump_m = float(np.linalg.norm(now.residual, axis=1).mean())
+                self._jump_m = float(now.off_m.mean())
                 return self._left_out(t_s, "it jumped away from the IMU's prediction", np.inf)
             return self._imu_wrong(t_s, t_s - DOUBT_BEFORE_S, accepted)
         if before is not None and first is not None:
@@ -225,7 +224,7 @@ class CameraMonitor:
         if self._bad == 0 and not np.isfinite(self.sound_since_s):
             self.sound_since_s = t_s
         left = accepted.copy()
-        left[np.array(now.column)[wrong]] = False
+        left[np.flatnonzero(now.used)[wrong]] = False
         return Finding(left)
 
     def _with_shoulder(self, accepted: BoolArray, position: FloatArray, solution: LagSolution) -> BoolArray:
@@ -275,7 +274,7 @@ class CameraMonitor:
     def _waiting(self, t_s: float, now: JointResiduals, accepted: BoolArray) -> Finding:
         """The camera takes no part: does it fit again, or is it time to begin anew?"""
         near_m = max(FITS_M, FITS_SHARE * self._jump_m)
-        fits = (now.squared < FITS) & (np.linalg.norm(now.residual, axis=1) < near_m)
+        fits = (now.squared < FITS) & (now.off_m < near_m)
         self._fits = self._fits + 1 if fits.all() else 0
         assert self.since_s is not None
         self._waited.append((self._seen[-1], now))
@@ -298,14 +297,11 @@ class CameraMonitor:
         two, one, new = (self._seen[k] for k in (-3, -2, -1))
         if new.t_s - two.t_s > 0.25:
             return True
-        off = []
-        for row, k in enumerate(now.column):
-            if one.accepted[k] and two.accepted[k]:
-                rate = (one.position[k] - two.position[k]) / (one.t_s - two.t_s)
-                left = new.position[k] - one.position[k] - rate * (new.t_s - one.t_s)
-                limit = max(JUMPS_M, JUMPS_SHARE * float(np.linalg.norm(now.residual[row])))
-                off.append(float(np.linalg.norm(left)) > limit)
-        return not off or sum(off) > 0.5 * len(off)
+        rows = now.used & one.accepted & two.accepted
+        rate = (one.position[rows] - two.position[rows]) / (one.t_s - two.t_s)
+        left = new.position[rows] - one.position[rows] - rate * (new.t_s - one.t_s)
+        limits = np.maximum(JUMPS_M, JUMPS_SHARE * np.linalg.norm(now.residual[rows], axis=1))
+        return bool(np.sum(np.linalg.norm(left, axis=1) > limits) > 0.5 * rows.sum()) or not rows.any()
 
     def _imu_wrong(self, t_s: float, since_s: float, accepted: BoolArray) -> Finding:
         """The camera's motion is smooth and not what the IMU says: the camera leads."""
@@ -331,16 +327,15 @@ class CameraMonitor:
         if len(frames) < FRAMES_IN_A_ROW:
             return ""
         first, last = frames[0], frames[-1]
-        both = [each for each in frames if each.accepted[[_ELBOW, _WRIST]].all()]
-        if len(both) >= FRAMES_IN_A_ROW:
-            lengths = [float(np.linalg.norm(each.position[_WRIST] - each.position[_ELBOW])) for each in both]
-            levers = self._model.estimate.lever_arms
-            if "elbow" in levers and "wrist" in levers:
-                usual = float(np.linalg.norm(levers["wrist"].position_m - levers["elbow"].position_m))
-                sigma = float(np.hypot(*self._model.joint_sigma_m[[_ELBOW, _WRIST]]))
-                off = abs(float(np.median(lengths)) - usual)
-                if off > OTHER_LENGTH * usual and off > OTHER_SIGMAS * sigma / np.sqrt(len(both)):
-                    return "its forearm has another length"
+        both = [each.position[_FOREARM] for each in frames if each.accepted[_FOREARM].all()]
+        levers = self._model.estimate.lever_arms
+        if len(both) >= FRAMES_IN_A_ROW and {"elbow", "wrist"} <= levers.keys():
+            seen_m = float(np.median([length(wrist - elbow) for elbow, wrist in both]))
+            usual_m = length(levers["wrist"].position_m - levers["elbow"].position_m)
+            sigma_m = float(np.hypot(*self._model.joint_sigma_m[_FOREARM]))
+            off_m = abs(seen_m - usual_m)
+            if off_m > OTHER_LENGTH * usual_m and off_m > OTHER_SIGMAS * sigma_m / np.sqrt(len(both)):
+                return "its forearm has another length"
         assert first.before is not None and last.before is not None
         return _RESTS if _rests(first, first.before, last, last.before) else ""
 
@@ -348,25 +343,23 @@ class CameraMonitor:
         """Whether elbow and wrist rest while the gyroscope turns the forearm: needs no good velocity."""
         new = self._seen[-1]
         old = next((each for each in self._seen if each.t_s > new.t_s - TURNED_WITHIN_S), new)
-        if old.forearm is None or new.forearm is None:
+        if not (old.shows_forearm and new.shows_forearm):
             return False
-        (seen, predicted), (seen_before, predicted_before) = new.forearm, old.forearm
-        turned = length(predicted - predicted_before)
-        if turned < TURNED_M:
-            return False
-        moved = [length(new.position[k] - old.position[k]) for k in (_ELBOW, _WRIST)]
-        return max(*moved, length(seen - seen_before)) < RESTS_SHARE * turned
+        (elbow, wrist), (elbow_seen, wrist_seen) = (
+            after[_FOREARM] - before[_FOREARM]
+            for after, before in ((new.now.place, old.now.place), (new.position, old.position))
+        )
+        turned = length(wrist - elbow)
+        moved = max(length(elbow_seen), length(wrist_seen), length(wrist_seen - elbow_seen))
+        return turned >= TURNED_M and moved < RESTS_SHARE * turned
 
 
 def _rests(first: _Seen, before: JointResiduals, last: _Seen, after: JointResiduals) -> bool:
     """Whether the joints hardly moved from one frame to another, while they did by the IMU."""
-    moved, seen = [0.0], [0.0]
-    for a, k in enumerate(before.column):
-        if k in after.column:
-            predicted = after.place[after.column.index(k)] - before.place[a]
-            moved.append(float(np.linalg.norm(predicted)))
-            seen.append(float(np.linalg.norm(last.position[k] - first.position[k])))
-    return max(moved) > MOVED_M and max(seen) < max(RESTS_SHARE * max(moved), 0.02)
+    rows = before.used & after.used
+    moved = np.linalg.norm(after.place - before.place, axis=1)[rows].max(initial=0.0)
+    seen = np.linalg.norm(last.position - first.position, axis=1)[rows].max(initial=0.0)
+    return bool(moved > MOVED_M and seen < max(RESTS_SHARE * moved, 0.02))
 
 
 _IMU_WRONG = "the IMU does not fit the camera's motion; the camera is followed meanwhile"
@@ -376,7 +369,7 @@ _ANEW = "camera and solution contradict each other, and it is unclear which is w
 
 def _mean_squared(residuals: JointResiduals) -> float:
     """Squared error in sigmas of the joints' mean, per axis: what they share is not noise."""
-    mean = residuals.residual.mean(axis=0)
+    mean = residuals.residual[residuals.used].mean(axis=0)
     # their errors are nearly the prediction's, which they share
-    covariance = residuals.covariance.mean(axis=0)
+    covariance = residuals.covariance[residuals.used].mean(axis=0)
     return float(mean @ np.linalg.solve(covariance, mean)) / 3.0

@@ -70,7 +70,7 @@ _STEP_M = 1e-4
 
 def live_angles(estimate: LiveEstimate, down: FloatArray | None) -> dict[str, tuple[float, float]]:
     """Angles and their sigmas, degrees, by name; errors of joints count as independent: the safe side."""
-    joints = [joint for joint in ("shoulder", "elbow", "wrist") if joint in estimate.joints]
+    joints: list[str] = [joint for joint in ("shoulder", "elbow", "wrist") if joint in estimate.joints]
     # the arm, and once more with each coordinate of each joint moved by a step
     moved = np.concatenate([np.zeros((1, 3 * len(joints))), _STEP_M * np.eye(3 * len(joints))])
     at = {joint: estimate.joints[joint] + moved[:, 3 * k : 3 * k + 3] for k, joint in enumerate(joints)}
