@@ -267,7 +267,6 @@ def clock(
         str | None, o.rare("Camera's and IMU's clock [camera, the IMU's name].", metavar="A,B")
     ] = None,
     audio_topic: Annotated[str | None, o.rare("The audio, where there are several.", metavar="TOPIC")] = None,
-    audio_rate_hz: Annotated[int, o.rare("Of a ROS audio topic (16-bit PCM).", min=4000)] = 16000,
     sound_start: Annotated[
         float, o.rare("Time of a WAV's first sample on the sound's clock.", metavar="S")
     ] = 0.0,
@@ -309,7 +308,7 @@ def clock(
         if sound_clocks is None:
             clocks = clocks[0], buzzer_node(receptions[0].node, clocks[1])
     if sound is not None:
-        tracks = read_sound(sound, audio_topic, audio_rate_hz, notes)
+        tracks = read_sound(sound, audio_topic, notes)
         with error_prefix(str(sound)):
             beeps = beeps_of_tracks(
                 ((each.samples, each.rate_hz, each.start_s) for each in tracks), tone_hz, sound_start

@@ -41,7 +41,6 @@ def export(
     ] = None,
     rate: Annotated[o.Number, o.value("HZ", "Rate of trc, mot and c3d.  [default: the IMU's]")] = None,
     origin: Annotated[Literal["camera", "shoulder"] | None, o.option("Of trc and c3d.")] = None,
-    draws: Annotated[bool, o.option("For parquet: the drawn motions instead.", "--draws")] = False,
     json_file: o.Json = None,
     force: o.Force = False,
     subject: Annotated[o.Text, o.rare_value("LABEL", "For bids.  [default: the result's name]")] = None,
@@ -60,7 +59,7 @@ def export(
     from ..io.export.prepare import DEFAULT_FRAME, prepare_export
     from ..result.untrusted import untrusted_sentences
 
-    only: dict[str, object] = {"--frame": frame, "--origin": origin, "--rate": rate, "--draws": draws or None}
+    only: dict[str, object] = {"--frame": frame, "--origin": origin, "--rate": rate}
     only |= {"--subject": subject, "--session": session, "--task": task, "--recording": recording}
     _check(format_name, output, rate, [option for option, value in only.items() if value is not None])
     recoveries = load_recoveries(result, side, body)
@@ -76,7 +75,7 @@ def export(
     else:
         wants_up = (frame or DEFAULT_FRAME.get(format_name)) == "opensim"
         level_down = _level_down(result, recoveries) if wants_up else None
-        chosen = (format_name, frame, rate, level_down, __version__, origin or "camera", draws)
+        chosen = (format_name, frame, rate, level_down, __version__, origin or "camera")
         exports = [prepare_export(recovery, *chosen) for recovery in recoveries]
     for path, ready in zip(files, exports, strict=True):
         ready.write(path, force)
@@ -157,7 +156,7 @@ def _check(format_name: str, output: Path, rate: float | None, given: Iterable[s
     """Refuse what cannot be meant, before any work is done for it."""
     from ..io.export.prepare import WITH_FRAME, WITH_RATE
 
-    of_format = {"--frame": WITH_FRAME, "--origin": WITH_FRAME, "--rate": WITH_RATE, "--draws": ("parquet",)}
+    of_format = {"--frame": WITH_FRAME, "--origin": WITH_FRAME, "--rate": WITH_RATE}
     for option in given:
         if format_name not in (formats := of_format.get(option, ("bids",))):
             raise typer.BadParameter(f"{option} is for {', '.join(formats)}, not for {format_name}")
@@ -211,8 +210,9 @@ def methods(
 
     check_outputs(force, [output, json_file], [result])
     recoveries = load_recoveries(result, side, body)
-    origin = read_origin(result)
-    text, figures = methods_section(recoveries, origin.version, origin.title if origin.is_simulated else "")
+    version, title = read_origin(result)
+    is_simulated = title.lower().startswith("simulated")  # as those of `unocclude simulate` call themselves
+    text, figures = methods_section(recoveries, version, title if is_simulated else "")
     if output is None:
         print(text, end="")
     write_text(output, text, force)

@@ -105,8 +105,3 @@ def test_crop_is_the_same_in_python() -> None:
 def test_what_is_wrong_with_a_table_of_trials(tmp_path: Path, text: str, says: str) -> None:
     with pytest.raises(RecordingError, match=says.replace("(", r"\(")):
         read_trials(table(tmp_path, text))
-
-
-def test_numbers_of_one_name_do_not_meet_another_name(tmp_path: Path) -> None:
-    rows = "name,start_s,end_s\na,0,1\nA,1,2\na_1,2,3\n"
-    assert [trial.name for trial in read_trials(table(tmp_path, rows))] == ["a_2", "A_3", "a_1"]

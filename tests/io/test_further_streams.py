@@ -26,9 +26,7 @@ from smoother.io import (
     write_recovery,
 )
 from smoother.io.recording.choose import choose_arms
-from smoother.io.recording.names import role
-from smoother.io.recording.streams import ImuSamples, RecordingFile
-from smoother.measurements.remedy import Remedy
+from smoother.io.recording.streams import RecordingFile
 from smoother.recording import FOREARM_JOINTS, JOINTS, ImuStream, JointState, Recording, TrunkSensors
 from smoother.result import Recovery
 from smoother.result.segment_motion import SegmentMotion, TrunkMotion
@@ -189,16 +187,6 @@ def test_which_one_is_meant(tmp_path: Path, name: str, is_taken: bool) -> None:
     assert ("upper_arm" in choose_arms(file, alone=True)[0][0].further) == is_taken
 
 
-def test_both_arms_each_take_their_own(tmp_path: Path) -> None:
-    both = [with_upper(), replace(with_upper("/imu/upper_arm_left", "left"))]
-    write_recording(both, tmp_path / "a.mcap")
-    file = open_recording(tmp_path / "a.mcap")
-    for side in ("left", "right"):
-        one = select_recording(file, side=side)
-        assert one.upper_imu is not None
-        assert (one.imu.name, one.upper_imu.name) == (f"/imu/forearm_{side}", f"/imu/upper_arm_{side}")
-
-
 def result() -> Recovery:
     made = made_recovery()
     rng = np.random.default_rng(3)
@@ -266,11 +254,6 @@ def test_columns(tmp_path: Path) -> None:
     assert list(rows[0])[-1] == "usable"
 
 
-def test_without_one_the_columns_are_as_before(tmp_path: Path) -> None:
-    export_csv(made_recovery(), tmp_path / "a.csv")
-    assert "upper" not in (tmp_path / "a.csv").read_text().splitlines()[0]
-
-
 def with_trunk(side: str = "right") -> Recording:
     made = make(side=side)
     imu, arm = made.imu, made.arm
@@ -279,12 +262,6 @@ def with_trunk(side: str = "right") -> Recording:
     return replace(
         made, trunk=TrunkSensors(ImuStream("/imu/trunk", imu.t_s, 0.5 * imu.acc, 0.1 * imu.gyro), other)
     )
-
-
-@pytest.mark.parametrize("name", ["/imu/trunk", "/sternum/imu", "/chest_sensor", "/Torso/data", "imu_thorax"])
-def test_names_of_the_trunk(name: str) -> None:
-    none = np.zeros((0, 3))
-    assert role(ImuSamples(name, "", np.zeros(0, np.int64), none, none)) == "trunk"
 
 
 @pytest.mark.parametrize("side", ["left", "right"])
@@ -332,16 +309,6 @@ def test_an_arm_alone_and_two_trunks(tmp_path: Path) -> None:
     assert any("/imu/trunk, /imu/chest none was taken" in note for note in both.notes)
 
 
-def test_a_mirrored_skeleton_is_mirrored_whole() -> None:
-    made = with_trunk()
-    turned = Remedy(mirror="x").applied(made)
-    assert turned.trunk is not None and made.trunk is not None
-    assert turned.trunk.other_arm is not None and made.trunk.other_arm is not None
-    np.testing.assert_array_equal(
-        turned.trunk.other_arm.position, made.trunk.other_arm.position * [-1.0, 1.0, 1.0]
-    )
-
-
 def trunk_of(count: int) -> TrunkMotion:
     rng = np.random.default_rng(4)
     quaternion = rng.normal(size=(count, 4))
@@ -377,10 +344,3 @@ def test_a_result_keeps_the_trunk(tmp_path: Path) -> None:
         np.isfinite(float(rows[10]["shoulder_plane_trunk_deg"]))
         and rows[41]["shoulder_plane_trunk_deg"] == ""
     )
-
-
-def test_a_notebook_finds_it() -> None:
-    made = made_recovery()
-    arrays = replace(made, trunk=trunk_of(len(made))).rows(slice(0, 20)).to_arrays()
-    assert arrays["trunk_quaternion"].shape == (20, 4) and arrays["trunk_sigma_deg"].shape == (20,)
-    assert "trunk_quaternion" not in made.to_arrays()

@@ -40,25 +40,6 @@ def test_broad(datasets: Path, tmp_path: Path) -> None:
     assert np.nanmax(np.abs(again.arm.position - made.arm.position)) > 0
 
 
-def test_utd_mhad(datasets: Path, tmp_path: Path) -> None:
-    inertial = datasets / "utd_mhad" / "Inertial" / "a1_s1_t1_inertial.mat"
-    skeleton = datasets / "utd_mhad" / "Skeleton" / "a1_s1_t1_skeleton.mat"
-    made = import_utd_mhad(inertial, skeleton)
-    assert made.side == "right" and made.arm.present == ("shoulder", "elbow", "wrist", "hand")
-    assert made.imu.rate_hz == pytest.approx(50)
-    # Both streams cover the same interval, each sample at the centre of its own.
-    half = 0.5 * (made.arm.t_s[1] - made.arm.t_s[0])
-    assert made.arm.t_s[0] == pytest.approx(half)
-    assert made.arm.t_s[-1] + half == pytest.approx(len(made.imu) / 50)
-    assert 8 < np.median(np.linalg.norm(made.imu.acc, axis=1)) < 12
-    forearm = np.linalg.norm(made.arm.joint("wrist") - made.arm.joint("elbow"), axis=1)
-    assert 0.15 < np.median(forearm) < 0.35
-    write_recording(made, tmp_path / "a.mcap")
-    found = read_recording(tmp_path / "a.mcap")
-    assert (found.side, found.camera_frame) == ("right", CameraFrame.KINECT)
-    np.testing.assert_array_equal(found.arm.position, made.arm.position)
-
-
 def test_other_files_are_refused(datasets: Path, tmp_path: Path) -> None:
     skeleton = datasets / "utd_mhad" / "Skeleton" / "a1_s1_t1_skeleton.mat"
     with pytest.raises(RecordingError, match="not a trial of BROAD"):

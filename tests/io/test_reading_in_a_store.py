@@ -9,11 +9,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import ros_bags as ros
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
-from made_recordings import make, swing
+from made_recordings import make
 from mcap.writer import CompressionType, Writer
 from mcap_messages import every
 from private_memory import program_output
@@ -25,7 +24,6 @@ from smoother.io.recording.streams import ArmFrames, RecordingFile
 from smoother.io.recording.write import as_file
 from smoother.recording import JOINTS, JointState
 from smoother.runtime import store as store_module
-from smoother.runtime.store import Column
 
 ZERO = 1_700_000_000 * 10**9
 
@@ -112,32 +110,6 @@ def test_columns_in_files_are_the_same(made: object, tmp_path: Path, monkeypatch
     assert_equal((open_recording(path), read_recording(path, **chosen)), expected)
 
 
-@pytest.mark.usefixtures("small_parts")
-def test_field_of_a_topic_of_its_own_and_markers(tmp_path: Path):
-    path = tmp_path / "ros.mcap"
-    t = np.arange(0, 6, 0.02)
-    gyro, (elbow, wrist, _) = swing(t)[2], swing(t)
-    with ros.Bag(path, chunk=4096) as bag:
-        for i, ns in enumerate((ZERO + np.rint(t * 1e9)).astype(int).tolist()):
-            bag.imu("/wrist/imu", ns, "wrist_link", np.array([0.1, 9.8, 0.2]), gyro[i], ns)
-            if i % 3 == 0:  # slower than the IMU, some time before it
-                field = {"header": ros.header(ns - 7_000_000, "wrist_link")}
-                field |= {"magnetic_field": ros.xyz(np.sin(np.arange(3.0) + i))}
-                field["magnetic_field_covariance"] = [0.0] * 9
-                bag.write("/wrist/mag", "sensor_msgs/msg/MagneticField", ros.FIELD, field, ns)
-            places = {} if 40 < i < 50 else {113: elbow[i], 114: wrist[i], 106: wrist[i]}
-            markers = {"markers": [ros.marker(ns, number, place) for number, place in places.items()]}
-            kind = "visualization_msgs/msg/MarkerArray"
-            bag.write("/body_tracking_data", kind, ros.marker_array(), markers, ns)
-    found = read_recording(path, side="right")
-    stamps = np.rint(t * 1e9)
-    have, values = stamps[::3] - 7_000_000, np.sin(np.arange(3.0) + 3 * np.arange(len(t[::3]))[:, None])
-    expected = np.stack([np.interp(stamps, have, values[:, k]) for k in range(3)], axis=1)
-    np.testing.assert_allclose(found.imu.mag, expected, atol=1e-12)  # times differ in their last digit
-    np.testing.assert_array_equal(found.arm.joint("wrist")[found.arm.tracked("wrist")][:40], wrist[:40])
-    assert not found.arm.tracked("wrist")[41:50].any()
-
-
 LONG = """
 import sys
 from pathlib import Path
@@ -216,22 +188,6 @@ def test_images_cost_no_memory(tmp_path: Path, compression: CompressionType):
     grown, samples, _ = program_output(LONG, tmp_path / "short.mcap", path, False).split()
     assert int(samples) == 600
     assert float(grown) < 40  # MB; a chunk packed and unpacked, and the unpacker's own: measured 13 to 24
-
-
-@settings(max_examples=30, deadline=None)
-@given(st.lists(st.integers(0, 40), max_size=12), st.sampled_from([1, 400, 1 << 20]))
-def test_columns_are_their_parts_put_together(sizes: list[int], small: int):
-    rng = np.random.default_rng(0)
-    parts = [rng.normal(size=(size, 2)) for size in sizes]
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(store_module, "_SMALL_BYTES", small)
-        gathered = Column((2,))
-        for part in parts:
-            gathered.append(part)
-        assert len(gathered) == sum(sizes)
-        found = gathered.done()
-    np.testing.assert_array_equal(found, np.concatenate([np.empty((0, 2)), *parts]))
-    found += 1.0  # as any other array
 
 
 def joint_events() -> st.SearchStrategy[list[tuple[int, int, int, int, int]]]:

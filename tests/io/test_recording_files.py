@@ -10,18 +10,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from made_recordings import make, plain_texts, swing
-from mcap.reader import make_reader
+from made_recordings import make, plain_texts
 
 from smoother.errors import RecordingError, UnoccludeError
 from smoother.io import describe, open_csv, open_recording, read_recording, select_recording, write_recording
 from smoother.io.recording.bodies import join_bodies
-from smoother.io.recording.match import agreement
 from smoother.io.recording.streams import ArmFrames
 from smoother.io.recording.write import as_file
-from smoother.io.wire.schemas import message_class
-from smoother.measurements.timestamps import increasing
-from smoother.recording import ImuStream, JointState, JointTracks, Recording
+from smoother.recording import JointState, JointTracks, Recording
 
 
 def assert_same(found: Recording, made: Recording) -> None:
@@ -71,52 +67,6 @@ def test_the_same_input_gives_the_same_bytes(tmp_path: Path, recording: Recordin
     assert (tmp_path / "a.mcap").read_bytes() == (tmp_path / "b.mcap").read_bytes()
     with pytest.raises(UnoccludeError, match="force=True"):
         write_recording(recording, tmp_path / "a.mcap")
-
-
-def test_foxglove_can_decode_what_is_written(tmp_path: Path, recording: Recording) -> None:
-    write_recording(recording, tmp_path / "a.mcap")
-    with open(tmp_path / "a.mcap", "rb") as file:
-        times = []
-        for schema, channel, message in make_reader(file).iter_messages():
-            decoded = message_class(schema.name)()
-            decoded.ParseFromString(message.data)
-            times.append(message.log_time)
-            if channel.topic == "/skeleton":
-                assert [joint.name for joint in decoded.joints][:2] == ["shoulder_right", "elbow_right"]
-    assert times == sorted(times)
-
-
-def test_two_arms_share_a_file(tmp_path: Path) -> None:
-    right, left = make(side="right"), make(side="left", rate=1.6)
-    write_recording([right, left], tmp_path / "both.mcap")
-    for made in (right, left):
-        found = read_recording(tmp_path / "both.mcap", side=made.side)
-        assert found.imu.name == f"/imu/forearm_{made.side}"
-        np.testing.assert_array_equal(found.imu.gyro, made.imu.gyro)
-        np.testing.assert_array_equal(found.arm.position, made.arm.position)
-        assert found.truth is not None and made.truth is not None
-        np.testing.assert_array_equal(found.truth.position, made.truth.position)
-    assert read_recording(tmp_path / "both.mcap", prefer_side="left").side == "left"
-
-
-def test_motion_tells_whose_an_unnamed_imu_is() -> None:
-    right, left = make(20, side="right"), make(20, side="left", rate=1.6)
-    file = as_file([right, left])
-    file.imus = [replace(file.imus[-1], topic="/imu/a", frame_id="")]
-    recording = select_recording(file)
-    assert recording.side == "left"
-    assert any("motion agrees best" in note for note in recording.notes)
-    still = replace(file.imus[0], gyro=np.zeros_like(file.imus[0].gyro))
-    file.imus = [still]
-    with pytest.raises(RecordingError, match="choose with --side"):
-        select_recording(file)
-
-
-def test_agreement_finds_a_shifted_clock() -> None:
-    file = as_file(make(20))
-    assert agreement(file.imus[0], file.arms[0])[0] > 0.95
-    late = replace(file.imus[0], stamp_ns=file.imus[0].stamp_ns + 400_000_000)
-    assert agreement(late, file.arms[0])[0] > 0.95
 
 
 def test_a_body_that_is_numbered_anew() -> None:
@@ -247,26 +197,6 @@ def test_isolated_bad_samples_are_dropped_and_counted(recording: Recording, tmp_
     assert "61 not finite" in refused(broken(recording, acc=acc), tmp_path)
 
 
-def test_joints_that_are_not_numbers(recording: Recording, tmp_path: Path) -> None:
-    position = recording.arm.position.copy()
-    position[3, 2] = np.nan
-    write_recording(replace(recording, arm=replace(recording.arm, position=position)), tmp_path / "a.mcap")
-    found = read_recording(tmp_path / "a.mcap")
-    assert found.arm.state[3, 2] == JointState.NOT_TRACKED
-    position[:100, 2] = np.nan
-    said = refused(replace(recording, arm=replace(recording.arm, position=position)), tmp_path)
-    assert "not numbers" in said
-
-
-def test_a_stamp_that_jumps_ahead_costs_one_sample() -> None:
-    stamps = np.arange(100)
-    stamps[50] = 1000
-    assert increasing(stamps).sum() == 99
-    stamps = np.arange(100)
-    stamps[50] = 3
-    assert increasing(stamps).sum() == 99
-
-
 def test_info_says_what_is_missing(recording: Recording, tmp_path: Path) -> None:
     write_recording(recording, tmp_path / "a.mcap")
     info = describe(tmp_path / "a.mcap")
@@ -284,19 +214,3 @@ def test_importing_is_light() -> None:
         "assert not {'gtsam', 'open3d', 'cv2', 'plotly'} & set(sys.modules)"
     )
     subprocess.run([sys.executable, "-c", code], check=True)
-
-
-def test_a_long_recording(tmp_path: Path) -> None:
-    """Fifty thousand samples and ten thousand frames; no object a sample."""
-    t, frames = np.arange(50_000) / 100, np.arange(15_000) / 30
-    elbow, wrist, _ = swing(frames)
-    position = np.full((len(frames), 5, 3), np.nan)
-    position[:, 1], position[:, 2] = elbow, wrist
-    state = np.zeros((len(frames), 5), np.int8)
-    state[:, 1:3] = JointState.TRACKED
-    made = Recording(
-        ImuStream("/imu/wrist", t, np.tile([0, 0, 9.81], (len(t), 1)), swing(t)[2]),
-        JointTracks("/skeleton", frames, position, state),
-    )
-    write_recording(made, tmp_path / "a.mcap")
-    assert len(read_recording(tmp_path / "a.mcap").imu) == 50_000

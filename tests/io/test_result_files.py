@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -12,7 +11,6 @@ import pyarrow
 import pyarrow.parquet
 import pytest
 import ros_bags as ros
-from commands import done
 from made_recordings import make
 from made_results import ZERO, assert_same, recovery
 from mcap.reader import make_reader
@@ -30,26 +28,6 @@ from smoother.io import (
 from smoother.io.mcap.container import Container
 from smoother.io.wire.schemas import message_class
 from smoother.result import Draws, Recovery
-
-
-@pytest.mark.parametrize("origin_ns", [ZERO, 0, -(10**9)])
-def test_round_trip(tmp_path: Path, origin_ns: int) -> None:
-    made = recovery(origin_ns=origin_ns)
-    write_recovery(made, tmp_path / "a.mcap")
-    (found,) = read_recovery(tmp_path / "a.mcap")
-    assert_same(made, found)
-
-
-def test_several_arms(tmp_path: Path) -> None:
-    made = [recovery(seed=1, side="right"), recovery(300, seed=2, side="left")]
-    write_recovery(made, tmp_path / "a.mcap")
-    for one, other in zip(made, read_recovery(tmp_path / "a.mcap"), strict=True):
-        assert_same(one, other)
-    with open(tmp_path / "a.mcap", "rb") as file:
-        summary = make_reader(file).get_summary()
-    assert summary is not None
-    topics = {channel.topic for channel in summary.channels.values()}
-    assert {"/unocclude/forearm/left", "/unocclude/forearm/right"} <= topics
 
 
 def test_a_method_with_little_to_say(tmp_path: Path) -> None:
@@ -166,12 +144,6 @@ def test_csv(tmp_path: Path, origin_ns: int, first: str) -> None:
         np.testing.assert_allclose(found, values, atol=1e-9)
 
 
-def test_csv_of_a_strap(tmp_path: Path) -> None:
-    export_csv(replace(recovery(), joints={}, joint_covariance={}), tmp_path / "a.csv")
-    (row, *_) = csv.DictReader((tmp_path / "a.csv").read_text().splitlines())
-    assert row["wrist_x"] == row["shoulder_sigma_x"] == "" and row["imu_x"]
-
-
 def test_joint_angles_with_their_sigmas(tmp_path: Path) -> None:
     made = recovery()
     write_recovery(made, tmp_path / "a.mcap")
@@ -189,15 +161,6 @@ def test_joint_angles_with_their_sigmas(tmp_path: Path) -> None:
     for name, values in wanted.items():
         np.testing.assert_allclose(found[name][::3], values[::3], atol=1e-12, err_msg=name)
     assert np.isfinite(wanted["shoulder_plane_right"]).any()
-
-
-def test_the_metadata_is_json(tmp_path: Path) -> None:
-    write_recovery(recovery(), tmp_path / "a.mcap")
-    with open(tmp_path / "a.mcap", "rb") as file:
-        (record,) = make_reader(file).iter_metadata()
-    assert record.name == "unocclude.result"
-    values = {key: json.loads(text) for key, text in record.metadata.items()}
-    assert values["method"] == "graph" and values["gaps"][1]["start_s"] == 2.0
 
 
 def with_draws(count: int = 5, side: str = "right", seed: int = 0) -> Recovery:
@@ -236,14 +199,6 @@ def test_drawn_motions_round_trip(tmp_path: Path) -> None:
     assert np.isfinite(drawn.position).all(axis=1).sum() > 350
 
 
-def test_two_arms_and_one_without(tmp_path: Path) -> None:
-    made = [with_draws(3, "left", 1), replace(with_draws(3, "right", 2), draws=None)]
-    write_recovery(made, tmp_path / "a.mcap")
-    left, right = read_recovery(tmp_path / "a.mcap")
-    assert left.draws is not None and made[0].draws is not None and right.draws is None
-    assert_close(made[0].draws.position, left.draws.position)
-
-
 def test_attachments_are_tables_that_others_read(tmp_path: Path) -> None:
     made = with_draws()
     write_recovery([made, replace(recovery(side="left"), residuals=None)], tmp_path / "a.mcap")
@@ -276,28 +231,3 @@ def test_damaged_missing_and_older_results_are_one_sentence(
     write_recovery(recovery(), path, force=True)
     with pytest.raises(RecordingError, match=r"is a result of version .*from before 1.0 are not read"):
         read_recovery(path)
-
-
-def test_parquet(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    made = with_draws()
-    write_recovery(made, tmp_path / "a.mcap")
-    out = tmp_path / "draws.parquet"
-    done("export", tmp_path / "a.mcap", "--format", "parquet", "--draws", "-o", out)
-    assert "(500 rows)" in capsys.readouterr().out
-    table = pyarrow.parquet.read_table(out)
-    about = json.loads(table.schema.metadata[b"unocclude"])
-    assert about["motions"] == 5 and about["seed"] == 11 and about["side"] == "right"
-    columns = {name: table[name].to_numpy(zero_copy_only=False) for name in table.column_names}
-    (found,) = read_recovery(tmp_path / "a.mcap")
-    for k in (0, 4):
-        rows, drawn = columns["motion"] == k, found.drawn(k).rows(np.arange(0, 400, 4))
-        for name, expected in (
-            ("imu_y", drawn.position[:, 1]),
-            ("imu_qx", drawn.quaternion[:, 1]),
-            ("wrist_z", drawn.joints["wrist"][:, 2]),
-        ):
-            values = columns[name][rows]
-            known = np.isfinite(values)
-            assert not known[2] and known.sum() > 85  # nothing was drawn there; a motion is continued across
-            np.testing.assert_allclose(values[known], expected[known], atol=1e-5)
-        np.testing.assert_allclose(1e-9 * (columns["stamp_ns"][rows] - ZERO), drawn.t_s, atol=1e-9)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -23,7 +22,7 @@ from smoother.io import (
     write_recording,
     write_recovery,
 )
-from smoother.io.recording.bodies import join_bodies, unswap_bodies
+from smoother.io.recording.bodies import unswap_bodies
 from smoother.io.recording.choose import choose_arms
 from smoother.io.recording.streams import ArmFrames, ImuSamples, RecordingFile
 from smoother.io.recording.write import as_file, as_session
@@ -79,21 +78,6 @@ def test_names_with_sides_give_both_arms(both: tuple[SimulatedArm, SimulatedArm]
         np.testing.assert_array_equal(arm.truth.position, made.truth.position)
     assert [arm.side for arm in read_recordings(path, side="right")] == ["right"]
     assert [arm.side for arm in read_recordings(path, imu="forearm_left")] == ["left"]
-
-
-def test_one_arm_is_read_as_before(both: tuple[SimulatedArm, SimulatedArm]) -> None:
-    for made in (as_file(both[0].recording), as_file([both[0].recording, both[1].recording])):
-        made.imus = [imu for imu in made.imus if "right" in imu.topic]
-        one, (same,) = select_recording(made), select_recordings(made)
-        assert (one.notes, one.side, one.origin_ns, one.body) == (same.notes, same.side, same.origin_ns, None)
-        np.testing.assert_array_equal(one.imu.acc, same.imu.acc)
-        np.testing.assert_array_equal(one.arm.position, same.arm.position)
-
-
-def test_a_side_without_an_imu_is_refused(file: RecordingFile) -> None:
-    file.imus = [imu for imu in file.imus if "right" in imu.topic]
-    with pytest.raises(RecordingError, match=r"no IMU is on an arm .* --side"):
-        select_recordings(file, side="left")
 
 
 def test_motion_settles_which_of_two_imus_of_one_limb_is_worn(file: RecordingFile) -> None:
@@ -152,25 +136,6 @@ def test_topics_of_several_arms_and_people(tmp_path: Path) -> None:
         back["right"]
     with pytest.raises(UnoccludeError, match="there is no arm 'body_9/left'"):
         back["body_9/left"]
-
-
-def test_one_arm_is_written_as_before(tmp_path: Path) -> None:
-    made = recovery(60)
-    write_recovery(made, tmp_path / "one.mcap")
-    with open(tmp_path / "one.mcap", "rb") as stream:
-        reader = make_reader(stream)
-        (record,) = [one for one in reader.iter_metadata() if one.name.startswith("unocclude.result")]
-        topics = {channel.topic for _, channel, _ in reader.iter_messages()}
-    assert record.name == "unocclude.result" and record.metadata["body"] == "null"
-    assert json.loads(record.metadata["side"]) == made.side
-    assert all(topic.count("/") == 2 for topic in topics if topic.startswith("/unocclude/"))
-
-
-@pytest.mark.parametrize("options", [{"skeleton": "left"}, {"imu": "right", "side": "left"}])
-def test_what_fits_nothing_says_what_does(file: RecordingFile, options: dict[str, str]) -> None:
-    with pytest.raises(RecordingError, match="choose with --imu, --skeleton, --side or --body"):
-        select_recording(file, **options)
-    assert select_recording(file, side="left").side == "left"
 
 
 def test_one_arms_stream_alone_says_what_fits(file: RecordingFile) -> None:
@@ -253,17 +218,6 @@ def test_exchanged_numbers_are_put_back(crowd: Crowd) -> None:
     assert len(notes) == 1 and "exchange their numbers" in notes[0]
     same, none = unswap_bodies(file.arms)
     assert not none and all(one is other for one, other in zip(same, file.arms, strict=True))
-
-
-def test_who_comes_back_where_they_were_is_joined_by_place(crowd: Crowd) -> None:
-    file, _ = crowd
-    away = renumbered(
-        file.arms, lambda body, share: body if body == 0 or share < 0.45 else None if share < 0.5 else 7
-    )
-    found, notes = join_bodies(away)
-    rows = np.flatnonzero(np.arange(len(away[0].stamp_ns)) / len(away[0].stamp_ns) >= 0.5)
-    assert_same_arms(found, file.arms, rows)
-    assert len(notes) == 2 and all("where it was" in note for note in notes)
 
 
 def scene(shift_s: float, same: bool = False) -> RecordingFile:

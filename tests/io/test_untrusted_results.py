@@ -13,7 +13,7 @@ import pytest
 from mcap_messages import decoded
 from results import made, read_mot
 
-from smoother.io import export_csv, prepare_export, read_recovery, write_recovery
+from smoother.io import export_csv, prepare_export, write_recovery
 from smoother.io.result.drawing import RECOVERED, UNTRUSTED, VISIBLE
 from smoother.result import Estimates, Pairing, Recovery, SelfCheck, UntrustedInterval
 from smoother.result.untrusted import standing, untrusted_gaps, untrusted_sentences, usable
@@ -47,16 +47,6 @@ def expected(recovery: Recovery, kind: str) -> np.ndarray | None:
     t = recovery.t_s
     bad = ((t >= 9.0) & (t < 12.0)) | ((t >= 15.0) & (t < 15.5))
     return {"sound": np.ones(len(t), bool), "partly": ~bad, "wrong": np.zeros(len(t), bool)}[kind]
-
-
-@pytest.mark.parametrize("kind", ESTIMATES)
-def test_metadata_of_mcap_brings_it_back(tmp_path: Path, kind: str) -> None:
-    recovery = result(kind)
-    write_recovery(recovery, tmp_path / "a.mcap")
-    (back,) = read_recovery(tmp_path / "a.mcap")
-    assert back.estimates.plain() == recovery.estimates.plain()
-    assert back.gap_verdicts == recovery.gap_verdicts
-    np.testing.assert_array_equal(back.trusted, recovery.trusted)
 
 
 @pytest.mark.parametrize("kind", ESTIMATES)

@@ -13,8 +13,6 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 from made_results import assert_same, recovery
 
-from calib.file import CalibrationFile, read_calibration, write_calibration
-from smoother.calibration import ArmCalibration, Length, LeverArm
 from smoother.io import export_csv, read_recovery, write_recovery
 from smoother.io.export.csv import file_columns
 from smoother.io.export.markers import C3dContent, write_c3d, write_trc
@@ -25,8 +23,6 @@ from smoother.io.recording.read import open_recording
 from smoother.io.recording.streams import ArmFrames, ImuSamples, RecordingFile
 from smoother.io.recording.write import write_recording
 from smoother.io.tables.markers import read_c3d, read_trc
-from smoother.io.wire.protobuf_encode import encoded
-from smoother.io.wire.schemas import parsed
 from smoother.result import Recovery
 
 quick = settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
@@ -75,33 +71,6 @@ def test_recordings(tmp_path: Path, file: RecordingFile):
             np.testing.assert_array_equal(getattr(arm, name), getattr(file.arms[0], name))
 
 
-vectors = st.lists(st.floats(-1.9, 1.9), min_size=3, max_size=3).map(np.array)
-sigmas = st.lists(st.floats(1e-9, 1.9), min_size=3, max_size=3).map(np.array)
-
-
-@quick
-@given(
-    st.dictionaries(st.sampled_from(["elbow", "wrist", "hand"]), st.builds(LeverArm, vectors, sigmas)),
-    st.none() | st.builds(Length, st.floats(1e-3, 1.9), st.floats(1e-6, 1.9)),
-    st.none() | vectors,
-)
-def test_calibrations(
-    tmp_path: Path, levers: dict[str, LeverArm], upper_arm: Length | None, bias: np.ndarray | None
-):
-    path = tmp_path / "cal.toml"
-    path.unlink(missing_ok=True)
-    arm = ArmCalibration(side="right", lever_arms=levers, upper_arm=upper_arm, accelerometer_bias=bias)
-    write_calibration(path, CalibrationFile({"right": arm}))
-    back = read_calibration(path).arm("right")
-    assert set(back.lever_arms) == set(levers) and back.upper_arm == upper_arm
-    for joint, lever in levers.items():
-        np.testing.assert_array_equal(back.lever_arms[joint].position_m, lever.position_m)
-        np.testing.assert_array_equal(back.lever_arms[joint].sigma_m, lever.sigma_m)
-    assert (back.accelerometer_bias is None) == (bias is None)
-    if bias is not None:
-        np.testing.assert_array_equal(back.accelerometer_bias, bias)
-
-
 @quick
 @given(
     arrays.arrays(np.float64, st.tuples(st.integers(2, 6), st.integers(1, 4), st.just(3)), elements=places)
@@ -119,7 +88,6 @@ few = settings(max_examples=15, deadline=None, suppress_health_check=[HealthChec
 #: What may be in a name: no surrogates, which are not text.
 words = st.text(st.characters(exclude_categories=["Cs"]), max_size=12)
 large = st.floats(-1e6, 1e6)
-any_number = st.floats(allow_nan=False, allow_infinity=False)
 
 
 @st.composite
@@ -195,23 +163,3 @@ def test_c3d(tmp_path: Path, position: np.ndarray, data: st.DataObject):
     back = read_c3d(tmp_path / "a.c3d")
     assert list(back.names) == names and abs(back.rate_hz - rate) < 1e-5
     np.testing.assert_allclose(back.position, position, rtol=2e-7, atol=1e-30)  # four bytes a number
-
-
-@few
-@given(
-    arrays.arrays(np.float64, st.tuples(st.integers(1, 5), st.just(3)), elements=any_number),
-    st.lists(st.integers(-(2**62), 2**62), min_size=5, max_size=5),
-    words,
-)
-def test_messages_that_are_encoded_together(acc: np.ndarray, stamps: list[int], frame: str):
-    stamp_ns = np.array(stamps[: len(acc)], np.int64)
-    columns = {"timestamp": stamp_ns, "linear_acceleration": acc, "angular_velocity": acc}
-    rows = encoded("unocclude.Imu", {"frame_id": frame}, columns)
-    for row, vector, stamp in zip(rows, acc, stamp_ns.tolist(), strict=True):
-        message = parsed("unocclude.Imu", row.tobytes())
-        names = [field.name for field in message.DESCRIPTOR.fields]
-        assert message.timestamp.seconds * 10**9 + message.timestamp.nanos == stamp
-        assert getattr(message, names[1]) == frame
-        for name in names[2:4]:
-            got = getattr(message, name)
-            np.testing.assert_array_equal([got.x, got.y, got.z], vector)

@@ -11,12 +11,6 @@ from smoother.errors import UnoccludeError
 from smoother.runtime.packages import extra_module
 
 
-def test_what_is_there_is_imported_with_its_submodules(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.delitem(sys.modules, "xml.dom.minicompat", raising=False)
-    module = extra_module("xml", "xml-sdk", "view", submodules=["dom.minicompat"])
-    assert module is sys.modules["xml"] and "xml.dom.minicompat" in sys.modules
-
-
 @pytest.mark.parametrize("submodules", [(), ("blueprint",)])
 def test_what_is_missing_is_asked_for(submodules: tuple[str, ...], monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "rerun", ModuleType("rerun") if submodules else None)

@@ -48,12 +48,6 @@ def test_a_file_that_is_read_or_refused(file: Path):
     assert not inputs.crashes_in_subprocess(file, refuse)
 
 
-def test_crashes(file: Path):
-    assert inputs.crashes_in_subprocess(file, lambda path: os.kill(os.getpid(), signal.SIGSEGV))
-    assert inputs.crashes_in_subprocess(file, lambda path: os.abort())
-    assert inputs.crashes_in_subprocess(file, lambda path: bytearray(1 << 31))
-
-
 def test_the_child_never_goes_on_as_a_copy_of_the_program(file: Path):
     mine = os.getpid()
     try:

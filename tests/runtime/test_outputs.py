@@ -39,16 +39,6 @@ def test_an_older_output_needs_force(tmp_path: Path) -> None:
     assert (tmp_path / "out").read_text() == "new"
 
 
-@pytest.mark.parametrize("error", [ValueError("x"), KeyboardInterrupt()])
-def test_a_failure_leaves_the_older_output(tmp_path: Path, error: BaseException) -> None:
-    (tmp_path / "out").write_text("old")
-    with pytest.raises(type(error)), writing(tmp_path / "out", force=True) as temporary:
-        temporary.write_text("half")
-        raise error
-    assert os.listdir(tmp_path) == ["out"]
-    assert (tmp_path / "out").read_text() == "old"
-
-
 @pytest.mark.parametrize(
     ("place", "number", "words"),
     [
@@ -125,28 +115,6 @@ def test_a_new_file_has_the_umasks_mode(tmp_path: Path, umask: int):
     finally:
         os.umask(before)
     assert mode(tmp_path / "out") == 0o666 & ~umask
-
-
-@posix
-def test_a_calibration_keeps_its_mode_and_follows_no_link(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    """Its temporary file is made anew under a name that cannot be foreseen."""
-    from calib.file import CalibrationFile, write_calibration
-
-    target, victim = tmp_path / "arm.toml", tmp_path / "victim"
-    victim.write_text("mine")
-    write_calibration(target, CalibrationFile({}, {"a": {"b": 1}}))
-    target.chmod(0o600)
-    write_calibration(target, CalibrationFile({}, {"a": {"b": 2}}))
-    assert mode(target) == 0o600 and victim.read_text() == "mine"
-    names = {outputs_module.temporary_name(target).name for _ in range(100)}
-    assert len(names) == 100 and all(len(name) < 200 for name in names)
-    taken = outputs_module.temporary_name(target)
-    taken.symlink_to(victim)
-    with monkeypatch.context() as patch:
-        patch.setattr(outputs_module, "temporary_name", lambda target: taken)
-        with pytest.raises(UnoccludeError), writing(target, force=True):
-            pass
-    assert victim.read_text() == "mine"
 
 
 @posix

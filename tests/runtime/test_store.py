@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import errno
-import gc
 import os
 import re
 import subprocess
@@ -31,20 +30,6 @@ def test_arrays_are_those_in_memory(shape: tuple[int, ...], fill: float, dtype: 
     assert type(array) is np.ndarray and array.flags.writeable
     assert (array.dtype, array.shape) == (plain.dtype, plain.shape)
     assert array.tobytes() == plain.tobytes()
-
-
-def test_parts_outlive_the_whole_and_no_file_is_left(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
-    values = np.random.default_rng(0).normal(size=LARGE)
-    array, gathered = large_array(LARGE), Column((3,))
-    array[:] = values
-    gathered.append(values)
-    parts = [array[1000:2000], gathered.done()[1000:2000]]
-    array = gathered = None
-    gc.collect()
-    for part in parts:
-        np.testing.assert_array_equal(part, values[1000:2000])
-    assert list(tmp_path.iterdir()) == []
 
 
 @pytest.mark.slow

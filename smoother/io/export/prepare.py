@@ -27,7 +27,6 @@ def prepare_export(
     level_down: FloatArray | None = None,  # (3,)
     version: str = "unknown",
     origin: str = "camera",
-    draws: bool = False,
 ) -> Export:
     """Bring one arm into a format, without writing yet."""
     if format_name == "csv":
@@ -35,10 +34,9 @@ def prepare_export(
 
         return Export(len(recovery), partial(export_csv, recovery), frame="camera")
     if format_name == "parquet":
-        from .parquet import drawn_rows, export_draws, export_parquet
+        from .parquet import export_parquet
 
-        rows, write = (drawn_rows(recovery), export_draws) if draws else (len(recovery), export_parquet)
-        return Export(rows, partial(write, recovery, version=version), frame="camera")
+        return Export(len(recovery), partial(export_parquet, recovery, version=version), frame="camera")
     if format_name in ("mot", "sto"):
         from .storage import prepare_mot, prepare_sto
 

@@ -7,7 +7,6 @@ import json
 import os
 from collections.abc import Mapping
 from contextlib import suppress
-from dataclasses import dataclass
 from pathlib import Path
 from types import NoneType, UnionType
 from typing import Any, get_args, get_origin, get_type_hints
@@ -79,21 +78,8 @@ def stated_estimates(metadata: Mapping[str, Mapping[str, str]]) -> dict[str, Est
     return found
 
 
-@dataclass(frozen=True)
-class ResultOrigin:
-    """What a result's file states of its making."""
-
-    version: str = ""  # Of the program that wrote it; "" where it does not say
-    title: str = ""  # What the recording inside calls itself; "" where it does not say
-
-    @property
-    def is_simulated(self) -> bool:
-        """Whether the recording calls itself a simulation, as those of `unocclude simulate` do."""
-        return self.title.lower().startswith("simulated")
-
-
-def read_origin(path: str | os.PathLike[str]) -> ResultOrigin:
-    """What a result's file states of its making; empty where it states nothing."""
+def read_origin(path: str | os.PathLike[str]) -> tuple[str, str]:
+    """The version that wrote a result, and what the recording inside calls itself; "" where not stated."""
     container = Container(path).skimmed()
     version = ""
     for name, values in container.metadata.items():
@@ -101,7 +87,7 @@ def read_origin(path: str | os.PathLike[str]) -> ResultOrigin:
             with suppress(*BROKEN_RESULT):
                 version = restored(str, json.loads(values["version"]))
     title = container.metadata.get(METADATA, {}).get("name", "")
-    return ResultOrigin("" if version == "unknown" else version, title)
+    return "" if version == "unknown" else version, title
 
 
 def _recovery(path: Path, container: Container, name: str) -> Recovery:

@@ -6,7 +6,6 @@ Sound tracks: a WAV file, or an audio topic of an MCAP recording.
 from __future__ import annotations
 
 import os
-import struct
 import warnings
 from dataclasses import dataclass
 from pathlib import Path
@@ -24,13 +23,11 @@ from ..mcap.container import Container
 from ..mcap.messages import McapMessage, Topic
 from ..recording.write import write_recording
 from ..tables.columns import read_exact
-from ..wire.cdr import byte_order, values_of
 from ..wire.schemas import parsed
 from .panel import check_folder
 
 #: Blocks whose stamps lie farther from the even tick than this part of a block begin a new track.
 JUMP_PART = 0.5
-_ROS = ("audio_common_msgs/AudioData", "audio_common_msgs/AudioDataStamped", "audio_common_msgs/AudioStamped")
 
 
 @dataclass(frozen=True)
@@ -46,13 +43,12 @@ class Track:
 def read_sound(
     path: str | os.PathLike[str],
     topic: str | None = None,
-    ros_rate_hz: int = 16000,
     notes: list[str] | None = None,
 ) -> list[Track]:
     """The tracks of a WAV file, or of the audio topic of an MCAP file."""
     path = Path(path)
     if path.suffix.lower() == ".mcap":
-        return _from_mcap(path, topic, ros_rate_hz, [] if notes is None else notes)
+        return _from_mcap(path, topic, [] if notes is None else notes)
     from scipy.io import wavfile
 
     check_input(path, RecordingError)
@@ -86,14 +82,14 @@ def _loudest(values: FloatArray) -> FloatArray:
     return np.ascontiguousarray(values[:, int(np.argmax(values.var(axis=0)))])
 
 
-def _from_mcap(path: Path, wanted: str | None, ros_rate_hz: int, notes: list[str]) -> list[Track]:
+def _from_mcap(path: Path, wanted: str | None, notes: list[str]) -> list[Track]:
     container = Container(path)
     blocks: dict[str, list[tuple[float, FloatArray, float]]] = {}
     damaged = 0
     for message in container.messages(_is_audio):
         try:
-            blocks.setdefault(message.topic.name, []).append(_block(message, ros_rate_hz))
-        except (ValueError, IndexError, struct.error):
+            blocks.setdefault(message.topic.name, []).append(_block(message))
+        except ValueError:
             damaged += 1
     notes += container.notes
     if damaged:
@@ -103,7 +99,7 @@ def _from_mcap(path: Path, wanted: str | None, ros_rate_hz: int, notes: list[str
         has = ", ".join(sorted(blocks)) or "none"
         what = "has no audio topic that can be read" if not chosen else "has several audio topics"
         raise RecordingError(
-            f"{path} {what} (foxglove.RawAudio, audio_common_msgs); found: {has}; name one with"
+            f"{path} {what} (foxglove.RawAudio); found: {has}; name one with"
             " --audio-topic, or give a WAV file."
         )
     (name,) = chosen
@@ -111,27 +107,19 @@ def _from_mcap(path: Path, wanted: str | None, ros_rate_hz: int, notes: list[str
 
 
 def _is_audio(topic: Topic) -> bool:
-    if topic.encoding == "protobuf":
-        return topic.schema == "foxglove.RawAudio"
-    return topic.encoding == "cdr" and topic.schema.replace("/msg/", "/") in _ROS
+    return topic.encoding == "protobuf" and topic.schema == "foxglove.RawAudio"
 
 
-def _block(message: McapMessage, ros_rate_hz: int) -> tuple[float, FloatArray, float]:
+def _block(message: McapMessage) -> tuple[float, FloatArray, float]:
     """Stamp (s), samples (n, channels) and rate (Hz) of one message."""
-    if message.topic.encoding == "protobuf":
-        audio = parsed("foxglove.RawAudio", message.data)
-        if audio.format != "pcm-s16" or not audio.sample_rate or not audio.number_of_channels:
-            raise RecordingError(f"{message.topic.name} is of format {audio.format!r}; record pcm-s16.")
-        stamp = audio.timestamp.seconds + 1e-9 * audio.timestamp.nanos
-        count = len(audio.data) // (2 * audio.number_of_channels)
-        data = np.frombuffer(audio.data, "<i2", count * audio.number_of_channels)
-        values = data.reshape(count, audio.number_of_channels) / 32767.0
-        return stamp or 1e-9 * message.log_ns, values, float(audio.sample_rate)
-    raw = message.data
-    sound = values_of(raw, message.topic.schema.replace("/msg/", "/"))
-    stamp = float(sound["sec"][0] + 1e-9 * sound["nsec"][0]) if "sec" in sound else 0.0
-    samples = np.frombuffer(sound["data"], byte_order(raw) + "i2", len(sound["data"]) // 2) / 32767.0
-    return stamp or 1e-9 * message.log_ns, samples[:, None], float(ros_rate_hz)
+    audio = parsed("foxglove.RawAudio", message.data)
+    if audio.format != "pcm-s16" or not audio.sample_rate or not audio.number_of_channels:
+        raise RecordingError(f"{message.topic.name} is of format {audio.format!r}; record pcm-s16.")
+    stamp = audio.timestamp.seconds + 1e-9 * audio.timestamp.nanos
+    count = len(audio.data) // (2 * audio.number_of_channels)
+    data = np.frombuffer(audio.data, "<i2", count * audio.number_of_channels)
+    values = data.reshape(count, audio.number_of_channels) / 32767.0
+    return stamp or 1e-9 * message.log_ns, values, float(audio.sample_rate)
 
 
 def _tracks(blocks: list[tuple[float, FloatArray, float]], source: str) -> list[Track]:

@@ -29,9 +29,6 @@ _SAMPLES = {
     "sensor_msgs/Image": _HEADER + "height:I width:I encoding:s big:B step:I data:o",
     "sensor_msgs/CompressedImage": _HEADER + "s data:o",
     "sensor_msgs/CameraInfo": _HEADER + "height:I width:I model:s D:d[] K:d*9",
-    "audio_common_msgs/AudioData": "data:o",
-    "audio_common_msgs/AudioDataStamped": _HEADER + "data:o",
-    "audio_common_msgs/AudioStamped": _HEADER + "data:o",
 }
 _MARKER = _HEADER + "s id:i i action:i position:d*3 d*7 f*6 B 3d[] 4f[] "
 _PLAIN_MARKER, _TEXTURED_MARKER = _MARKER + "s s B", _MARKER + "s i*2 s s B[] 2f[] s s s B[] B"
@@ -123,11 +120,6 @@ def marker_array(data: bytes, textured: bool = True) -> MessageLayout:
 def markers_of(schema_data: bytes) -> partial[MessageLayout]:
     """The walk over markers as a file's schema has them: those of newer ROS have textures."""
     return partial(marker_array, textured=b"texture_resource" in schema_data or not schema_data)
-
-
-def byte_order(data: bytes) -> str:
-    """Of a message's numbers, as `struct` has it."""
-    return _PLAIN[bytes(data[:2])][1]
 
 
 def values_of(data: bytes, kind: str) -> dict[str, Any]:

@@ -50,32 +50,6 @@ def test_every_format_of_every_arm(results, tmp_path, format_name, arm):
 
 
 @pytest.mark.parametrize("format_name", FORMATS)
-def test_one_arm_of_two(results, tmp_path, format_name):
-    for side in ("left", "right"):
-        done(
-            *("export", results / "both.mcap", "--format", format_name, "--side", side),
-            *("-o", tmp_path / side),
-        )
-        done("export", results / f"{side}.mcap", "--format", format_name, "-o", tmp_path / f"{side}_alone")
-        same = (tmp_path / side).read_bytes(), (tmp_path / f"{side}_alone").read_bytes()
-        if format_name == "trc":  # its first line has the file's name
-            same = tuple(one.partition(b"\n")[2] for one in same)
-        assert same[0] == same[1]
-
-
-@pytest.mark.parametrize("format_name", FORMATS)
-def test_an_output_that_exists(results, tmp_path, capsys, format_name):
-    output = tmp_path / f"a.{format_name}"
-    output.write_text("mine")
-    command = ("export", results / "left.mcap", "--format", format_name, "-o", output)
-    assert "--force" in refused(capsys, *command)
-    assert output.read_text() == "mine"
-    done(*command, "--force")
-    assert output.stat().st_size > 10_000
-    assert [path.name for path in tmp_path.iterdir()] == [output.name]
-
-
-@pytest.mark.parametrize("format_name", FORMATS)
 @pytest.mark.parametrize(
     ("name", "sentence"),
     [
@@ -191,13 +165,6 @@ def test_simulated_mocap_beside_its_recording(tmp_path, side):
         np.testing.assert_allclose(place[seen], there, atol=1e-3)
 
 
-def test_mocap_leaves_the_recording_as_it_is(tmp_path):
-    options = ("--set", "protocol=random", "--set", "duration_s=4", "--seed", 8)
-    done("simulate", "arm", "-o", tmp_path / "a.mcap", *options)
-    done("simulate", "arm", "-o", tmp_path / "b.mcap", "--mocap", *options)
-    assert (tmp_path / "a.mcap").read_bytes() == (tmp_path / "b.mcap").read_bytes()
-
-
 def test_mocap_goes_into_the_calibration_that_is_named(tmp_path, capsys):
     done(
         *(
@@ -222,14 +189,6 @@ DOCUMENT = Path(__file__).parents[3] / "docs" / "exports.md"
 
 def document() -> str:
     return DOCUMENT.read_text(encoding="utf-8")
-
-
-def test_the_columns_are_those_that_are_written(tmp_path):
-    ready = prepare_export(made(), "mot")
-    ready.write(tmp_path / "a.mot", False)
-    columns = (tmp_path / "a.mot").read_text().partition("endheader\n")[2].partition("\n")[0].split("\t")
-    for name in columns[1:]:
-        assert f"| `{name}` |" in document()
 
 
 def test_examples_run(tmp_path, monkeypatch, capsys):

@@ -96,18 +96,6 @@ def test_opensim_axes_have_y_up(tmp_path, down):
     assert abs(camera_looks[2]) < 1e-9
 
 
-@pytest.mark.parametrize("frame", ["camera", "opensim"])
-def test_c3d_and_trc_hold_the_same(tmp_path, frame):
-    recovery = without_answer(made("left"), 9.5, 10.5)
-    _, names, _, trc = read_trc(export(recovery, tmp_path / "a.trc", frame=frame))
-    parameters, labels, c3d, residual = read_c3d(export(recovery, tmp_path / "a.c3d", frame=frame))
-    assert labels == names
-    np.testing.assert_allclose(c3d, trc / 1000, atol=C3D_M, equal_nan=True)
-    np.testing.assert_array_equal(residual == -1, np.isnan(c3d[..., 0]))
-    assert parameters["UNOCCLUDE"]["FRAME"]["value"] == [frame]
-    assert parameters["POINT"]["RATE"]["value"] == pytest.approx([80], rel=1e-6)
-
-
 def test_c3d_flags_what_is_recovered(tmp_path):
     recovery = without_answer(made("left"), 9.5, 10.5)
     state = recovery.arm.state.copy()
@@ -145,27 +133,6 @@ def test_c3d_has_the_gaps_as_events(tmp_path):
     assert events["USED"]["value"].tolist() == [len(times)]
 
 
-def test_own_readers_read_them(tmp_path):
-    from smoother.io.tables.markers import read_markers
-
-    recovery = without_answer(made(), 9.5, 10.5)
-    for name, limit in (("a.trc", TRC_M), ("a.c3d", C3D_M)):
-        found = read_markers(export(recovery, tmp_path / name, frame="camera"))
-        assert list(found.names) == AFTER + BEFORE
-        wrist = found.position[:, found.names.index("wrist")]
-        np.testing.assert_allclose(wrist, recovery.joints["wrist"], atol=limit)
-
-
-@pytest.mark.parametrize("suffix", ["trc", "c3d"])
-def test_strap_alone_is_a_point(tmp_path, suffix):
-    recovery = made(strap=True)
-    path = export(recovery, tmp_path / f"a.{suffix}", frame="camera")
-    _, names, *rest = read_trc(path) if suffix == "trc" else read_c3d(path)
-    assert names == ["imu", "camera_strap"]
-    position = rest[-1] / 1000 if suffix == "trc" else rest[0]
-    np.testing.assert_allclose(position[:, 0], recovery.position, atol=C3D_M)
-
-
 def test_uneven_stamps_come_to_a_constant_step(tmp_path):
     recovery = made()
     uneven = jittered(recovery)
@@ -183,17 +150,6 @@ def test_uneven_stamps_come_to_a_constant_step(tmp_path):
         true = CubicSpline(uneven.t_s, uneven.joints["wrist"])(t_s)
         far = np.abs(uneven.t_s[:, None] - t_s[None]).min(axis=0) < 0.0126  # no hole of two samples
         np.testing.assert_allclose(position[far, names.index("wrist")] / 1000, true[far], atol=2e-3)
-
-
-def test_all_nan_stays_blank(tmp_path):
-    recovery = without_answer(made(), -1, 100)
-    _, names, _, position = read_trc(export(recovery, tmp_path / "a.trc"))
-    assert np.isnan(position[:, : len(AFTER)]).all()
-    assert np.isfinite(position[:, len(AFTER) :]).any()
-    _, _, c3d, residual = read_c3d(export(recovery, tmp_path / "a.c3d"))
-    assert (residual[:, : len(AFTER)] == -1).all()
-    assert np.isnan(c3d[:, : len(AFTER)]).all()
-    assert names[0] == "shoulder"
 
 
 def test_too_many_frames_for_a_c3d(tmp_path):
@@ -241,19 +197,3 @@ def test_a_c3d_that_was_cut_short_is_noticed(tmp_path, monkeypatch):
     with pytest.raises(UnoccludeError, match="no space left on the disk"):
         prepare_export(made(), "c3d").write(tmp_path / "a.c3d", False)
     assert os.listdir(tmp_path) == []
-
-
-def test_long_and_foreign_notes_fit(tmp_path):
-    recovery = replace(made(), notes=("Ein langer Satz über die Schulter. " * 30,), name="µ" * 300)
-    parameters, *_ = read_c3d(export(recovery, tmp_path / "a.c3d"))
-    assert "Schulter" in " ".join(parameters["UNOCCLUDE"]["NOTES"]["value"])
-
-
-def test_same_result_same_bytes(tmp_path):
-    for suffix in ("trc", "c3d", "mot", "parquet"):
-        for place in ("one", "two"):
-            (tmp_path / place).mkdir(exist_ok=True)
-            export(made(), tmp_path / place / f"a.{suffix}")
-        assert (tmp_path / "one" / f"a.{suffix}").read_bytes() == (
-            tmp_path / "two" / f"a.{suffix}"
-        ).read_bytes()

@@ -16,7 +16,6 @@ from results import made, without_answer
 from scipy.spatial.transform import Rotation
 
 from smoother.io import write_recording, write_recovery
-from smoother.io.result.drawing import world_axes
 from smoother.recording import CameraFrame
 
 
@@ -57,29 +56,6 @@ def test_beads_lie_on_the_bones(tmp_path):
     assert len({beads_of(cloud)[1].tobytes() for cloud in clouds}) == 2
 
 
-def test_beads_of_little(tmp_path):
-    """A strap alone is one bead; times without an answer have a cloud without any, which clears the last."""
-    write_recovery(made(strap=True), tmp_path / "strap.mcap")
-    clouds = decoded(tmp_path / "strap.mcap")["/unocclude/beads"]
-    assert {len(beads_of(cloud)[0]) for cloud in clouds} == {1}
-    write_recovery(without_answer(made(), 9.5, 10.5), tmp_path / "some.mcap")
-    counts = [len(beads_of(cloud)[0]) for cloud in decoded(tmp_path / "some.mcap")["/unocclude/beads"]]
-    assert 24 <= counts.count(0) <= 36  # a second at about 30 Hz
-    assert len(set(counts)) == 2
-
-
-def test_a_line_of_the_log_for_each_gap(tmp_path):
-    recovery = made("left")
-    write_recovery(recovery, tmp_path / "out.mcap")
-    lines = decoded(tmp_path / "out.mcap")["/unocclude/log"]
-    assert len(lines) == len(recovery.gaps) == 2
-    for line, gap in zip(lines, recovery.gaps, strict=True):
-        assert abs(line.timestamp.ToNanoseconds() * 1e-9 - gap.start_s) < 1e-8
-        assert line.message == f"left forearm occluded for {gap.length_s:.2f} s"
-    write_recovery(made(hidden=()), tmp_path / "none.mcap")
-    assert not decoded(tmp_path / "none.mcap")["/unocclude/log"]
-
-
 def test_a_level_frame_in_every_transform(tmp_path):
     """Also where there is no pose; for two arms one and the same; without gravity as the file says."""
     write_recovery([without_answer(made("left"), 9.5, 10.5), made("right")], tmp_path / "both.mcap")
@@ -100,18 +76,6 @@ def test_a_level_frame_in_every_transform(tmp_path):
         one.parent_frame_id for m in decoded(tmp_path / "level.mcap")["/unocclude/tf"] for one in m.transforms
     }
     assert "world" in names
-
-
-def test_world_axes():
-    for frame in CameraFrame:
-        turn = world_axes(frame.down)
-        np.testing.assert_allclose(turn @ turn.T, np.eye(3), atol=1e-12)
-        assert np.linalg.det(turn) > 0.99
-        np.testing.assert_allclose(turn @ frame.down, [0, 0, -1], atol=1e-12)
-    # What lies before an optical camera is at negative x, what is to its right at positive y.
-    turn = world_axes(CameraFrame.OPTICAL.down)
-    np.testing.assert_allclose(turn @ [0, 0, 2], [-2, 0, 0], atol=1e-12)
-    np.testing.assert_allclose(turn @ [1, 0, 0], [0, 1, 0], atol=1e-12)
 
 
 LAYOUT = Path(__file__).parents[3] / "docs" / "unocclude.foxglove-layout.json"
@@ -191,14 +155,3 @@ def test_the_view_follows_a_level_frame(layout, messages):
     assert transforms["forearm_imu"].parent_frame_id == "camera"
     # The forearm stays the first, as readers of older files expect it.
     assert messages["/unocclude/tf"][0].transforms[0].child_frame_id == "forearm_imu"
-
-
-def test_the_topics_that_users_are_to_see_are_there(layout):
-    topics = {path.partition(".")[0].partition("[")[0] for path in paths(layout)}
-    assert topics >= {f"/unocclude/{name}" for name in ("forearm", "arm", "arm_camera", "gaps", "joints")}
-
-
-def test_the_wrist_is_the_wrist(messages):
-    for topic in ("/unocclude/skeleton", "/unocclude/camera"):
-        assert messages[topic][0].joints[2].name == "wrist_right"
-    assert messages["/unocclude/joints"][0].joints[0].name == "elbow_flexion_right"

@@ -10,11 +10,10 @@ from typing import Any
 import numpy as np
 import pytest
 import ros_bags as ros
-from mcap_messages import groups
 from mcap_ros2._dynamic import serialize_dynamic
 
 from smoother.io.wire import cdr
-from smoother.io.wire.layout import BROKEN, Grouper, MessageLayout
+from smoother.io.wire.layout import BROKEN, MessageLayout
 
 SEC, NANOSEC = 1_700_000_123, 456_789_012
 
@@ -82,35 +81,6 @@ def test_a_message_of_another_library(
     assert layout.texts == {"frame_id": frame}
 
 
-@pytest.mark.parametrize(("walk", "data"), [(IMU, imu), (FIELD, field), (POSE, pose)])
-def test_a_message_that_was_cut(walk: Walk, data: Callable[[str], bytes]) -> None:
-    """Up to the last field that is read it is broken; what lies behind is not looked at."""
-    raw = data("wrist")
-    layout = walk(raw)
-    end = max(offsets[-1] + dtype.itemsize * count for offsets, dtype, count in layout.fields.values())
-    for size in range(end):
-        with pytest.raises(BROKEN):
-            walk(raw[:size])
-    assert walk(raw[:end]).fields == layout.fields
-
-
-def test_what_decides_the_layout() -> None:
-    """The encapsulation, and a name's length and letters: nothing else."""
-    raw = imu("wrist")
-    layout = IMU(raw)
-    decisive = {0, 1, *range(12, 16), *range(16, 22)}  # behind a head of 4 bytes and two of 4
-    assert set(np.flatnonzero(layout.mask).tolist()) == decisive
-    assert (layout.mask[list(decisive)] == 0xFF).all()
-    grouper = Grouper(IMU)
-    found = {
-        layout.texts["frame_id"]: index.tolist()
-        for index, _, layout in groups(
-            grouper, [imu("left"), imu("rght"), imu("left"), b"\0\1\0\0short", imu("elbow")]
-        )
-    }
-    assert found == {"left": [0, 2], "rght": [1], "elbow": [4]} and grouper.broken == 1
-
-
 def big_marker(number: int, textured: bool) -> dict[str, Any]:
     """With a value in every field, odd lengths of strings, and sequences of all kinds."""
     made = ros.marker(SEC * 10**9 + number, 300 + number, np.array([1.0, 2, 3]) * number, action=number % 4)
@@ -165,11 +135,12 @@ def test_encapsulations(head: bytes, widest: int, order: str) -> None:
     found = cdr.values_of(head + b"\0\0" + body, "sensor_msgs/MagneticField")
     assert (found["sec"], found["nsec"], found["frame_id"]) == (-7, 5, "f")
     assert found["mag"].tolist() == [1.5, -2.0, 4e9]
-    odd = struct.pack(order + "iII", 1, 2, 3) + b"fr\0" + bytes(1) + struct.pack(order + "I", 2) + b"z\xff"
-    sound = cdr.values_of(head + b"\0\0" + odd, "audio_common_msgs/AudioDataStamped")
-    assert sound["frame_id"] == "fr" and sound["data"].tobytes() == b"z\xff"
+    odd = struct.pack(order + "iII", 1, 2, 3) + b"fr\0" + bytes(1) + struct.pack(order + "I", 4) + b"png\0"
+    odd += struct.pack(order + "I", 2) + b"z\xff"
+    image = cdr.values_of(head + b"\0\0" + odd, "sensor_msgs/CompressedImage")
+    assert image["frame_id"] == "fr" and image["data"].tobytes() == b"z\xff"
     with pytest.raises(IndexError):
-        cdr.values_of(head + b"\0\0" + odd[:-1], "audio_common_msgs/AudioDataStamped")
+        cdr.values_of(head + b"\0\0" + odd[:-1], "sensor_msgs/CompressedImage")
 
 
 @pytest.mark.parametrize("data", [b"", b"\0\1\0", b"\0\2\0\0rest", b"\1\1\0\0rest", b"\0\x0b\0\0rest"])

@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-import pytest
 from mcap_messages import groups
 
-from smoother.io.wire import layout as module
 from smoother.io.wire.layout import Grouper, MessageLayout
 
 
@@ -40,29 +38,3 @@ def test_groups_hold_every_message_once() -> None:
         for index, block, layout in found:
             for i, row in zip(index.tolist(), block, strict=True):
                 assert row.tobytes() == payloads[i] and payloads[i][0] == layout.counts["kind"]
-
-
-def test_a_stream_without_regularity_is_not_remembered() -> None:
-    """Sixty-four layouts of a size, no more: the rest are walked again each time."""
-    walked = []
-
-    def counting(data: bytes) -> MessageLayout:
-        walked.append(data[0])
-        return walk(data)
-
-    payloads = [bytes([kind]) for kind in range(1, 71)]
-    grouper = Grouper(counting)
-    assert sum(len(index) for index, _, _ in groups(grouper, payloads)) == 70 and len(walked) == 70
-    assert sum(len(index) for index, _, _ in groups(grouper, payloads)) == 70
-    assert walked[70:] == list(range(65, 71))
-
-
-@pytest.mark.parametrize("error", module.BROKEN)
-def test_what_a_walk_may_raise_is_counted(error: type[Exception]) -> None:
-    def failing(data: bytes) -> MessageLayout:
-        raise error("broken")
-
-    grouper = Grouper(failing, 5)
-    assert list(groups(grouper, [b"a", b"bb"])) == [] and grouper.broken == 7
-    with pytest.raises(KeyError):
-        list(groups(Grouper(lambda _: {}["no walk"]), [b"a"]))

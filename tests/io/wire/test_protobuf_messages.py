@@ -29,52 +29,6 @@ def one(layout: MessageLayout, data: bytes, name: str) -> list[float]:
     return list(layout.get(np.frombuffer(data, np.uint8)[None], name)[0].tolist())
 
 
-def test_a_message_of_the_library() -> None:
-    raw = skeleton()
-    layout, block = decode.walk(raw, Skeleton), np.frombuffer(raw, np.uint8)[None]
-    assert layout.counts == {"joints": 2}
-    assert layout.texts == {"frame_id": "K\u00e4mera", "joints.0.name": "j0", "joints.1.name": "j1"}
-    assert layout.integer(block, "body")[0] == 300 and layout.integer(block, "occluded")[0] == 1
-    assert [layout.integer(block, f"joints.{k}.state")[0] for k in (0, 1)] == [1, 2]
-    assert layout.vector(
-        block, ["joints.1.position.x", "joints.1.position.y", "joints.1.position.z"]
-    ).tolist() == [[2.5, 0.0, -2.0]]
-    assert one(layout, raw, "joints.0.confidence") == [0.25]
-    assert one(layout, raw, "joints.1.position_covariance") == list(range(9))
-    assert "joints.0.position_covariance" not in layout.fields
-    assert decode.stamps(block, layout, np.array([5]))[0] == 1_700_000_000_123_456_789
-
-
-def test_rows_of_one_layout_differ_in_their_numbers_only() -> None:
-    """Tags, lengths and texts decide; of a varint only where it ends."""
-    raw = skeleton()
-    layout = decode.walk(raw, Skeleton)
-    layout.finish()
-    other = Skeleton.FromString(raw)
-    other.body, other.joints[0].position.x = 299, 77.0
-    same = other.SerializeToString()
-    for change in ("frame_id", "name", "body", "joints"):
-        message = Skeleton.FromString(raw)
-        if change == "frame_id":
-            message.frame_id = "K\u00f6mera"
-        elif change == "name":
-            message.joints[1].name = "i1"
-        elif change == "body":
-            message.body = 5  # one byte shorter
-        else:
-            message.joints.add()
-        data = message.SerializeToString()
-        if len(data) == len(raw):
-            assert not layout.matches(np.frombuffer(data, np.uint8)[None])[0], change
-    block = np.array([np.frombuffer(each, np.uint8) for each in (raw, same)])
-    assert layout.matches(block).all()
-    assert layout.integer(block, "body").tolist() == [300, 299]
-    # an end that lies elsewhere is another layout: a varint of one byte and a tag, of two bytes
-    short = decode.walk(b"\x18\x05\x28\x01", Skeleton)
-    short.finish()
-    assert not short.matches(np.frombuffer(b"\x18\x85\x28\x01", np.uint8)[None])[0]
-
-
 def test_every_cut_is_noticed() -> None:
     raw = skeleton()
     # at the end of a field of the message itself a shorter message is whole
@@ -92,26 +46,6 @@ def test_every_cut_is_noticed() -> None:
         else:
             with pytest.raises(BROKEN):
                 decode.walk(raw[:size], Skeleton)
-
-
-@pytest.mark.parametrize(
-    "unknown",
-    [
-        b"\xf8\x07\xac\x02",  # a varint
-        b"\xf9\x07" + bytes(8),
-        b"\xfd\x07" + bytes(4),
-        b"\xfa\x07\x03abc",
-    ],
-)
-def test_fields_that_nobody_knows_are_passed_over(unknown: bytes) -> None:
-    raw = skeleton()
-    layout = decode.walk(unknown + raw + unknown, Skeleton)
-    known = decode.walk(raw, Skeleton)
-    assert layout.texts == known.texts and layout.varints.keys() == known.varints.keys()
-    assert layout.fields.keys() == known.fields.keys() and layout.counts == known.counts
-    for name, (offsets, dtype, count) in known.fields.items():
-        moved = [offset + len(unknown) for offset in offsets]
-        assert layout.fields[name] == (moved, dtype, count)
 
 
 @pytest.mark.parametrize(
