@@ -66,6 +66,11 @@ class JointMeasurements:
             return self.ray
         return None if self.origin_m is None else directions(self.position, self.origin_m)
 
+    @property
+    def distance_m(self) -> FloatArray | None:
+        """How far the camera is from the samples (k,), m; None of a camera with depth."""
+        return None if self.origin_m is None else np.linalg.norm(self.position - self.origin_m, axis=1)
+
     def linearised(self, at_node: FloatArray) -> JointMeasurements:
         """The same about where the joint is at the samples' nodes (k, 3), m; as it is of one with depth."""
         if self.origin_m is None:
