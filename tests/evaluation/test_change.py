@@ -201,27 +201,6 @@ def test_the_example_of_shrout_and_fleiss():
     assert sem_agreement(RATINGS)[0] == pytest.approx(np.sqrt((32.49 - 1.02) / 6 + 1.02), abs=0.01)
 
 
-def test_sem_by_least_squares_and_its_interval():
-    """SEM_agreement finds the model's."""
-    rng = np.random.default_rng(5)
-    inside, trials, shift = 0, 400, 1.5
-    for _ in range(trials):
-        ratings = rng.normal(50, 8, (12, 1)) + rng.normal(0, 2.0, (12, 2))
-        value, low, high = sem_agreement(ratings)
-        inside += low <= 2.0 <= high
-    assert 0.92 <= inside / trials <= 0.98  # 0.95 +- 2.75 standard errors
-    ratings = rng.normal(50, 8, (4000, 1)) + rng.normal(0, 2.0, (4000, 2)) + [0.0, shift]
-    value, *_ = sem_agreement(ratings)
-    assert value == pytest.approx(np.hypot(2.0, shift / np.sqrt(2)), rel=0.02)
-    n, k = 9, 3
-    some = rng.normal(size=(n, k))
-    person = progress_over(some, ("s1", "s2", "s3"))
-    (one,) = reliability_of(person)
-    assert one["sdc"] == pytest.approx(1.96 * np.sqrt(2) * one["sem_agreement"])
-    assert (one["persons"], one["sessions"]) == (n, k)
-    assert one["bias"] == pytest.approx((some[:, 1] - some[:, 0]).mean())
-
-
 def progress_over(values: np.ndarray, sessions: tuple[str, ...]) -> list[PersonProgress]:
     return [
         PersonProgress(

@@ -17,8 +17,7 @@ from smoother.evaluation.advice import advice, rejected
 from smoother.evaluation.summary import gap_summaries, recovery_figures
 from smoother.measurements.visibility import REASONS, Gap, Reason
 from smoother.recording import JOINTS
-from smoother.result import Estimates, Recovery
-from smoother.result.untrusted import usable
+from smoother.result import Recovery
 
 
 @pytest.fixture
@@ -79,15 +78,6 @@ def test_figures(recovery: Recovery) -> None:
     for name, chosen in (("visible", ~recovery.occluded), ("occluded", recovery.occluded)):
         values = sigma_m[chosen & np.isfinite(sigma_m)]
         assert figures["sigma_m"][name] == {"median": np.median(values), "max": values.max()}
-
-
-def test_usable(recovery: Recovery) -> None:
-    answered = np.isfinite(recovery.position).all(axis=1)
-    np.testing.assert_array_equal(usable(recovery), answered)
-    limited = replace(recovery, estimates=Estimates(max_sigma_m=0.06))
-    expected = answered & (recovery.sigma_m <= 0.06).all(axis=1)
-    assert 0 < expected.sum() < answered.sum()
-    np.testing.assert_array_equal(usable(limited), expected)
 
 
 def test_rejected(recovery: Recovery) -> None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
-import ezc3d
 import numpy as np
 import pytest
 from arms import LEVERS, make_recording, make_recovery, path, turn
@@ -27,10 +26,8 @@ from smoother.evaluation.mocap.markers import (
 )
 from smoother.evaluation.mocap.motion import smoothed
 from smoother.evaluation.reference import read_reference
-from smoother.evaluation.truth import read_truth
 from smoother.evaluation.validate import validate
 from smoother.io.export.markers import write_trc
-from smoother.io.tables.markers import read_markers
 from smoother.recording import CameraFrame
 
 PLATE = np.array(
@@ -185,21 +182,6 @@ class TestReference:
         assert not np.isfinite(truth.position).any()
         found = validate(recovery, truth, alignment)
         assert found.points["wrist"]["all"].position_rms_m == pytest.approx(0.004 * np.sqrt(3), rel=0.1)
-
-    def test_c3d_gives_the_same(self, recovery, files, tmp_path):
-        chosen = files(MAP + PLACED)
-        t, markers = captured(np.random.default_rng(7))
-        file = ezc3d.c3d()
-        file["parameters"]["POINT"]["RATE"]["value"] = [120.0]
-        file["parameters"]["POINT"]["UNITS"]["value"] = ["mm"]
-        file["parameters"]["POINT"]["LABELS"]["value"] = list(NAMES)
-        points = np.ones((4, len(NAMES), len(t)))
-        points[:3] = np.moveaxis(markers, (0, 1, 2), (2, 1, 0)) * 1000
-        file["data"]["points"] = points
-        file.write(str(tmp_path / "m.c3d"))
-        one, _ = read_reference(recovery=recovery, **chosen)
-        other, _ = read_reference(tmp_path / "m.c3d", recovery, markers=chosen["markers"])
-        np.testing.assert_allclose(one.position, other.position, atol=1e-5)
 
     def test_poses_can_be_aligned_when_asked(self, recovery, tmp_path):
         t = np.arange(0, 22, 0.01)
@@ -414,20 +396,3 @@ def test_the_plates_mean_is_the_sensor_where_nothing_tells_otherwise(tmp_path, e
     inside = (truth.t_s > 1) & (truth.t_s < 19) & np.isfinite(truth.position).all(axis=1)
     off = np.linalg.norm(truth.position[inside] - path(truth.t_s[inside]), axis=1)
     assert np.sqrt(np.mean(off**2)) < 0.003
-
-
-def test_a_trc_file_that_is_cut_off_is_said_and_its_torn_line_left_out(tmp_path):
-    t, markers = captured(np.random.default_rng(1), lost=0)
-    files = written(tmp_path, t, markers)
-    text = files["path"].read_text()
-    files["path"].write_text(text[: len(text) // 2 - 30])
-    found = read_markers(files["path"])
-    assert 0.4 * len(t) < len(found) < 0.5 * len(t)
-    assert any("it may be cut off" in note for note in found.notes)
-    # what is left is what was written, to the format's five decimals of a millimetre
-    assert np.abs(found.position - markers[: len(found)]).max() < 1e-7
-
-
-def test_a_truth_of_another_kind_names_all_kinds(exact, tmp_path):
-    with pytest.raises(RecordingError, match=r"\.c3d or \.trc .*\.mcap or \.csv"):
-        read_truth(tmp_path / "truth.xlsx", exact)

@@ -14,7 +14,6 @@ from made_measures import made_measure
 from plotly.offline import get_plotlyjs
 
 from smoother.evaluation.validate import validate
-from smoother.recording import CameraFrame
 from smoother.report import write_report
 from smoother.report.measures import with_interval
 from smoother.report.sheet import PLOTLY
@@ -66,14 +65,6 @@ def test_time_without_any_answer_outside_the_gaps_is_said(recovery):
     position = np.where(away[:, None], np.nan, recovery.position)
     (said,) = [text for text in summary(replace(recovery, position=position), None) if "lasts" in text]
     assert re.search(r"once, for 1\.\d s in all\. For [23]\.\d s more there is no result\.$", said)
-
-
-def test_the_cameras_axes_are_named_without_the_recording(recovery, tmp_path):
-    write_report(recovery, tmp_path / "r.html", camera_frame=CameraFrame.KINECT)
-    text = (tmp_path / "r.html").read_text(encoding="utf-8")
-    assert "x (left), m" in text
-    write_report(recovery, tmp_path / "n.html")
-    assert "x (left)" not in (tmp_path / "n.html").read_text(encoding="utf-8")
 
 
 def test_the_bundle_is_of_the_locked_plotly():

@@ -222,24 +222,6 @@ def test_keys_go_to_gaps_frames_and_play(player: Browser):
     player.wait("document.querySelector('[data-do=play]').getAttribute('aria-pressed') === 'false'")
 
 
-def test_drag_and_touch_turn_the_view_and_boxes_hide(player: Browser):
-    x, y = middle(player, ".space canvas")
-    start = player.run(PAINTED)
-    player.drag(x, y, x + 160, y + 40)
-    player.wait(f"JSON.stringify({PAINTED}) !== {str(start).replace(' ', '')!r}")
-    turned = player.run(PAINTED)
-    player.run("document.querySelector('input[value=path]').click()")
-    player.wait(f"JSON.stringify({PAINTED}) !== {str(turned).replace(' ', '')!r}")
-    assert player.run(PAINTED)[0] < turned[0]
-    player.size(390, 800, phone=True)
-    player.run("document.querySelector('.space canvas').scrollIntoView()")
-    player.wait("document.querySelector('.space canvas').width <= 2 * 390")
-    before, (x, y) = player.run(PAINTED), middle(player, ".space canvas")
-    player.touch([(x, y), (x + 40, y), (x + 90, y)])
-    player.wait(f"JSON.stringify({PAINTED}) !== {str(before).replace(' ', '')!r}")
-    player.touch([middle(player, "[data-do=play]")])
-
-
 @pytest.mark.slow
 def test_paper_is_white_and_holds_the_path(player: Browser):
     player.dark(True)
