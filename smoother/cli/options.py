@@ -67,7 +67,7 @@ Swap = Annotated[str | None, _set_up("Swap two joints (elbow,wrist), or left,rig
 Negate = Annotated[Text, _set_up("Reverse accelerometer, gyroscope or both.", metavar="SENSOR,..")]
 CameraAxes = Annotated[
     Literal["kinect", "optical", "zup"] | None,
-    _set_up("The camera's axes, overriding the file's.", "--camera-frame"),
+    _set_up("kinect, optical or zup, overriding the file.", "--camera-frame", metavar="AXES"),
 ]
 ClockOffset = Annotated[Number, _set_up("IMU time minus camera time.  [default: estimated]", metavar="S")]
 #: One standard deviation of a clock that was measured, where none is stated, s.
@@ -81,7 +81,7 @@ ConfigFile = Annotated[File, rare_value("CONF.toml", "Settings, as `unocclude co
 Processes = Annotated[int | None, rare_value("N", "Worker processes; 0 = one per core.", min=0)]
 Orientation = Annotated[
     Literal["vqf", "madgwick", "comotti", "complementary"] | None,
-    rare("Orientation filter of the methods other than graph.  [default: vqf]"),
+    rare_value("FILTER", "vqf (default), madgwick, comotti or complementary; not of graph."),
 ]
 Anatomy = Annotated[Literal["adult", "child", "any"] | None, rare("Range of limb lengths that is plausible.")]
 BodyHeight = Annotated[Number, rare_value("M", "For limb lengths before a camera without depth.")]

@@ -71,11 +71,9 @@ def smooth(
 ) -> None:
     """Recover the motion in every gap, with its uncertainty.
 
-    Recovers every arm that has an IMU, of all persons; --side, --body and --imu restrict this. IMUs whose
-    names do not state where they were worn are assigned by motion; the notes state the result.
-
-    The exit code is 0 if the result was written, whatever its verdict; with --strict it is 3 if the verdict
-    on an arm is "not to be trusted". Single gaps that are not to be trusted do not change it.
+    Recovers every arm that has an IMU, of all persons. IMUs whose names do not state where they were
+    worn are assigned by motion; the notes state the result. The exit code is 0 if the result was written;
+    with --strict it is 3 if the verdict on an arm is "not to be trusted".
 
     Example: unocclude smooth session.mcap -o out.mcap --calibration arm.toml --report out.html
     """

@@ -169,28 +169,29 @@ _SUMMED = ("samples", "answered", "gaps", "gaps_untrusted", "occluded_s")
 def figures_of_arms(results: Sequence[tuple[Recording, Recovery]]) -> Row:
     """The columns on a recording's arms: of several the worst, or their sum, and each by itself."""
     arms = [figures_of(recording, recovery) for recording, recovery in results]
+    together = arms[0] | {"arms": len(arms)}
+    for name in ("note_texts", "damage"):
+        together[name] = list(dict.fromkeys(text for arm in arms for text in arm[name]))
+    together["notes"] = len(together["note_texts"])
     if len(arms) == 1:
-        texts = list(dict.fromkeys(arms[0]["note_texts"]))
-        return arms[0] | {"arms": 1, "note_texts": texts, "notes": len(texts)}
-    together = dict(arms[0])
+        return together
+    labels = [recovery.arm_label for _, recovery in results]
     for name, value in arms[0].items():
         values = [arm[name] for arm in arms if arm[name] is not None]
         if name in _SUMMED:
             together[name] = sum(values)
         elif name == "trusted":
             together[name] = all(values) if values else None
-        elif isinstance(value, int | float) or value is None:
+        elif name in ("verdict", "self_check"):
+            said = zip(labels, arms, strict=True)
+            together[name] = " ".join(
+                f"{label.capitalize()}: {arm[name]}" for label, arm in said if arm[name]
+            )
+        elif name != "notes" and (isinstance(value, int | float) or value is None):
             together[name] = max(values, default=None)
-    texts = list(dict.fromkeys(note for arm in arms for note in arm["note_texts"]))
-    said = [(recovery.arm_label, recovery.estimates.verdict) for _, recovery in results]
-    together["verdict"] = " ".join(f"{label.capitalize()}: {verdict}" for label, verdict in said if verdict)
-    checks = [(label, arm["self_check"]) for (label, _), arm in zip(said, arms, strict=True)]
-    together["self_check"] = " ".join(f"{label.capitalize()}: {check}" for label, check in checks if check)
     # a clock belongs to one arm's IMU: those of several are with the arms
     together |= {"clock_offset_s": None, "clock_offset_sigma_s": None}
-    together["damage"] = list(dict.fromkeys(note for arm in arms for note in arm["damage"]))
-    together |= {"note_texts": texts, "notes": len(texts), "arms": len(arms)}
-    together["side"] = ", ".join(recovery.arm_label.replace(" arm", "") for _, recovery in results)
+    together["side"] = ", ".join(label.replace(" arm", "") for label in labels)
     each = [{"body": recovery.body, **arm} for (_, recovery), arm in zip(results, arms, strict=True)]
     return together | {"arm_figures": json.dumps(each)}
 

@@ -16,22 +16,11 @@ from smoother.io import read_recovery
 
 
 @pytest.fixture(scope="module")
-def session(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Ten seconds with an occlusion, its motion capture and its calibration."""
-    folder = tmp_path_factory.mktemp("compare")
-    done(
-        *("simulate", "arm", "--set", "protocol=random", "--set", "duration_s=10", "--seed", 6),
-        *("-o", folder / "rec.mcap", "--mocap", "--calibration-out", folder / "cal.toml"),
-    )
-    return folder
-
-
-@pytest.fixture(scope="module")
-def everything(session: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[dict, str]:
+def everything(ten_seconds: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[dict, str]:
     """Figures and page of every method, held against the recording's own truth."""
     where = tmp_path_factory.mktemp("everything")
     done(
-        *("compare", session / "rec.mcap", "--calibration", session / "cal.toml", "--processes", 1),
+        *("compare", ten_seconds / "rec.mcap", "--calibration", ten_seconds / "cal.toml", "--processes", 1),
         *("--json", where / "c.json", "--report", where / "c.html"),
     )
     return json.loads((where / "c.json").read_text()), (where / "c.html").read_text()
@@ -70,11 +59,11 @@ def test_the_page_has_every_method_over_the_others(everything):
 
 
 @pytest.mark.slow
-def test_a_truth_of_markers(everything, session: Path, tmp_path: Path, capsys):
+def test_a_truth_of_markers(everything, ten_seconds: Path, tmp_path: Path, capsys):
     figures, _ = everything
     done(
-        *("compare", session / "rec.mcap", "--truth", session / "rec.c3d", "--methods", "hold,graph"),
-        *("--markers", session / "rec_markers.toml", "--calibration", session / "cal.toml"),
+        *("compare", ten_seconds / "rec.mcap", "--truth", ten_seconds / "rec.c3d", "--methods", "hold,graph"),
+        *("--markers", ten_seconds / "rec_markers.toml", "--calibration", ten_seconds / "cal.toml"),
         *("--processes", 1, "--json", tmp_path / "c.json"),
     )
     said = capsys.readouterr().out
@@ -105,8 +94,8 @@ def test_a_recording_without_gaps_is_compared_as_a_whole(tmp_path: Path, capsys)
     assert "over the whole recording, which has no gap" in (tmp_path / "c.html").read_text()
 
 
-def test_what_cannot_be_compared_is_said_in_a_sentence(session: Path, tmp_path: Path, capsys):
-    recording, json_file = session / "rec.mcap", tmp_path / "c.json"
+def test_what_cannot_be_compared_is_said_in_a_sentence(ten_seconds: Path, tmp_path: Path, capsys):
+    recording, json_file = ten_seconds / "rec.mcap", tmp_path / "c.json"
     bare = tmp_path / "bare.mcap"
     folder = tmp_path / "plain"
     folder.mkdir()
@@ -139,11 +128,11 @@ def test_what_cannot_be_compared_is_said_in_a_sentence(session: Path, tmp_path: 
         assert not json_file.exists()
 
 
-def test_gaps_draws_error_against_length(session: Path, tmp_path: Path):
+def test_gaps_draws_error_against_length(ten_seconds: Path, tmp_path: Path):
     page, json_file = tmp_path / "g.html", tmp_path / "g.json"
     done(
-        *("gaps", session / "rec.mcap", "--methods", "graph,rts,hold", "--lengths", "0.5,0.25"),
-        *("--gaps-per-run", 2, "--processes", 1, "--calibration", session / "cal.toml"),
+        *("gaps", ten_seconds / "rec.mcap", "--methods", "graph,rts,hold", "--lengths", "0.5,0.25"),
+        *("--gaps-per-run", 2, "--processes", 1, "--calibration", ten_seconds / "cal.toml"),
         *("--report", page, "--json", json_file),
     )
     figures = json.loads(json_file.read_text())

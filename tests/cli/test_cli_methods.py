@@ -39,17 +39,6 @@ PROMISED = {
 }
 
 
-@pytest.fixture(scope="module")
-def session(tmp_path_factory) -> Path:
-    """A recording of ten seconds with an occlusion, and its calibration."""
-    folder = tmp_path_factory.mktemp("methods")
-    done(
-        *("simulate", "arm", "--set", "protocol=random", "--set", "duration_s=10", "--seed", 6),
-        *("-o", folder / "rec.mcap", "--calibration-out", folder / "cal.toml"),
-    )
-    return folder
-
-
 def test_every_promised_method_is_there():
     assert set(METHODS) == PROMISED == set(choose("all"))
     assert choose("hold, graph,hold") == ["hold", "graph"]
@@ -57,11 +46,11 @@ def test_every_promised_method_is_there():
 
 @pytest.mark.slow
 @pytest.mark.parametrize("method", sorted(BASELINES))
-def test_smooth(session: Path, tmp_path: Path, method: str, capsys):
+def test_smooth(ten_seconds: Path, tmp_path: Path, method: str, capsys):
     out, figures_file = tmp_path / "out.mcap", tmp_path / "out.json"
     done(
-        *("smooth", session / "rec.mcap", "-o", out, "--method", method, "--json", figures_file),
-        *("--calibration", session / "cal.toml", "--processes", 1),
+        *("smooth", ten_seconds / "rec.mcap", "-o", out, "--method", method, "--json", figures_file),
+        *("--calibration", ten_seconds / "cal.toml", "--processes", 1),
     )
     assert "every method to compare with is told" in capsys.readouterr().out
     figures = json.loads(figures_file.read_text())
@@ -71,7 +60,7 @@ def test_smooth(session: Path, tmp_path: Path, method: str, capsys):
     assert found.method == method
     inside = np.isfinite(found.position).all(axis=1) & found.occluded
     assert inside.sum() > 10
-    done("validate", out, "--truth", session / "rec.mcap", "--json", tmp_path / "v.json")
+    done("validate", out, "--truth", ten_seconds / "rec.mcap", "--json", tmp_path / "v.json")
     validation = json.loads((tmp_path / "v.json").read_text())
     # wide of the mark only where a method is: none is off by more than the arm is long
     assert validation["visible"]["position_rms_m"] < 0.08
@@ -79,13 +68,13 @@ def test_smooth(session: Path, tmp_path: Path, method: str, capsys):
     done("export", out, "--format", "csv", "-o", tmp_path / "out.csv")
 
 
-def test_the_orientation_asked_for_is_used(session: Path, tmp_path: Path):
+def test_the_orientation_asked_for_is_used(ten_seconds: Path, tmp_path: Path):
     found = {}
     for orientation in ("vqf", "complementary"):
         out = tmp_path / f"{orientation}.mcap"
         done(
-            *("smooth", session / "rec.mcap", "-o", out, "--method", "pchip", "--processes", 1),
-            *("--orientation", orientation, "--calibration", session / "cal.toml"),
+            *("smooth", ten_seconds / "rec.mcap", "-o", out, "--method", "pchip", "--processes", 1),
+            *("--orientation", orientation, "--calibration", ten_seconds / "cal.toml"),
         )
         (found[orientation],) = read_recovery(out)
         assert found[orientation].estimates.further["orientation"] == orientation

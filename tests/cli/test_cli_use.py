@@ -223,8 +223,8 @@ ROOT = typer.main.get_command(app)
 LEAVES = dict(leaves(ROOT))
 
 
-def shown(*words: str) -> str:
-    result = CliRunner().invoke(ROOT, [*words, "--help"], prog_name="unocclude", terminal_width=80)
+def shown(*words: str, width: int = 80) -> str:
+    result = CliRunner().invoke(ROOT, [*words, "--help"], prog_name="unocclude", terminal_width=width)
     assert result.exit_code == 0
     return result.output
 
@@ -251,6 +251,7 @@ def test_every_option_is_shown_once_and_rare_ones_last(words: tuple[str, ...]):
     head, found, rare = text.partition(f"{ADVANCED}:\n")
     assert text.startswith("Options:\n") and "--help" in head
     assert not found or "Options:\n" not in rare
+    assert shown(*words, width=100).count("\n") <= 51, "it fits on a screen"
 
 
 def test_settings_of_a_simulation_by_key_and_from_a_file(tmp_path: Path, capsys) -> None:

@@ -144,54 +144,6 @@ def test_demo_as_a_user_runs_it(tmp_path, monkeypatch):
     assert str(tmp_path) not in text and str(DATA.parent) not in text
 
 
-@pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A simulated protocol with its motion capture, recovered."""
-    where = tmp_path_factory.mktemp("mocap")
-    done(
-        *("simulate", "arm", "-o", where / "a.mcap", "--mocap", "--calibration-out", where / "cal.toml"),
-        *("--set", "repetitions=1", "--seed", 4, "--json", where / "sim.json"),
-    )
-    done(
-        *("smooth", where / "a.mcap", "-o", where / "out.mcap", "--calibration", where / "cal.toml"),
-        *("--draws", 0),
-    )
-    return where
-
-
-def validated(folder: Path, truth: str, *more: object) -> dict:
-    json_file = folder / "v.json"
-    done("validate", folder / "out.mcap", "--truth", folder / truth, "--json", json_file, "--force", *more)
-    return json.loads(json_file.read_text())
-
-
-@pytest.fixture(scope="module")
-def built_in(folder: Path) -> dict:
-    return validated(folder, "a.mcap")
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("kind", ["c3d", "trc"])
-def test_files_give_the_errors_of_the_built_in_truth(folder, built_in, capsys, kind):
-    with_files = validated(
-        folder, f"a.{kind}", "--markers", folder / "a_markers.toml", "--calibration", folder / "cal.toml"
-    )
-    assert built_in["alignment"] == "none"
-    assert with_files["alignment"] == "calibration"
-    for part in ("all", "occluded", "visible"):
-        one, other = built_in[part], with_files[part]
-        assert other["position_rms_m"] == pytest.approx(one["position_rms_m"], abs=1e-4)
-        assert other["orientation_rms_deg"] == pytest.approx(one["orientation_rms_deg"], abs=0.02)
-        # single samples carry the markers' own noise (0.2 mm)
-        assert other["position_max_m"] == pytest.approx(one["position_max_m"], abs=4e-4)
-        assert other["orientation_max_deg"] == pytest.approx(one["orientation_max_deg"], abs=0.2)
-    for joint in ("elbow", "wrist"):
-        one, other = built_in["points"][joint]["all"], with_files["points"][joint]["all"]
-        assert other["position_rms_m"] == pytest.approx(one["position_rms_m"], abs=1e-4)
-    assert set(with_files["angles_deg"]["all"]) >= {"elbow_flexion", "pronation", "shoulder_elevation"}
-    assert "frame from the calibration" in " ".join(capsys.readouterr().out.split())
-
-
 WORDS = "the file ends in the middle of the recording"
 
 
