@@ -16,11 +16,12 @@ from ..measurements.allowance import allowance
 from ..measurements.visibility import accepted_samples, find_gaps, visible_frames
 from ..recording import Camera, Recording
 from ..result.plain import plain
+from .mcap.messages import Topic
 from .recording.choose import Selection
 from .recording.names import named_side, role
 from .recording.read import METADATA, open_recording
 from .recording.select import select_recordings
-from .recording.streams import ArmFrames, ImuSamples, PoseSamples, RecordingFile, TopicInfo
+from .recording.streams import ArmFrames, ImuSamples, PoseSamples, RecordingFile
 from .result.read import stated_estimates
 from .result.write import RESULT
 
@@ -185,7 +186,7 @@ def describe(
     )
 
 
-def _rate_hz(file: RecordingFile, topic: TopicInfo) -> float | None:
+def _rate_hz(file: RecordingFile, topic: Topic) -> float | None:
     """Mean rate of a topic; messages of one frame (of an arm or a body each) count once."""
     rate_hz = finite(topic.rate_hz)
     stamps = [arm.stamp_ns for arm in file.arms if arm.topic == topic.name]

@@ -126,12 +126,22 @@ class Topic:
     metadata: dict[str, str] = field(default_factory=dict)  # Of the channel
     count: int = 0  # Number of messages
     first_ns: int = 0  # Smallest and largest log time
-    last_ns: int = 0  # Smallest and largest log time
+    last_ns: int = 0
 
     @property
     def label(self) -> str:
         """Its name, fit for a message: no control characters, at most 80 letters."""
         return plain_name(self.name)
+
+    @property
+    def duration_s(self) -> float:
+        """First to last message, s."""
+        return (self.last_ns - self.first_ns) / 1e9
+
+    @property
+    def rate_hz(self) -> float:
+        """Mean rate; nan for fewer than two messages."""
+        return (self.count - 1) / self.duration_s if self.duration_s > 0 else float("nan")
 
     def note(self, log_ns: IntArray) -> None:
         """Count messages (n,), at least one."""

@@ -37,7 +37,6 @@ from .streams import (
     ImuSamples,
     PoseSamples,
     RecordingFile,
-    TopicInfo,
     drop_timestamp_outliers,
     sort_arrivals,
 )
@@ -127,10 +126,9 @@ def open_recording(
 
     file = RecordingFile(container.path, notes=list(container.notes), metadata=container.metadata)
     file.damage = list(container.notes)
-    file.topics = [
-        TopicInfo(t.label, plain_name(t.schema), plain_name(t.encoding), t.count, t.first_ns, t.last_ns)
-        for t in container.topics
-    ]
+    for topic in container.topics:  # names as messages show them
+        names = (plain_name(topic.schema), plain_name(topic.encoding))
+        file.topics.append(replace(topic, name=topic.label, schema=names[0], encoding=names[1]))
     _gather(file, found)
     _refuse_json(file, container.topics)
     sort_arrivals(file, file.metadata.get(METADATA, {}))

@@ -22,7 +22,7 @@ from ...measurements.timestamps import largest_group
 from ...measurements.visibility import enough_joints
 from ...recording import CameraFrame, CameraPose, JointState
 from ...runtime.store import by_rows
-from ..mcap.messages import told_behind
+from ..mcap.messages import Topic, told_behind
 from ..tables.imu import ImuTable
 
 
@@ -112,34 +112,12 @@ class PoseSamples:
     joints: dict[str, FloatArray] = field(default_factory=dict)
 
 
-@dataclass(frozen=True)
-class TopicInfo:
-    """A topic as `info` lists it; times are log times, ns."""
-
-    name: str
-    schema: str
-    encoding: str
-    count: int
-    first_ns: int
-    last_ns: int
-
-    @property
-    def duration_s(self) -> float:
-        """First to last message, s."""
-        return (self.last_ns - self.first_ns) / 1e9
-
-    @property
-    def rate_hz(self) -> float:
-        """Mean rate; nan for fewer than two messages."""
-        return (self.count - 1) / self.duration_s if self.duration_s > 0 else float("nan")
-
-
 @dataclass
 class RecordingFile:
     """All that a file (or a folder of plain files) holds, by kind."""
 
     path: Path  # The file or folder
-    topics: list[TopicInfo] = field(default_factory=list)  # Every topic, those that are not used included
+    topics: list[Topic] = field(default_factory=list)  # Every topic, those that are not used included
     imus: list[ImuSamples] = field(default_factory=list)
     arms: list[ArmFrames] = field(default_factory=list)
     poses: list[PoseSamples] = field(default_factory=list)  # Streams found, samples as recorded (not cleaned)

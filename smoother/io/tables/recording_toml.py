@@ -32,7 +32,7 @@ from ...linalg import unit
 from ...recording import Recording
 from ...runtime.inputs import check_input, inside, read_toml
 from ..files import add_imu, add_skeleton, times_of
-from ..mcap.messages import nanoseconds
+from ..mcap.messages import Topic, nanoseconds
 from ..recording.camera_streams import CAMERA_TOPIC
 from ..recording.choose import Selection
 from ..recording.keypoints import NAMED_TOPIC, TOPIC, lens_from_plain
@@ -42,7 +42,6 @@ from ..recording.streams import (
     KnownLens,
     PoseSamples,
     RecordingFile,
-    TopicInfo,
 )
 from ..registry import FileReader, recognise
 from .columns import (
@@ -262,7 +261,9 @@ def open_csv(
         ),
         *((p.topic, "foxglove.PoseInFrame", p.stamp_ns) for p in file.poses),
     ]:
-        file.topics.append(TopicInfo(topic, schema, "csv", len(stamp), int(stamp.min()), int(stamp.max())))
+        file.topics.append(
+            Topic(topic, schema, "", b"", "csv", {}, len(stamp), int(stamp.min()), int(stamp.max()))
+        )
     return file
 
 
