@@ -222,13 +222,16 @@ def test_pages_without_a_list_are_listed(tmp_path: Path, monkeypatch: pytest.Mon
     monkeypatch.syspath_prepend(str(ROOT / "docs" / "_ext"))
     import written_at_build
 
-    (tmp_path / "index.md").write_text("```{toctree}\nhowto\nTitle <named>\n```\n")
-    for name in ("howto", "named", "later"):
-        (tmp_path / f"{name}.md").write_text(f"# {name}\n")
-    assert "\nlater\n" in written_at_build.other_pages(tmp_path)
-    assert "named" not in written_at_build.other_pages(tmp_path)
-    (tmp_path / "later.md").unlink()
-    assert written_at_build.other_pages(tmp_path) == ""
+    (folder := tmp_path / "docs").mkdir()
+    (tmp_path / "README.md").write_text("[first](docs/later.md), [second](docs/also.md)")
+    (folder / "index.md").write_text("```{toctree}\nhowto\nTitle <named>\n```\n")
+    for name in ("howto", "named", "later", "also", "unlinked"):
+        (folder / f"{name}.md").write_text(f"# {name}\n")
+    assert "\nlater\nalso\nunlinked\n" in written_at_build.other_pages(folder)
+    assert "named" not in written_at_build.other_pages(folder)
+    for name in ("later", "also", "unlinked"):
+        (folder / f"{name}.md").unlink()
+    assert written_at_build.other_pages(folder) == ""
     text = written_at_build.commands()
     assert "## unocclude smooth\n" in text and "## unocclude calibrate panel\n" in text
     assert "`--max-sigma-m M`" in text

@@ -82,15 +82,15 @@ def settings() -> str:
 
 
 def other_pages(folder: Path) -> str:
-    """A hidden list of the pages that no page's own list names, in the order of their links in howto.md."""
+    """A hidden list of the pages that no page's own list names, in the order of README's links."""
     lists = re.compile(r"^```{toctree}\n(.*?)^```", re.DOTALL | re.MULTILINE)
     named = {"index"}
     for page in folder.glob("*.md"):
         for listed in lists.findall(page.read_text(encoding="utf-8")):
             named |= {re.sub(r".*<(.*)>", r"\1", line).strip() for line in listed.splitlines()}
-    linked = (folder / "howto.md").read_text(encoding="utf-8")
+    linked = (folder.parent / "README.md").read_text(encoding="utf-8")
     rest = {page.stem for page in folder.glob("*.md")} - named
-    rest = sorted(rest, key=lambda stem: (linked.find(f"({stem}.md") % (len(linked) + 1), stem))
+    rest = sorted(rest, key=lambda stem: (linked.find(f"docs/{stem}.md") % (len(linked) + 1), stem))
     return "\n".join(["```{toctree}", ":hidden:", "", *rest, "```", ""]) if rest else ""
 
 
