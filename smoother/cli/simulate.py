@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -31,7 +31,8 @@ if TYPE_CHECKING:
     from ..recording import ImuStream
     from ..simulation import MarkerCapture
     from ..simulation.panel import SimulatedPanel
-    from ..simulation.rig import ClockSession, SensorModel
+    from ..simulation.rig import ClockSession
+    from ..simulation.settings import RestPoses, StrapImages, TurningMagnetometer
 
 
 Preset = Annotated[
@@ -39,6 +40,8 @@ Preset = Annotated[
     o.option("Errors to start from, or a file of settings.", metavar="clean|white|realistic|azure|FILE.toml"),
 ]
 Folder = Annotated[Path, o.option("Folder to make.", "-o", "--output", metavar="FOLDER")]
+#: What a calibration should find, further figures, and the command to try.
+Made = tuple[dict[str, Any], dict[str, Any], tuple[object, ...]]
 _TRUTH = "# Simulated: what the calibration of these files should find.\n"
 
 
@@ -110,14 +113,6 @@ def _shown(default: Any) -> str:
     if isinstance(default, tuple):
         return ",".join(map(str, default))
     return str(getattr(default, "value", default)).lower()
-
-
-def check_recording(output: Path, json_file: Path | None, force: bool) -> Path:
-    """Refuse what could not be written in the end; where the truth of a recording goes, beside it."""
-    truth = output.with_name(f"{output.stem}_truth.toml")
-    check_mcap(output)
-    check_outputs(force, [output, truth, json_file])
-    return truth
 
 
 def truth_text(tables: dict[str, Any]) -> str:
@@ -295,13 +290,33 @@ def people(
     say_written(output, json_file)
 
 
-def strap(
-    output: o.Output,
-    seed: o.Seed = 0,
-    settings: o.Settings = None,
-    json_file: o.Json = None,
-    force: o.Force = False,
-) -> None:
+def _for_calibration(kind: str, make: Callable[[Any, int, Path, bool], Made]) -> Callable[..., None]:
+    """The command of a recording that a calibration takes: its settings, its files, what to try next."""
+
+    def command(
+        output: o.Output,
+        seed: o.Seed = 0,
+        settings: o.Settings = None,
+        json_file: o.Json = None,
+        force: o.Force = False,
+    ) -> None:
+        import smoother.simulation.settings as kinds
+
+        (config,) = configured(settings, getattr(kinds, kind))
+        truth_file = output.with_name(f"{output.stem}_truth.toml")
+        check_mcap(output)
+        check_outputs(force, [output, truth_file, json_file])
+        truth, figures, words = make(config, seed, output, force)
+        write_text(truth_file, truth_text(truth), force)
+        write_json(json_file, {"seed": seed, **figures, "truth": truth}, force)
+        say_written(output, truth_file, json_file)
+        say_command(*words)
+
+    command.__doc__ = make.__doc__
+    return command
+
+
+def _strap(config: StrapImages, seed: int, output: Path, force: bool) -> Made:
     """An arm with images of its strap, for `import strap`.
 
     FILE_truth.toml contains the strap's true position, FILE the IMU's true motion.
@@ -310,11 +325,8 @@ def strap(
     """
     from ..io.rig.strap import write_strap_recording
     from ..simulation import ArmSimulation, simulate_arm
-    from ..simulation.settings import StrapImages
     from ..simulation.strap import COLOUR, DEPTH, DEPTH_LATER_S, strap_images, strap_radius_m
 
-    (config,) = configured(settings, StrapImages)
-    truth_file = check_recording(output, json_file, force)
     simulated = simulate_arm(ArmSimulation(protocol="random", duration_s=config.duration_s), seed)
     recording, measures = simulated.recording, simulated.parameters
     times = recording.arm.t_s[:: config.every]
@@ -326,7 +338,6 @@ def strap(
     write_strap_recording(output, recording, images, times, (COLOUR, DEPTH), DEPTH_LATER_S, force=force)
     radius_m, behind_m = strap_radius_m(simulated), measures["strap_to_wrist_m"]
     from_elbow_m, along = float(measures["forearm_m"] - behind_m), float(1 - behind_m / measures["forearm_m"])
-    truth = {"strap": {"radius_m": radius_m, "from_elbow_m": from_elbow_m, "along": along}}
     rows = [
         ("images, colour and depth", len(images)),
         ("forearm's core to the IMU, mm", f"{1e3 * radius_m:.1f}"),
@@ -334,76 +345,50 @@ def strap(
         ("the same in parts of the forearm", f"{along:.2f}"),
     ]
     show(Table(output.name, ("what", "value"), rows))
-    finish(output, truth_file, truth, {"seed": seed, "images": len(images)}, json_file, force)
-    say_command("import", "strap", output, "-o", "with_strap.mcap", "--radius-m", f"{radius_m:.3f}")
+    truth = {"strap": {"radius_m": radius_m, "from_elbow_m": from_elbow_m, "along": along}}
+    words = ("import", "strap", output, "-o", "with_strap.mcap", "--radius-m", f"{radius_m:.3f}")
+    return truth, {"images": len(images)}, words
 
 
-def imu(
-    output: o.Output,
-    seed: o.Seed = 0,
-    settings: o.Settings = None,
-    json_file: o.Json = None,
-    force: o.Force = False,
-) -> None:
+def _imu(config: RestPoses, seed: int, output: Path, force: bool) -> Made:
     """An IMU in rest poses, for `calibrate imu`.
 
     The true values are written to FILE_truth.toml, in the form of a calibration file.
 
     Example: unocclude simulate imu -o poses.mcap --seed 7
     """
-    from ..simulation.rig import long_rest, rest_poses
-    from ..simulation.settings import RestPoses
+    from ..simulation.rig import SensorModel, long_rest, rest_poses
 
-    (config,) = configured(settings, RestPoses)
-    truth_file = check_recording(output, json_file, force)
-    model = _sensor_model(seed, offset=config.offset, scale=config.scale, cross=config.cross)
+    model = SensorModel.draw([seed, 2], offset=config.offset, scale=config.scale, cross=config.cross)
     if config.long_rest_s is None:
         noise = {"acc_noise": config.noise, "gyro_noise": config.noise / 10.0}
         stream, bias = rest_poses(model, config.poses, seed=seed, rest_s=config.rest_s, **noise)
     else:
         stream, bias = long_rest(model, config.long_rest_s, seed=seed)
-    truth = {"accelerometer": _correction(*model.correction()), "gyroscope": {"offset": bias.tolist()}}
-    tables = write_sensor(output, stream, truth, force)
-    finish(output, truth_file, tables, {"seed": seed}, json_file, force)
-    say_command("calibrate", "imu", output, "-o", "arm.toml", "--report", "imu.html")
+    truth = {"accelerometer": model.correction(), "gyroscope": {"offset": bias.tolist()}}
+    words = ("calibrate", "imu", output, "-o", "arm.toml", "--report", "imu.html")
+    return write_sensor(output, stream, truth, force), {}, words
 
 
-def magnetometer(
-    output: o.Output,
-    seed: o.Seed = 0,
-    settings: o.Settings = None,
-    json_file: o.Json = None,
-    force: o.Force = False,
-) -> None:
+def _magnetometer(config: TurningMagnetometer, seed: int, output: Path, force: bool) -> Made:
     """A magnetometer turned in all directions.
 
     The true values are written to FILE_truth.toml, in the form of a calibration file.
 
     Example: unocclude simulate magnetometer -o turning.mcap --seed 7
     """
-    from ..simulation.rig import turning_sensor
-    from ..simulation.settings import TurningMagnetometer
+    from ..simulation.rig import SensorModel, turning_sensor
 
-    (config,) = configured(settings, TurningMagnetometer)
-    truth_file = check_recording(output, json_file, force)
-    model = _sensor_model(seed, offset=config.hard_iron, scale=config.soft_iron, cross=config.soft_iron)
+    iron = {"offset": config.hard_iron, "scale": config.soft_iron, "cross": config.soft_iron}
+    model = SensorModel.draw([seed, 2], **iron)
     stream = turning_sensor(model, seed=seed, field=config.field, noise=config.noise)
-    truth = {"magnetometer": _correction(*model.correction(config.field))}
-    tables = write_sensor(output, stream, truth, force)
-    finish(output, truth_file, tables, {"seed": seed}, json_file, force)
-    say_command("calibrate", "magnetometer", output, "-o", "arm.toml", "--report", "magnetometer.html")
+    words = ("calibrate", "magnetometer", output, "-o", "arm.toml", "--report", "magnetometer.html")
+    return write_sensor(output, stream, {"magnetometer": model.correction(config.field)}, force), {}, words
 
 
-def _sensor_model(seed: int, **sizes: float) -> SensorModel:
-    import numpy as np
-
-    from ..simulation.rig import SensorModel
-
-    return SensorModel.draw(np.random.default_rng([seed, 2]), **sizes)
-
-
-def _correction(offset: FloatArray, matrix: FloatArray) -> dict[str, Any]:
-    return {"offset": offset.tolist(), "matrix": matrix.tolist()}
+strap = _for_calibration("StrapImages", _strap)
+imu = _for_calibration("RestPoses", _imu)
+magnetometer = _for_calibration("TurningMagnetometer", _magnetometer)
 
 
 def write_sensor(output: Path, stream: ImuStream, truth: dict[str, Any], force: bool) -> dict[str, Any]:
@@ -417,20 +402,6 @@ def write_sensor(output: Path, stream: ImuStream, truth: dict[str, Any], force: 
     length_s = stream.t_s[-1] - stream.t_s[0]
     say(f"{output}: IMU {stream.name}, {stream.rate_hz:.0f} Hz, {length_s:.0f} s")
     return {"imu": {sensor_name(stream.name): truth}}
-
-
-def finish(
-    output: Path,
-    truth_file: Path,
-    truth: dict[str, Any],
-    figures: dict[str, Any],
-    json_file: Path | None,
-    force: bool,
-) -> None:
-    """Write what a calibration should find, as its file and as JSON; print what was written."""
-    write_text(truth_file, truth_text(truth), force)
-    write_json(json_file, figures | {"truth": truth}, force)
-    say_written(output, truth_file, json_file)
 
 
 def panel(

@@ -1,7 +1,7 @@
-"""Recordings of our own making: a simulated arm or point with a depth camera, an IMU and truth."""
+"""Recordings of our own making: a simulated arm with a depth camera, an IMU and truth."""
 
-from .arm import SimulatedArm, simulate_arm, simulate_both_arms, simulate_point
-from .config import ArmSimulation, PointSimulation, Preset, SensorErrors
+from .arm import SimulatedArm, simulate_arm, simulate_both_arms
+from .config import ArmSimulation, Preset, SensorErrors
 from .mocap import MarkerCapture, MocapSimulation, capture
 from .people import PeopleSimulation, SimulatedPeople, simulate_people
 
@@ -10,7 +10,6 @@ __all__ = [
     "MarkerCapture",
     "MocapSimulation",
     "PeopleSimulation",
-    "PointSimulation",
     "Preset",
     "SensorErrors",
     "SimulatedArm",
@@ -19,5 +18,4 @@ __all__ = [
     "simulate_arm",
     "simulate_both_arms",
     "simulate_people",
-    "simulate_point",
 ]

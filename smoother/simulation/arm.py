@@ -7,14 +7,12 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
-from scipy.interpolate import BSpline, make_interp_spline
 from scipy.spatial.transform import Rotation
 
 from ..array_types import BoolArray, FloatArray
 from ..body import SEGMENTS
 from ..calibration import ArmCalibration, Length, LeverArm, SegmentMounting
-from ..recording import Camera, CameraFrame, ImuStream, JointState, Recording, TrunkSensors, Truth
-from ..units import GRAVITY
+from ..recording import Camera, CameraFrame, ImuStream, Recording, TrunkSensors, Truth
 from .camera import (
     add_cameras,
     add_false_tracks,
@@ -29,10 +27,9 @@ from .camera import (
     lose_forearm,
     occlusions,
     photograph,
-    random_gaps,
     with_pixels,
 )
-from .config import ArmSimulation, PointSimulation
+from .config import ArmSimulation
 from .inertial import (
     Pose,
     SegmentImuMotion,
@@ -46,7 +43,6 @@ from .inertial import (
     measure_worn,
 )
 from .motion import (
-    PAD_S,
     ArmMotion,
     BodyMeasures,
     MotionModel,
@@ -56,10 +52,7 @@ from .motion import (
     draw_measures,
     draw_stage,
     draw_wobble,
-    knot_times,
     perform,
-    tilt_rotation,
-    wander,
     wrist_angles,
 )
 from .people import mounted_anew, varied
@@ -302,59 +295,3 @@ def _named(arm: SimulatedArm) -> SimulatedArm:
     recording = arm.recording
     imu = replace(recording.imu, name=f"/imu/forearm_{recording.side}")
     return replace(arm, recording=replace(recording, imu=imu))
-
-
-class PointMotion:
-    """A body that moves and turns about at random, its IMU being the tracked point."""
-
-    def __init__(self, duration_s: float, speed: float, rng: np.random.Generator) -> None:
-        count = int(np.ceil((duration_s + 2 * PAD_S) / 0.4 * speed)) + 3
-        times = np.cumsum(rng.uniform(0.4, 0.9, count)) / speed
-        times -= times[0] + PAD_S
-        # Positions in a box of 0.5 m about a metre over the floor, rotations within about 100 degrees.
-        points = np.hstack([rng.uniform(-0.25, 0.25, (count, 3)), rng.normal(0, 0.6, (count, 3))])
-        used = int(np.searchsorted(times, duration_s + PAD_S)) + 1
-        t_s = knot_times(duration_s)
-        table = wander(times[:used], points[:used])(t_s)
-        table[:, :3] += [0.0, 0.0, 1.0]
-        self._start = Rotation.from_quat(rng.normal(size=4))
-        self._spline: BSpline = make_interp_spline(t_s, table, k=5)
-
-    def imu_pose(self, t_s: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """See `MotionModel.imu_pose`."""
-        table = self._spline(t_s)
-        return (self._start * Rotation.from_rotvec(table[:, 3:])).as_matrix(), table[:, :3]
-
-    def joints(self, t_s: FloatArray) -> dict[str, FloatArray]:
-        """See `MotionModel.joints`."""
-        return {"strap": self._spline(t_s)[:, :3]}
-
-
-def simulate_point(config: PointSimulation | None = None, seed: int = 0) -> SimulatedArm:
-    """Simulate a tracked point with an IMU in it, in a frame with z up; `strap` is the only joint."""
-    config = config or PointSimulation()
-    body_rng, imu_rng, noise_rng, gap_rng, stamp_rng = (
-        np.random.default_rng(child) for child in np.random.SeedSequence(seed).spawn(5)
-    )
-    motion = PointMotion(config.duration_s, config.speed, body_rng)
-    tilt = tilt_rotation(config.tilt_deg, body_rng.uniform(-np.pi, np.pi), np.array([0.0, 0.0, 1.0]))
-    gravity = tilt.apply([0.0, 0.0, -GRAVITY])
-
-    ideal = ideal_imu(motion.imu_pose, config.duration_s, config.imu_rate_hz, gravity)
-    imu, parameters = measure(ideal, config, imu_rng)
-    times = exposures(config.duration_s, config.frame_rate_hz, stamp_rng)
-    footage = film(times, motion.joints(times))
-    parameters |= add_noise(footage, config, noise_rng)
-    hidden = random_gaps(times, config.occlusion_lengths_s, config.occlusion_every_s, 0.0, gap_rng)
-    footage.state[hidden] = JointState.NOT_TRACKED
-    parameters["outliers"] = int(add_outliers(footage, config, noise_rng).sum())
-    tracks, delivered = deliver(footage, "simulated", config, stamp_rng)
-    parameters |= {"gravity": gravity, "clock_offset_s": -config.latency_s}
-    recording = Recording(
-        imu=imu,
-        arm=tracks,
-        camera_frame=CameraFrame.ZUP,
-        truth=true_motion(motion, imu.t_s),
-        name=f"simulated point, seed {seed}",
-    )
-    return SimulatedArm(recording, ArmCalibration(), parameters, ideal, hidden[delivered], motion)

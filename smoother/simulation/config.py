@@ -180,15 +180,3 @@ class ArmSimulation(SensorErrors):
     def _changes(cls, name: Preset) -> dict[str, Any]:
         extra = _PRESETS["arm"] if name in (Preset.REALISTIC, Preset.AZURE) else {}
         return {**super()._changes(name), **extra}
-
-
-class PointSimulation(SensorErrors):
-    """A tracked point (the strap alone) that carries an IMU, in a frame with z up."""
-
-    duration_s: float = setting(30.0, "length, s", gt=1)
-    speed: float = setting(1.0, "factor on the speed of the movement", gt=0.1, le=3)
-    tilt_deg: float = size(0.0, "gravity off -z by this angle, degrees", le=45)
-    occlusion_lengths_s: tuple[float, ...] = setting(
-        (0.5, 1.0, 2.0, 3.0), "lengths to choose from, s; empty = no occlusion"
-    )
-    occlusion_every_s: float = setting(6.0, "about one occlusion in this time, s", gt=0)

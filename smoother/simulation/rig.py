@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from scipy.signal import fftconvolve
@@ -169,8 +170,9 @@ class SensorModel:
     matrix: FloatArray  # (3, 3)
 
     @classmethod
-    def draw(cls, rng: np.random.Generator, *, offset: float, scale: float, cross: float) -> SensorModel:
+    def draw(cls, seed: int | list[int], *, offset: float, scale: float, cross: float) -> SensorModel:
         """Errors of the given sizes, their signs and shares at random."""
+        rng = np.random.default_rng(seed)
         matrix = np.eye(3) + np.diag(scale * rng.uniform(-1.0, 1.0, 3))
         off = cross * rng.uniform(-1.0, 1.0, (3, 3))
         matrix += np.triu(off, 1) + np.triu(off, 1).T
@@ -180,9 +182,10 @@ class SensorModel:
         """What the sensor reads (N, 3) of true values (N, 3)."""
         return true @ self.matrix.T + self.offset
 
-    def correction(self, unit_of: float = 1.0) -> tuple[FloatArray, FloatArray]:
-        """Offset (3,) and matrix (3, 3) that a calibration should find: true = matrix @ (read - offset)."""
-        return unit_of * self.offset, np.asarray(np.linalg.inv(self.matrix) / unit_of)
+    def correction(self, unit_of: float = 1.0) -> dict[str, list[Any]]:
+        """What a calibration should find: true = matrix @ (read - offset)."""
+        matrix = np.linalg.inv(self.matrix) / unit_of
+        return {"offset": (unit_of * self.offset).tolist(), "matrix": matrix.tolist()}
 
 
 def rest_poses(

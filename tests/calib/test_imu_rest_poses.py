@@ -30,7 +30,7 @@ from smoother.simulation.rig import REST_POSES, SensorModel, magnetometer_turns,
 
 
 def sensor(seed: int) -> SensorModel:
-    return SensorModel.draw(np.random.default_rng(seed), offset=0.5, scale=0.03, cross=0.01)
+    return SensorModel.draw(seed, offset=0.5, scale=0.03, cross=0.01)
 
 
 def rests_of(acc: np.ndarray) -> Rests:
@@ -185,7 +185,7 @@ def test_a_long_rest_alone_gives_noise_and_bias():
 
 
 def model(seed: int) -> SensorModel:
-    return SensorModel.draw(np.random.default_rng(seed), offset=0.5, scale=0.2, cross=0.2)
+    return SensorModel.draw(seed, offset=0.5, scale=0.2, cross=0.2)
 
 
 @pytest.mark.parametrize("seed", range(20))

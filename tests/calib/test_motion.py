@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from commands import done, refused
+from simulated_points import PointSimulation, simulate_point
 
 from calib import CalibrationFile, read_calibration, sigma_factor, write_calibration
 from calib.file import sigma_factors_of
@@ -27,7 +28,7 @@ from smoother.cli.run import run
 from smoother.config import Config
 from smoother.io import write_recording
 from smoother.recording import JOINTS, Recording
-from smoother.simulation import ArmSimulation, PointSimulation, simulate_arm, simulate_point
+from smoother.simulation import ArmSimulation, simulate_arm
 from smoother.simulation.arm import SimulatedArm
 
 ONE_PROCESS = Config.model_validate({"windows": {"processes": 1}})

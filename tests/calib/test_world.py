@@ -186,3 +186,19 @@ def test_rest_and_turn():
     assert degrees(turn.R.T @ true @ session.R_K_P[1] @ session.R_P_I) < 0.02
     keep = np.abs(session.panel.t_s - 3.0) > 0.1
     assert turn_between(session.panel.select(keep), first, last) is None  # a pause breaks the link
+
+
+@pytest.mark.slow
+def test_six_poses_with_a_phones_imus():
+    """The figure: within 0.3 degrees, mounting found; sigmas that hold."""
+    errors, nees = [], []
+    for seed in range(20, 26):
+        session = Session(seed, camera_tilt_deg=30)
+        found = calibrate_world(*session.poses())
+        errors.append([session.error_deg(found), degrees(found.R_P_I.T @ session.R_P_I)])
+        left = Rotation.from_matrix(found.R_K_B @ session.R_K_B.T).as_rotvec()
+        nees.append(left @ np.linalg.solve(found.solution.covariance[:3, :3], left) / 3)
+        assert accuracy(found).off_deg == pytest.approx(3.0, abs=0.4)
+    assert np.max(errors, axis=0)[0] < 0.3
+    assert np.max(errors, axis=0)[1] < 0.4
+    assert 0.02 < np.mean(nees) < 1.5  # stated sigmas leave room for worse accelerometers than these

@@ -169,7 +169,7 @@ def record(path: Path, *streams: ImuStream) -> Path:
 
 
 def sensor(seed: int = 0) -> SensorModel:
-    return SensorModel.draw(np.random.default_rng(seed), offset=0.5, scale=0.03, cross=0.01)
+    return SensorModel.draw(seed, offset=0.5, scale=0.03, cross=0.01)
 
 
 def failed(capsys, arguments: list[object], sentence: str) -> None:

@@ -12,6 +12,7 @@ import pytest
 from arms import make_recording, make_truth
 from commands import done
 from results import made
+from simulated_points import PointSimulation, simulate_point
 
 import smoother.runtime.store
 from calib.file import read_calibration
@@ -20,7 +21,7 @@ from smoother.cli.run import NOT_TRUSTED, run
 from smoother.io import read_recording, read_recovery, write_recording, write_recovery
 from smoother.recording import Recording
 from smoother.result import Estimates, Pairing, Recovery, SelfCheck, UntrustedInterval
-from smoother.simulation import ArmSimulation, PointSimulation, simulate_arm, simulate_point
+from smoother.simulation import ArmSimulation, simulate_arm
 
 
 def smoothed(recording: Path, folder: Path, *more: object) -> dict:

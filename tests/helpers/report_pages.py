@@ -120,9 +120,9 @@ def forearm(folder: Path) -> Path:
 
 
 def _poses(folder: Path, name: str) -> tuple[Path, ImuStream]:
-    model = SensorModel.draw(np.random.default_rng(0), offset=0.5, scale=0.03, cross=0.01)
+    model = SensorModel.draw(0, offset=0.5, scale=0.03, cross=0.01)
     stream, _ = rest_poses(model, 12)
-    iron = SensorModel.draw(np.random.default_rng(1), offset=0.5, scale=0.2, cross=0.2)
+    iron = SensorModel.draw(1, offset=0.5, scale=0.2, cross=0.2)
     stream = replace(stream, name=name, mag=48.0 * magnetometer_turns(iron, len(stream)))
     file = RecordingFile(folder / "poses.mcap")
     stamps = nanoseconds(stream.t_s, 0)

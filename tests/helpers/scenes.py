@@ -12,6 +12,7 @@ from unittest.mock import patch
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation, Slerp
+from simulated_points import PointSimulation, simulate_point
 from small_window import with_forearm
 
 from smoother import Config, Recovery
@@ -20,7 +21,7 @@ from smoother.calibration import ArmCalibration
 from smoother.evaluation.validate import Validation, validate
 from smoother.graph.solve import WindowOptimum, solution_of
 from smoother.recording import Recording
-from smoother.simulation import ArmSimulation, PointSimulation, SimulatedArm, simulate_arm, simulate_point
+from smoother.simulation import ArmSimulation, SimulatedArm, simulate_arm
 from smoother.smoothing import smooth
 from smoother.window.problem import Window
 from smoother.window.solution import Solution

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from simulated_points import PointSimulation, simulate_point
 
 from smoother.measurements.allowance import allowance
 from smoother.measurements.visibility import (
@@ -21,7 +22,7 @@ from smoother.measurements.visibility import (
     visible_frames,
 )
 from smoother.recording import FOREARM_JOINTS, JOINTS, JointState, JointTracks, Recording
-from smoother.simulation import ArmSimulation, PointSimulation, simulate_arm, simulate_point
+from smoother.simulation import ArmSimulation, simulate_arm
 
 masks = st.lists(st.booleans(), min_size=1, max_size=80)
 

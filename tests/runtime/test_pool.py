@@ -62,11 +62,11 @@ from dataclasses import replace
 import smoother.runtime.pool
 from smoother import Config
 from smoother.smoothing import smooth
-from smoother.simulation import PointSimulation, simulate_point
+from smoother.simulation import ArmSimulation, simulate_arm
 
 print("begun")
 smoother.runtime.pool.WORTH_FRAMES = 10
-recording = replace(simulate_point(PointSimulation(duration_s=12.0), 5).recording, truth=None)
+recording = replace(simulate_arm(ArmSimulation(protocol="random", duration_s=12.0), 5).recording, truth=None)
 recovery = smooth(recording, None, Config.model_validate({"windows": {"processes": 2}}))
 print("recovered", len(recovery))
 """

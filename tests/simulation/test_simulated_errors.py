@@ -14,16 +14,10 @@ from pydantic import ValidationError
 from scipy.interpolate import make_interp_spline
 from scipy.ndimage import gaussian_filter1d
 from scipy.spatial.transform import Rotation
+from simulated_points import PointSimulation, simulate_point
 
 from smoother.recording import JOINTS, JointState
-from smoother.simulation import (
-    ArmSimulation,
-    PointSimulation,
-    Preset,
-    SimulatedArm,
-    simulate_arm,
-    simulate_point,
-)
+from smoother.simulation import ArmSimulation, Preset, SimulatedArm, simulate_arm
 from smoother.simulation.camera import runs
 
 SHOULDER, ELBOW, WRIST, HAND, STRAP = range(5)

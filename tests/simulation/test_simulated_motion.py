@@ -6,17 +6,10 @@ import numpy as np
 import pytest
 from scipy.interpolate import make_interp_spline
 from scipy.spatial.transform import Rotation
+from simulated_points import PointSimulation, simulate_point
 
 from smoother.recording import JOINTS, Truth
-from smoother.simulation import (
-    ArmSimulation,
-    PeopleSimulation,
-    PointSimulation,
-    SimulatedArm,
-    simulate_arm,
-    simulate_people,
-    simulate_point,
-)
+from smoother.simulation import ArmSimulation, PeopleSimulation, SimulatedArm, simulate_arm, simulate_people
 from smoother.simulation.camera import runs
 
 SEEDS = range(25)
