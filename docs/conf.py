@@ -6,10 +6,7 @@ import sys
 from pathlib import Path
 
 HERE = Path(__file__).parent
-#: The notebook calls `unocclude` too: the one of the Python that builds.
-os.environ["PATH"] = os.pathsep.join([str(Path(sys.executable).parent), os.environ.get("PATH", "")])
-os.environ["COLUMNS"] = "90"
-#: Its kernel has a profile of its own: no start-up files of the person who builds, no word about its sockets.
+#: The notebook's kernel has a profile of its own: no start-up files of the person who builds.
 PROFILE = HERE.parent / "out" / "ipython"
 os.environ["IPYTHONDIR"] = str(PROFILE)
 (PROFILE / "profile_default").mkdir(parents=True, exist_ok=True)
