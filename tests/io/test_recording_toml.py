@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 
 import device_files as made
@@ -213,17 +212,6 @@ def test_no_line_of_another_file_is_shown(folder: Path, more: str):
         open_csv(folder, outside=True)
     assert "secret.csv" in str(told.value)
     assert not any(word in str(told.value) for word in ("admin", "horse", "battery", "staple"))
-
-
-@pytest.mark.parametrize("more", ["", "skip_rows = 0", "rate_hz = 100.0"])
-def test_a_pipe_or_device_is_refused(folder: Path, more: str):
-    os.mkfifo(folder / "imu.csv")
-    write_description(folder, f'file = "imu.csv"\n{more}')
-    with pytest.raises(UnoccludeError, match="is a pipe"):
-        open_csv(folder)
-    write_description(folder, f'file = "/dev/zero"\n{more}')
-    with pytest.raises(UnoccludeError, match="is a pipe"):
-        open_csv(folder, outside=True)
 
 
 def test_a_name_with_nul(folder: Path):

@@ -76,6 +76,11 @@ class ImuKeys(TableKeys):
     gyroscope_unit: Literal["rad/s", "deg/s", "mdps"] = "rad/s"
 
     @property
+    def files(self) -> list[str]:
+        """The files that the section names."""
+        return [self.file] if isinstance(self.file, str) else self.file
+
+    @property
     def is_plain(self) -> bool:
         """Whether the file is one with the product's own columns."""
         return isinstance(self.file, str) and not self.model_fields_set & LAYOUT_KEYS
@@ -125,7 +130,7 @@ IMU_COLUMNS = ("t", "ax", "ay", "az", "gx", "gy", "gz", "mx", "my", "mz")
 
 def read_imu_columns(folder: Path, keys: ImuKeys) -> list[ImuTable]:
     """The tables of an IMU, one per file, in SI units."""
-    files = [keys.file] if isinstance(keys.file, str) else keys.file
+    files = keys.files
     given = keys.columns if isinstance(keys.columns, list) else [keys.columns or {}] * len(files)
     if len(given) != len(files):
         raise RecordingError(

@@ -37,12 +37,7 @@ from ..recording.camera_streams import CAMERA_TOPIC
 from ..recording.choose import Selection
 from ..recording.keypoints import NAMED_TOPIC, TOPIC, lens_from_plain
 from ..recording.select import select_recording
-from ..recording.streams import (
-    CameraStream,
-    KnownLens,
-    PoseSamples,
-    RecordingFile,
-)
+from ..recording.streams import CameraStream, KnownLens, PoseSamples, RecordingFile
 from ..registry import FileReader, recognise
 from .columns import (
     LAYOUT_KEYS,
@@ -252,18 +247,13 @@ def open_csv(
         _add_camera(file, folder, name, further, _bodies(file, folder / further.file, further))
     if description.truth is not None:
         file.poses.append(read_pose_table(folder / description.truth.file))
-    arms = {arm.topic: arm for arm in file.arms}.values()
-    for topic, schema, stamp in [
-        *((i.topic, "unocclude.Imu", i.stamp_ns) for i in file.imus),
-        *(
-            (arm.topic, f"unocclude.{'Keypoints2D' if arm.lens else 'Skeleton'}", arm.stamp_ns)
-            for arm in arms
-        ),
-        *((p.topic, "foxglove.PoseInFrame", p.stamp_ns) for p in file.poses),
-    ]:
-        file.topics.append(
-            Topic(topic, schema, "", b"", "csv", {}, len(stamp), int(stamp.min()), int(stamp.max()))
-        )
+    schemas = {each.topic: ("unocclude.Imu", each.stamp_ns) for each in file.imus}
+    for arm in file.arms:
+        schemas[arm.topic] = (f"unocclude.{'Keypoints2D' if arm.lens else 'Skeleton'}", arm.stamp_ns)
+    schemas |= {each.topic: ("foxglove.PoseInFrame", each.stamp_ns) for each in file.poses}
+    for topic, (schema, stamp) in schemas.items():
+        first, last = int(stamp.min()), int(stamp.max())
+        file.topics.append(Topic(topic, schema, "", b"", "csv", {}, len(stamp), first, last))
     return file
 
 
@@ -280,8 +270,7 @@ def _check_places(folder: Path, description: _Description, outside: bool) -> Non
     toml = folder / "recording.toml"
     cameras = [each for each in (description.camera, *description.cameras.values()) if each is not None]
     names = [camera.file for camera in cameras if camera.file is not None]
-    for section in description.imu.values():
-        names += [section.file] if isinstance(section.file, str) else section.file
+    names += [file for section in description.imu.values() for file in section.files]
     names += [] if description.truth is None else [description.truth.file]
     for name in names:
         if "\0" in name:
@@ -346,8 +335,7 @@ def _add_streams(
         streams += [Timed(f"imu.{name}", times_of(table), True) for name, table in sensors.items()]
         shift, sentences = shifts(streams)
         file.notes += sentences
-        own_starts = count_from_zero(streams) and not of_one_length(streams)
-        if own_starts:
+        if own_starts := count_from_zero(streams) and not of_one_length(streams):
             file.notes.append(
                 "Camera and IMU both count from about zero and differ in length, so only the motion shows"
                 " their offset and whether they belong together."
@@ -363,7 +351,7 @@ def _add_streams(
 
 def _sensors(folder: Path, name: str, keys: ImuKeys) -> list[ImuTable]:
     """The tables of a section, whose units count for files of other kinds as well."""
-    files = [folder / file for file in ([keys.file] if isinstance(keys.file, str) else keys.file)]
+    files = [folder / file for file in keys.files]
     if not any(map(_is_container, files)):
         return read_imu_columns(folder, keys)
     parts: list[ImuTable] = []

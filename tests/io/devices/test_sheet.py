@@ -16,7 +16,6 @@ from smoother.errors import RecordingError
 from smoother.io.registry import FileReader, recognise
 from smoother.io.tables.columns import read_exact as read_strict
 from smoother.io.tables.imu import ImuTable
-from smoother.io.tables.recording_toml import open_csv
 from smoother.io.tables.table import read_head, read_table, seconds_of_dates, table_of
 from smoother.io.tables.units import ACCELERATION, ANGULAR_VELOCITY, plain_unit, split_unit
 
@@ -251,24 +250,6 @@ def test_dates_in_cells(tmp_path: Path):
     book.save(tmp_path / "a.xlsx")
     times, dates = read_table(tmp_path / "a.xlsx").times(0)
     assert dates and np.allclose(np.diff(times), 0.01, atol=1e-3)
-
-
-def test_a_recording_toml_may_name_a_workbook(tmp_path: Path):
-    made.EXAMPLES["nilspod"](tmp_path / "a.csv")
-    as_workbook(tmp_path / "a.csv", tmp_path / "a.xlsx")
-    columns = ["gx", "gy", "gz", "ax", "ay", "az"]
-    lines = [
-        "[imu.forearm_right]",
-        'file = "a.xlsx"',
-        "skip_rows = 0",
-        'gyroscope_unit = "deg/s"',
-        "[imu.forearm_right.columns]",
-        "t = 1",
-    ]
-    lines += [f"{name} = {k}" for k, name in enumerate(columns, 2)]
-    (tmp_path / "recording.toml").write_text("\n".join(lines) + "\n")
-    (imu,) = open_csv(tmp_path).imus
-    assert np.allclose(imu.acc, made.ACC, atol=1e-5)
 
 
 def test_a_damaged_workbook_is_one_sentence(tmp_path: Path):
