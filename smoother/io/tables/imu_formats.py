@@ -277,10 +277,6 @@ _SHIMMER_TIMES = (
 )
 
 
-def _shimmer_columns(table: Table) -> list[re.Match[str]]:
-    return [match for label in table.labels if (match := _SHIMMER_COLUMN.fullmatch(label))]
-
-
 def _shimmer_times(table: Table, prefix: str, _: float | None) -> FloatArray | None:
     for name in _SHIMMER_TIMES:
         if (t_s := seconds(table, table.find(f"{prefix}{name}_cal"), "ms")) is not None:
@@ -301,7 +297,9 @@ _SHIMMER = Device(
     key="shimmer",
     title="Shimmer Consensys export",
     recognised_by="columns such as Shimmer_952D_Accel_WR_X_CAL and Shimmer_952D_Gyro_X_CAL",
-    fits=lambda table: any(match.group(2) != "mag" for match in _shimmer_columns(table)),
+    fits=lambda table: any(
+        match and match[2] != "mag" for match in map(_SHIMMER_COLUMN.fullmatch, table.labels)
+    ),
     lacks=(
         "without a calibrated accelerometer and gyroscope; record both sensors and export calibrated data"
         " (the columns end in _CAL)."
@@ -436,6 +434,8 @@ def _read_sensorlog(path: Path, title: str) -> list[ImuTable]:
 # ----------------------------------------------------------------- tables whose columns identify themselves
 
 _EPOCHS = ("epoch", "epoc")
+#: Columns of a table without header that are looked at: six are MetaBase's, some exporters write more.
+_WIDEST = 20
 _EPOCH_CELL = re.compile(r"1\d{12}(\.\d*)?")
 _TIME_CELL = re.compile(r"\d{4}-\d\d-\d\dT.*")
 _KIND = ("sensor", "sensor_type", "sensortype", "sensorname", "sensor_name", "type", "name", "sensor id")
@@ -449,8 +449,8 @@ _SENSOR_LOGGER = (
 def _is_metamotion(table: Table) -> bool:
     """Whether the columns are MetaBase's, or without header its epochs and times."""
     if not table.names:
-        marks = zip((_EPOCH_CELL, _TIME_CELL), range(table.width), strict=False)
-        return table.width >= 6 and all(mark.fullmatch(table.texts(at)[0]) for mark, at in marks)
+        marks = zip((_EPOCH_CELL, _TIME_CELL), (0, 1), strict=True)
+        return 6 <= table.width <= _WIDEST and all(mark.fullmatch(table.texts(at)[0]) for mark, at in marks)
     elapsed = table.find("elapsed")
     return table.find(*_EPOCHS) is not None and elapsed is not None and table.units[elapsed] == "s"
 
