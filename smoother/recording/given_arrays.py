@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..array_types import FloatArray
 from ..errors import RecordingError
-from .camera import CameraFrame
 from .imu_stream import ImuStream
 from .joint_tracks import JOINTS, JointState, JointTracks
 
@@ -22,25 +22,15 @@ def times_of(values: FloatArray, what: str, name: str) -> FloatArray:
     return t
 
 
-def camera_frame_of(named: CameraFrame | str | None, name: str) -> CameraFrame | None:
-    """A convention of the camera's axes by its name."""
-    try:
-        return None if named is None else CameraFrame(named)
-    except ValueError as error:
-        names = ", ".join(CameraFrame)
-        raise RecordingError(f"{name}: the camera's frame is one of {names}, not {named}") from error
-
-
-def imu_of(t: FloatArray, acc: FloatArray, gyro: FloatArray, mag: FloatArray | None, name: str) -> ImuStream:
-    """The samples of an IMU at checked times (n,)."""
-    shape = (len(t), 3)
-    return ImuStream(
-        "imu",
-        t,
-        _rows(acc, shape, "acc", name, finite=True),
-        _rows(gyro, shape, "gyro", name, finite=True),
-        None if mag is None else _rows(mag, shape, "mag", name),
+def checked_imu(imu: ImuStream, whose: str, name: str) -> ImuStream:
+    """An IMU with arrays that fit each other; `whose` it is for the message."""
+    t = times_of(imu.t_s, f"{whose or 'imu_'}t_s", name)
+    acc, gyro = (
+        _rows(values, (len(t), 3), f"{whose}{what}", name, finite=True)
+        for what, values in (("acc", imu.acc), ("gyro", imu.gyro))
     )
+    mag = None if imu.mag is None else _rows(imu.mag, (len(t), 3), f"{whose}mag", name)
+    return replace(imu, t_s=t, acc=acc, gyro=gyro, mag=mag)
 
 
 def joints_of(
@@ -68,13 +58,6 @@ def direction_of(down: FloatArray, name: str) -> FloatArray:
     if not 1e-6 < np.linalg.norm(direction) < 1e6:
         raise RecordingError(f"{name}: gravity_hint is not a direction; give the direction of down")
     return direction
-
-
-def check_imu(imu: ImuStream, whose: str, name: str) -> None:
-    """Refuse an IMU whose arrays do not fit each other."""
-    shape = (len(times_of(imu.t_s, f"{whose}t_s", name)), 3)
-    for what, values in (("acc", imu.acc), ("gyro", imu.gyro)):
-        _rows(values, shape, f"{whose}{what}", name, finite=True)
 
 
 def _rows(

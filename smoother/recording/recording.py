@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from ..array_types import FloatArray
 from ..errors import RecordingError
 from .camera import Camera, CameraFrame
-from .given_arrays import camera_frame_of, check_imu, direction_of, imu_of, joints_of, times_of
+from .given_arrays import checked_imu, direction_of, joints_of, times_of
 from .imu_stream import ImuStream
 from .joint_tracks import JointTracks
 from .truth import Truth
@@ -251,15 +251,19 @@ class Recording:
         RecordingError
             A shape does not fit, a joint has another name, times do not increase, or samples are not finite.
         """
-        t, frame_t = times_of(imu_t_s, "imu_t_s", name), times_of(frame_t_s, "frame_t_s", name)
+        imu = checked_imu(ImuStream("imu", imu_t_s, acc, gyro, mag), "", name)
+        frame_t = times_of(frame_t_s, "frame_t_s", name)
         if side not in ("", "left", "right"):
             raise RecordingError(f"{name}: the side is left or right, not {side}")
-        frame = camera_frame_of(camera_frame, name)
-        imu = imu_of(t, acc, gyro, mag, name)
+        if camera_frame not in (None, *CameraFrame):
+            names = ", ".join(CameraFrame)
+            raise RecordingError(f"{name}: the camera's frame is one of {names}, not {camera_frame}")
+        frame = None if camera_frame is None else CameraFrame(camera_frame)
         arm = joints_of(frame_t, joints, states or {}, name)
         hint = None if gravity_hint is None else direction_of(gravity_hint, name)
-        streams = {"upper_arm": upper_imu, "hand": hand_imu}
-        further = {segment: stream for segment, stream in streams.items() if stream is not None}
-        for segment, stream in further.items():
-            check_imu(stream, f"the {segment.replace('_', ' ')}'s ", name)
+        further = {
+            segment: checked_imu(stream, f"the {segment.replace('_', ' ')}'s ", name)
+            for segment, stream in (("upper_arm", upper_imu), ("hand", hand_imu))
+            if stream is not None
+        }
         return cls(imu, arm, side, frame, hint, truth=truth, name=name, further_imus=further)

@@ -15,8 +15,7 @@ from ..errors import UnoccludeError
 from ..io.mcap.merge import Output
 from ..io.recording.read import RESULT_PREFIX
 from ..io.recording.write import CAMERA
-from ..io.result.messages import gap_messages
-from ..io.result.streams import recovery_streams
+from ..io.result.streams import gap_messages, recovery_streams
 from ..io.wire.schemas import message_class, schema_data
 from ..live.answers import LiveEstimate, LiveState
 from ..measurements.visibility import Gap
@@ -78,9 +77,9 @@ class LiveMessages:
     def gap(self, gap: Gap) -> Iterator[LiveMessage]:
         """A gap that is over, as an event and a line of the log."""
         start, end = (round(t * 1e9) + self._info.origin_ns for t in (gap.start_s, gap.end_s))
-        events, lines = gap_messages([gap], np.array([start]), np.array([end]), self._info.side)
-        yield LiveMessage(f"{RESULT_PREFIX}gaps", "foxglove.Event", start, events[0])
-        yield LiveMessage(f"{RESULT_PREFIX}log", "foxglove.Log", end, lines[0])
+        event, line = gap_messages(gap, start, end, self._info.side)
+        yield LiveMessage(f"{RESULT_PREFIX}gaps", "foxglove.Event", start, event)
+        yield LiveMessage(f"{RESULT_PREFIX}log", "foxglove.Log", end, line)
 
     def line(self, text: str, t_s: float) -> LiveMessage:
         """A line of the log."""

@@ -11,17 +11,19 @@ from numpy.typing import NDArray
 from ...angles import JointAngles
 from ...array_types import FloatArray, IntArray
 from ...linalg import median_rate_hz
+from ...measurements.visibility import Gap
 from ...recording import JOINTS, JointState
-from ...result import Recovery
+from ...result import GapVerdict, Recovery
+from ...rotation import Rotation
 from ..mcap.merge import Encoded, Output, OutputStream
 from ..mcap.messages import nanoseconds
 from ..recording.read import RESULT_PREFIX
 from ..recording.streams import ArmFrames
 from ..recording.write import arm_messages, joints_there
 from ..wire.protobuf_encode import alike, encoded
+from ..wire.schemas import message_class
 from . import drawing as scene
 from .drawing import AlikeRows, arm_point_clouds, world_transform
-from .messages import gap_messages, odometry
 
 #: Pictures a second where the camera's rate is not known.
 PICTURES_HZ = 30.0
@@ -92,11 +94,41 @@ class _Streams:
             poses["trunk"] = (place, trunk.quaternion, covariance), self.body.replace("forearm_imu", "thorax")
         unknown = np.full((len(r), 3, 3), np.nan)
         for topic, (pose, body) in poses.items():
-            is_forearm = topic == "forearm"
-            velocity = r.velocity if is_forearm else nothing
-            spread = r.velocity_covariance if is_forearm else unknown
-            for rows in odometry(pose, velocity, spread, self.frame_id, body, stamp):
+            moved = (r.velocity, r.velocity_covariance) if topic == "forearm" else (nothing, unknown)
+            for rows in self._odometry(pose, moved, body, stamp):
                 yield self._stream(topic, "foxglove.Odometry", stamp, rows)
+
+    def _odometry(
+        self,
+        poses: tuple[FloatArray, FloatArray, FloatArray],  # (n, 3) m; (n, 4); (n, 6, 6)
+        moved: tuple[FloatArray, FloatArray],  # (n, 3) m/s: velocity; (n, 3, 3): its covariance
+        body: str,
+        stamp: IntArray,
+    ) -> Iterator[AlikeRows]:
+        """The samples with a position, those with orientation and velocity apart."""
+        (position, quaternion, covariance), (velocity, spread) = poses, moved
+        has = [np.isfinite(each).all(axis=1) for each in (position, quaternion, velocity)]
+        for (placed, turned, moving), mine in alike(np.stack(has, axis=1)):
+            if not placed:
+                continue
+
+            def columns(rows: IntArray, turned: int = turned, moving: int = moving) -> dict[str, NDArray]:
+                speed, whole = velocity[rows], np.zeros((len(rows), 6, 6))
+                whole[:, :3, :3] = spread[rows]
+                if turned:
+                    back = Rotation.from_quat(quaternion[rows], scalar_first=True).inv().as_matrix()
+                    speed = np.einsum("nij,nj->ni", back, speed)
+                    whole[:, :3, :3] = back @ whole[:, :3, :3] @ back.transpose(0, 2, 1)
+                each = {"timestamp": stamp[rows], "pose.position": position[rows]}
+                each |= {"pose.orientation": quaternion[rows][:, [1, 2, 3, 0]]} if turned else {}
+                each |= {"linear_velocity": speed} if moving else {}
+                return each | {
+                    "pose_covariance": np.nan_to_num(covariance[rows], nan=0.0).reshape(-1, 36),
+                    "velocity_covariance": np.nan_to_num(whole, nan=0.0).reshape(-1, 36),
+                }
+
+            frames = {"frame_id": self.frame_id, "body_frame_id": body if turned else self.frame_id}
+            yield mine, frames | {"pose": {"orientation": {"w": 1.0}}}, columns
 
     def skeleton(self, r: Recovery) -> Iterator[OutputStream]:
         """Every moment, so that times and occlusion are whole even where there is no answer."""
@@ -187,12 +219,38 @@ class _Streams:
 
     def gaps(self, r: Recovery) -> Iterator[OutputStream]:
         """Each gap as an event, and as a line of a log, which more programs show."""
-        gaps = r.gaps
-        if not gaps:
+        if not r.gaps:
             return
-        start = self._stamps(np.array([gap.start_s for gap in gaps]))
-        end = self._stamps(np.array([gap.end_s for gap in gaps]))
-        events, lines = gap_messages(gaps, start, end, r.side, r.gap_verdicts if r.has_verdict else None)
+        times = self._stamps(np.array([[gap.start_s, gap.end_s] for gap in r.gaps]))
+        verdicts = r.gap_verdicts if r.has_verdict else (None,) * len(r.gaps)
+        each = [
+            gap_messages(gap, start, end, r.side, verdict)
+            for gap, (start, end), verdict in zip(r.gaps, times.tolist(), verdicts, strict=True)
+        ]
+        events, lines = ([messages[k] for messages in each] for k in range(2))
         for topic, schema, data in (("gaps", "foxglove.Event", events), ("log", "foxglove.Log", lines)):
             channel = self.output.channel(f"{RESULT_PREFIX}{topic}{self.suffix}", schema)
-            yield OutputStream(channel, start + self.shift, data.__getitem__)
+            yield OutputStream(channel, times[:, 0] + self.shift, data.__getitem__)
+
+
+def gap_messages(
+    gap: Gap, start_ns: int, end_ns: int, side: str, verdict: GapVerdict | None = None
+) -> tuple[bytes, bytes]:
+    """A gap as `foxglove.Event` and as a line, `foxglove.Log`, encoded."""
+    values = {"kind": "occluded", "length_s": f"{gap.length_s:.3f}"}
+    values |= {"side": side} if side else {}
+    values |= {"open": "start"} if gap.open_start else {}
+    values |= {"open": "end"} if gap.open_end else {}
+    line = message_class("foxglove.Log")(name="unocclude")
+    line.level, line.message = line.WARNING, f"{side} forearm occluded for {gap.length_s:.2f} s".lstrip()
+    if verdict is not None:
+        values["trusted"] = str(verdict.trusted).lower()
+        if not verdict.trusted:
+            values["reasons"], line.level = "; ".join(verdict.reasons), line.ERROR
+            line.message += f"; the answer is not to be trusted: {values['reasons']}"
+    metadata = [{"key": key, "value": value} for key, value in values.items()]
+    event = message_class("foxglove.Event")(metadata=metadata)
+    event.start_time.FromNanoseconds(start_ns)
+    event.end_time.FromNanoseconds(end_ns)
+    line.timestamp.FromNanoseconds(start_ns)
+    return event.SerializeToString(deterministic=True), line.SerializeToString(deterministic=True)
