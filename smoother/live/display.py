@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
@@ -23,31 +22,17 @@ SPREAD_S = 0.2
 _POSE = np.ix_([3, 4, 5, 0, 1, 2], [3, 4, 5, 0, 1, 2])
 
 
-@dataclass(frozen=True)
-class Discontinuity:
-    """What was shown less what is known now, at the moment of the change."""
-
-    at_s: float  # When it happened
-    offset: FloatArray  # (3,) m: of the position in {K}
-    turn: FloatArray  # (3,) rad: of the orientation in {K}
-
-    def left(self, t_s: float) -> tuple[FloatArray, FloatArray]:
-        """Offset and turn that are left at a time: all at first, none after `SPREAD_S`, smooth between."""
-        u = float(np.clip((t_s - self.at_s) / SPREAD_S, 0.0, 1.0))
-        share = 1.0 - u * u * (3.0 - 2.0 * u)
-        return share * self.offset, share * self.turn
-
-
 class Display:
     """Answers of a tracker; where what is known changes at once, what is shown follows within `SPREAD_S`."""
 
     def __init__(self, lag_s: float) -> None:
         self._lag_s = lag_s
-        self._discontinuity: Discontinuity | None = None
+        #: When what is known changed at once, and what was shown then less what is known: m, rad, in {K}
+        self._jump: tuple[float, FloatArray, FloatArray] | None = None
 
     def forget(self) -> None:
         """Nothing is shown any more that a change could be spread from."""
-        self._discontinuity = None
+        self._jump = None
 
     def spread(self, before: Prediction, tracker: Tracker, now_s: float) -> None:
         """Spread the change from what was shown to what a tracker knows now."""
@@ -56,14 +41,14 @@ class Display:
         shown, known = before.state, predicted(tracker, tracker.solution, now_s).state
         offset, turn = self._left(shown.t)
         turned = Rotation.from_matrix(Rotation.from_rotvec(turn).as_matrix() @ shown.R @ known.R.T)
-        self._discontinuity = Discontinuity(known.t, shown.p + offset - known.p, turned.as_rotvec())
+        self._jump = known.t, shown.p + offset - known.p, turned.as_rotvec()
 
     def now(
         self, tracker: Tracker, solution: LagSolution, now_s: float, clock_sigma_s: float, delay_s: float
     ) -> LiveEstimate:
         """The arm at the present."""
-        if self._discontinuity is not None and now_s - self._discontinuity.at_s > SPREAD_S:
-            self._discontinuity = None
+        if self._jump is not None and now_s - self._jump[0] > SPREAD_S:
+            self._jump = None
         prediction = predicted(tracker, solution, now_s)
         beyond_s = max(prediction.state.t - solution.newest.t, 0.0)
         # how far the shoulder may have gone since its knot
@@ -84,8 +69,13 @@ class Display:
         return self._estimate("settled", prediction, solution, tracker.model, clock_sigma_s, 0.0, *seen)
 
     def _left(self, t_s: float) -> tuple[FloatArray, FloatArray]:
-        """What of a discontinuity is left at a time."""
-        return (np.zeros(3), np.zeros(3)) if self._discontinuity is None else self._discontinuity.left(t_s)
+        """Offset and turn that are left at a time: all at first, none after `SPREAD_S`, smooth between."""
+        if self._jump is None:
+            return np.zeros(3), np.zeros(3)
+        at_s, offset, turn = self._jump
+        u = float(np.clip((t_s - at_s) / SPREAD_S, 0.0, 1.0))
+        share = 1.0 - u * u * (3.0 - 2.0 * u)
+        return share * offset, share * turn
 
     def _estimate(
         self,
@@ -107,7 +97,7 @@ class Display:
         # a clock that is off by a moment moves the whole path along itself
         common = common_error(model) + clock_sigma_s**2 * state.v[:, None] * state.v
         R, p, offset = state.R, state.p, np.zeros(3)
-        if kind == "now" and self._discontinuity is not None:
+        if kind == "now" and self._jump is not None:
             offset, turn = self._left(state.t)
             p, R = p + offset, Rotation.from_rotvec(turn).as_matrix() @ R
             common = common + np.outer(offset, offset)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -50,72 +50,55 @@ def joint_at(
 
 
 def predict(
-    start: NodeState,
-    solution: LagSolution,
-    signal: DoubtfulSignal,
-    t_s: float,
-    noise: NoiseModel,
+    start: NodeState, solution: LagSolution, signal: DoubtfulSignal, t_s: float, noise: NoiseModel
 ) -> Prediction:
     """Propagate a node's state to a time (Forster et al., TRO 2017, eq 32; first-order covariance)."""
-    inside_s = min(t_s, signal.end_s)
-    R, p, v = start.R, start.p, start.v
+    gravity, (t, R, p, v) = solution.gravity, (start.t, start.R, start.p, start.v)
     follows, white = np.eye(9, 18), np.zeros((9, 9))
-    t = start.t
-    if inside_s > start.t + 1e-9:
-        delta = integrate_one(signal, start.t, inside_s, solution.bias)
-        R, p, v, follows, white = _advance(R, p, v, solution.gravity, *delta, inside_s - start.t, noise)
-        t = inside_s
-    beyond_s = min(t_s - t, BEYOND_S)
-    if beyond_s > 1e-4:
-        last = signal.mean(np.array([signal.end_s - 0.02]), np.array([signal.end_s]))[0] - solution.bias
-        turn = matrix_of(last[3:] * beyond_s)
-        dv, dp = last[:3] * beyond_s, 0.5 * last[:3] * beyond_s**2
-        R, p, v, more, added = _advance(R, p, v, solution.gravity, turn, dv, dp, beyond_s, noise)
+    for dt, (delta_R, delta_v, delta_p) in _intervals(start.t, t_s, signal, solution.bias):
+        dv, dp, turned = R @ delta_v, R @ delta_p, rotvec_of(delta_R)
+        middle = R @ matrix_of(0.5 * turned)
+        more = np.eye(9, 18)  # how the state after follows (the state before, biases, gravity)
+        more[_TURN, _GYRO] = -middle * dt
+        more[_PLACE, _TURN], more[_PLACE, _SPEED] = -skew_of(dp), _ONE * dt
+        more[_PLACE, _ACC], more[_PLACE, _DOWN] = -0.5 * dt**2 * middle, 0.5 * dt**2 * _ONE
+        more[_SPEED, _TURN] = -skew_of(dv)
+        more[_SPEED, _ACC], more[_SPEED, _DOWN] = -dt * middle, dt * _ONE
+        beyond = abs(length(delta_v) / dt - length(gravity))
+        q_acc = noise.accelerometer_density**2 + (noise.accelerometer_share * beyond) ** 2
+        q_gyro = noise.gyroscope_density**2 + (noise.gyroscope_share * length(turned) / dt) ** 2
+        own = more[:, :9]
+        white = own @ white @ own.T
+        white[_TURN, _TURN] += _ONE * (q_gyro * dt)
+        white[_SPEED, _SPEED] += _ONE * (q_acc * dt)
+        white[_PLACE, _PLACE] += _ONE * (q_acc * dt**3 / 3.0)
+        white[_PLACE, _SPEED] += _ONE * (q_acc * dt**2 / 2.0)
+        white[_SPEED, _PLACE] += _ONE * (q_acc * dt**2 / 2.0)
         whole = np.eye(18)
         whole[:9] = follows
-        follows, white = more @ whole, more[:, :9] @ white @ more[:, :9].T + added
-        t += beyond_s
+        follows = more @ whole
+        t, R, p, v = t + dt, R @ delta_R, p + v * dt + 0.5 * gravity * dt**2 + dp, v + gravity * dt + dv
     if t > start.t:
         white = white + _lost(signal, start.t, t)
     return Prediction(NodeState(t, R, p, v), follows, white)
 
 
-def _advance(
-    R: FloatArray,
-    p: FloatArray,
-    v: FloatArray,
-    gravity: FloatArray,
-    delta_R: FloatArray,
-    delta_v: FloatArray,
-    delta_p: FloatArray,
-    dt: float,
-    noise: NoiseModel,
-) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
-    """One interval: state, how it follows the state before, and the noise."""
-    dv, dp = R @ delta_v, R @ delta_p
-    after_R, after_v = R @ delta_R, v + gravity * dt + dv
-    after_p = p + v * dt + 0.5 * gravity * dt**2 + dp
-    turned = rotvec_of(delta_R)
-    middle = R @ matrix_of(0.5 * turned)
-    follows = _NOTHING.copy()
-    follows[_TURN, _GYRO] = -middle * dt
-    follows[_PLACE, _TURN], follows[_PLACE, _SPEED] = -skew_of(dp), _ONE * dt
-    follows[_PLACE, _ACC], follows[_PLACE, _DOWN] = -0.5 * dt**2 * middle, 0.5 * dt**2 * _ONE
-    follows[_SPEED, _TURN] = -skew_of(dv)
-    follows[_SPEED, _ACC], follows[_SPEED, _DOWN] = -dt * middle, dt * _ONE
-    force, rate = length(delta_v) / dt, length(turned) / dt
-    beyond = abs(force - length(gravity))
-    q_acc = noise.accelerometer_density**2 + (noise.accelerometer_share * beyond) ** 2
-    q_gyro = noise.gyroscope_density**2 + (noise.gyroscope_share * rate) ** 2
-    white = np.zeros((9, 9))
-    white[_TURN, _TURN] = _ONE * (q_gyro * dt)
-    white[_SPEED, _SPEED] = _ONE * (q_acc * dt)
-    white[_PLACE, _PLACE] = _ONE * (q_acc * dt**3 / 3.0)
-    white[_PLACE, _SPEED] = white[_SPEED, _PLACE] = _ONE * (q_acc * dt**2 / 2.0)
-    return after_R, after_p, after_v, follows, white
+def _intervals(
+    start_s: float, end_s: float, signal: DoubtfulSignal, bias: FloatArray
+) -> Iterator[tuple[float, tuple[FloatArray, FloatArray, FloatArray]]]:
+    """Length, turn, change of velocity and place by the samples, then by the last rate going on."""
+    inside_s = min(end_s, signal.end_s)
+    if inside_s > start_s + 1e-9:
+        yield inside_s - start_s, integrate_one(signal, start_s, inside_s, bias)
+        start_s = inside_s
+    beyond_s = min(end_s - start_s, BEYOND_S)
+    if beyond_s > 1e-4:
+        last = signal.mean(np.array([signal.end_s - 0.02]), np.array([signal.end_s]))[0] - bias
+        dv = last[:3] * beyond_s
+        yield beyond_s, (matrix_of(last[3:] * beyond_s), dv, 0.5 * beyond_s * dv)
 
 
-_ONE, _NOTHING = np.eye(3), np.eye(9, 18)
+_ONE = np.eye(3)
 _TURN, _PLACE, _SPEED, _ACC, _GYRO, _DOWN = (slice(k, k + 3) for k in range(0, 18, 3))
 
 
