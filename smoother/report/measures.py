@@ -9,18 +9,14 @@ import plotly.graph_objects as go
 
 from ..evaluation.progress import (
     MOSTLY_RECOVERED,
-    SessionValue,
-    change_between,
     first_of,
     interval,
     is_main,
     number,
     quantity,
     shown_unit,
-    without_like_movements,
 )
 from ..measures import BothArms, Measure, Measures
-from ..measures.layout import BY_MOVEMENT
 from ..table import Table
 from .sheet import NO_DIAGNOSIS, Html, Page, Section, badge, capitalised, explained, label, limits, rendered
 from .style import VISIBLE, dress, interval_bars
@@ -64,42 +60,12 @@ def of_arm(arm: Measures, arms: Sequence[Measures]) -> str:
     return f", {arm.arm_label.replace(' arm', '')}" if len(arms) > 1 else ""
 
 
-def both_arms(arms: Sequence[Measures]) -> tuple[Measures, Measures] | None:
-    """Left and right arm of one person, both to be trusted."""
-    by_side = {arm.side: arm for arm in arms}
-    if len(arms) != 2 or by_side.keys() != {"left", "right"} or arms[0].body != arms[1].body:
-        return None
-    if any(arm.trusted is False for arm in arms):
-        return None
-    return by_side["left"], by_side["right"]
-
-
-def compared(left: Measures, right: Measures, key: str) -> str:
-    """Whether the right arm clearly has more, in words."""
-    one, other = left.by_key.get(key), right.by_key.get(key)
-    if one is None or other is None:
-        return "cannot be assessed"
-    change = change_between(_value(one, "left"), _value(other, "right"))
-    if key in BY_MOVEMENT:
-        ours, others = (arm.by_key.get("movement_count") for arm in (left, right))
-        if ours is None or others is None:
-            return "cannot be assessed"
-        change = without_like_movements(change, _value(ours, "left"), _value(others, "right"))
-    return "no clear difference" if change.word == "no clear change" else change.word
-
-
-def symmetry(index: Measure | None) -> str:
-    """A symmetry index and its interval in whole percent, behind a word; "" where there is none."""
+def symmetry(index: Measure | None) -> str | None:
+    """A symmetry index and its interval in whole percent; None where there is none."""
     if index is None or not index.is_known:
-        return ""
+        return None
     between = f" ({index.low:.0f} to {index.high:.0f})" if index.has_interval else ""
-    return f" {index.value:+.0f}\u00a0%{between}".replace("-", "−")
-
-
-def _value(row: Measure, side: str) -> SessionValue:
-    return SessionValue(
-        side, 0.0, row.value, row.low, row.high, row.sigma, row.recovered_share, row.n_draws, row.note
-    )
+    return f"{index.value:+.0f}\u00a0%{between}".replace("-", "−")
 
 
 #: Rows of the table, and sentences of the limits.
@@ -176,11 +142,8 @@ def _sections(arms: Sequence[Measures], pairs: Sequence[BothArms]) -> Iterator[S
     yield _table(arms, pairs)
     yield _limits(arms)
     keys = [row.key for arm in arms for row in arm.session if row.is_known and is_main(row.key)]
-    words = ["interval", "recovered"]
-    if both_arms(arms) is not None:
-        words += ["clear", "unclear", "unknown", *(["symmetry"] if pairs else [])]
-    elif REACHED.keys() & set(keys):
-        words += ["unknown"]
+    words = ["interval", "recovered", *(["symmetry"] if _indices(arms, pairs) else [])]
+    words += ["unknown"] if REACHED.keys() & set(keys) else []
     yield explained(words, keys)
 
 
@@ -255,22 +218,25 @@ def _by_movement(arms: Sequence[Measures], key: str, heading: str, caption: str)
 def _table(arms: Sequence[Measures], pairs: Sequence[BothArms]) -> Section:
     """The main measures; of two arms also whether one clearly has more, and by how much."""
     known = [row.key for arm in arms for row in arm.session if row.is_known and row.key not in REACHED]
-    both = both_arms(arms)
-    # two arms to compare are one person's
-    indices = pairs[0].by_key if both is not None and len(pairs) == 1 else {}
+    indices = _indices(arms, pairs)
     rows = []
     for key in first_of(list(dict.fromkeys(known)), MOST_ROWS):
         of_arms = [arm.by_key.get(key) for arm in arms]
         cells: list[object] = [next(row.name for row in of_arms if row is not None)]
         cells += ["–" if row is None else with_interval(row) for row in of_arms]
         cells.append("\u00a0/\u00a0".join(map(share, of_arms)))
-        if both is not None:
-            cells.append(badge(compared(*both, key)) + symmetry(indices.get(f"{key}_symmetry_percent")))
+        cells += [symmetry(indices.get(f"{key}_symmetry_percent"))] if indices else []
         rows.append(cells)
     columns = ["measure", *(f"95 % interval{of_arm(arm, arms)}" for arm in arms), "recovered"]
-    columns += ["right against left"] if both is not None else []
+    columns += ["right against left"] if indices else []
     caption = "Over the whole recording: the value, and its 95 % interval in brackets."
     return rendered(Table("The main measures", columns, rows, caption))
+
+
+def _indices(arms: Sequence[Measures], pairs: Sequence[BothArms]) -> dict[str, Measure]:
+    """The symmetry indices of one person's two arms; none where an arm is not to be trusted."""
+    trusted = all(arm.trusted is not False for arm in arms)
+    return pairs[0].by_key if len(arms) == 2 and len(pairs) == 1 and trusted else {}
 
 
 def _limits(arms: Sequence[Measures]) -> Section:

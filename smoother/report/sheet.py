@@ -179,7 +179,6 @@ _BADGES = {
     "clearly more": ("▲ ", "more"),
     "clearly less": ("▼ ", "less"),
     "no clear change": ("● ", "same"),
-    "no clear difference": ("● ", "same"),
     "reached": ("✓ ", "same"),
     "not reached": ("– ", "open"),
     "cannot be assessed": ("? ", "open"),
@@ -229,7 +228,7 @@ TERMS = {
         " minimal detectable change where one is known. More is not always better.",
     ),
     "unclear": (
-        "no clear change, no clear difference",
+        "no clear change",
         "the recordings do not show a difference. There may be one that is smaller than the interval.",
     ),
     "unknown": (

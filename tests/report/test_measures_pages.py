@@ -152,9 +152,7 @@ def test_one_session_and_none(tmp_path: Path):
 def test_arms_are_compared_only_where_both_are_to_be_trusted(tmp_path: Path):
     left, right = made_measures("left", change={"elbow_flexion_range_deg": -20.0}), made_measures("right")
     measures_page([left, right]).write(tmp_path / "both.html")
-    words = words_of(tmp_path / "both.html")
-    assert words.count("clearly more") == 1 and "no clear difference" in words
-    assert "in percent" not in (tmp_path / "both.html").read_text(encoding="utf-8")
+    assert "right against left" not in (tmp_path / "both.html").read_text(encoding="utf-8")
     both = BothArms(left, right, (made_measure("elbow_flexion_range_deg_symmetry_percent", 22.7, 3.0),))
     measures_page([left, right], [both]).write(tmp_path / "indices.html")
     text = (tmp_path / "indices.html").read_text(encoding="utf-8")
@@ -162,7 +160,6 @@ def test_arms_are_compared_only_where_both_are_to_be_trusted(tmp_path: Path):
     bad = replace(left, trusted=False, verdict="A strap slipped.")
     measures_page([bad, right], [replace(both, left=bad)]).write(tmp_path / "bad.html")
     text = (tmp_path / "bad.html").read_text(encoding="utf-8")
-    assert set(words_of(tmp_path / "bad.html")) <= {"reached", "not reached"}
     assert "A strap slipped. Do not use these numbers." in text and "+23" not in text
 
 
