@@ -105,11 +105,11 @@ class Page:
         environment = Environment(autoescape=True)
         environment.filters |= {"cell": _cell, "sentence": _sentence, "plotted": _plotted}
         programs = [PLOTLY] if any(section.plot or section.panels for section in every) else []
-        parts = environment.from_string(_web("page.html")).generate(
+        parts = environment.from_string(web_file("page.html")).generate(
             page=vars(self) | {"sections": sections, "headings": list(headings.items())},
             version=__version__,
-            style=Html(_web("style.css")),
-            scripts=[Html(_web(name)) for name in (*programs, *_PROGRAMS)],
+            style=Html(web_file("style.css")),
+            scripts=[Html(web_file(name)) for name in (*programs, *_PROGRAMS)],
             most_rows=MOST_ROWS,
             fewest_contents=FEWEST_CONTENTS,
             signs=_SIGNS,
@@ -121,7 +121,8 @@ class Page:
             file.writelines(parts)
 
 
-def _web(name: str) -> str:
+def web_file(name: str) -> str:
+    """A file of the pages."""
     return resources.files(__package__).joinpath("web", name).read_text(encoding="utf-8")
 
 
