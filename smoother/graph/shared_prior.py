@@ -96,19 +96,9 @@ def gaussian_factor(
         constant = 0.0 if i else 2.0 * error
         pairs.add(gtsam.HessianFactor(key, information[rows, rows], vector[rows], constant))
         for other, columns in zip(keys[i + 1 :], blocks[i + 1 :], strict=True):
-            width = columns.stop - columns.start
-            pairs.add(
-                gtsam.HessianFactor(
-                    key,
-                    other,
-                    np.zeros((size, size)),
-                    information[rows, columns],
-                    np.zeros(size),
-                    np.zeros((width, width)),
-                    np.zeros(width),
-                    0.0,
-                )
-            )
+            mine, its = np.zeros(size), np.zeros(columns.stop - columns.start)
+            squares, across = (np.outer(mine, mine), np.outer(its, its)), information[rows, columns]
+            pairs.add(gtsam.HessianFactor(key, other, squares[0], across, mine, squares[1], its, 0.0))
     return gtsam.HessianFactor(pairs)
 
 

@@ -9,7 +9,7 @@ from itertools import pairwise
 import numpy as np
 
 from ..array_types import BoolArray, FloatArray, IntArray
-from ..measurements.inertial import InertialSignal, Preintegration, integrate_between
+from ..measurements.inertial import InertialSignal, integrate_between
 from ..measurements.visibility import Gap
 from .problem import States
 
@@ -161,7 +161,18 @@ def propagate(
     away = np.flatnonzero(np.abs(frame_t_imu - t[node]) > 1e-6)
     frame, at = frame_t_imu[away], t[node][away]
     back = (frame < at)[:, None]
-    delta = _joined(signal, np.minimum(frame, at), np.maximum(frame, at), bias)
+    # the intervals overlap: each piece of them is integrated once, and the pieces are joined
+    start_s, end_s = np.minimum(frame, at), np.maximum(frame, at)
+    ends = np.unique(np.concatenate([start_s, end_s]))
+    first, stop = np.searchsorted(ends, start_s), np.searchsorted(ends, end_s)
+    begun = np.bincount(first, minlength=len(ends)) - np.bincount(stop, minlength=len(ends))
+    used = np.flatnonzero(np.cumsum(begun) > 0)
+    pieces = integrate_between(signal, ends[used], ends[used + 1], bias)
+    piece = np.searchsorted(used, first)
+    delta = pieces.rows(piece)
+    for k in range(1, int((stop - first).max(initial=0))):
+        longer = np.flatnonzero(stop - first > k)
+        delta.lengthen(longer, pieces.rows(piece[longer] + k))
     dt = delta.dt[:, None]
     R_frame, velocity_change, position_change = R.copy(), np.zeros((len(R), 3)), np.zeros((len(R), 3))
     # backwards the increments are in the frame's axes, and begin with the frame's velocity
@@ -174,20 +185,3 @@ def propagate(
     inside = np.clip(frame_t_imu, signal.start_s + 0.5 * RATE_S, signal.end_s - 0.5 * RATE_S)
     rate = signal.mean(inside - 0.5 * RATE_S, inside + 0.5 * RATE_S)[:, 3:] - bias[3:]
     return RelativeMotion(R, R_frame, position_change, velocity_change, rate)
-
-
-def _joined(
-    signal: InertialSignal, start_s: FloatArray, end_s: FloatArray, bias: FloatArray
-) -> Preintegration:
-    """`integrate_between` of intervals (k,) that overlap: each piece of them once, the pieces joined."""
-    ends = np.unique(np.concatenate([start_s, end_s]))
-    first, stop = np.searchsorted(ends, start_s), np.searchsorted(ends, end_s)
-    begun = np.bincount(first, minlength=len(ends)) - np.bincount(stop, minlength=len(ends))
-    used = np.flatnonzero(np.cumsum(begun) > 0)
-    pieces = integrate_between(signal, ends[used], ends[used + 1], bias)
-    piece = np.searchsorted(used, first)
-    whole = pieces.rows(piece)
-    for k in range(1, int((stop - first).max(initial=0))):
-        longer = np.flatnonzero(stop - first > k)
-        whole.lengthen(longer, pieces.rows(piece[longer] + k))
-    return whole
