@@ -36,7 +36,7 @@ CELL_S = 1.0
 LENGTHS = (1, 2, 4)
 #: Between two cells the forearm has jumped: farther than this in m, and faster than this in m/s.
 JUMP_M, JUMP_M_PER_S = 0.12, 3.6
-#: Moments that are looked at: the middle of every gap, and so far apart elsewhere, s; so much of the window
+#: Moments that are looked at: one in every gap, and so far apart elsewhere, s; so much of the window
 #: lies before the first and after the last, s: in trials of 4 s a Kinect v1's slow errors look like a step.
 APART_S, ENDS_S = 10.0, 3.0
 #: What may change by itself, one sigma: a camera's slow errors shift a block, m; they turn with the posture,
@@ -175,12 +175,23 @@ def moments(window: Window) -> FloatArray:
         return np.zeros(0)
     t = np.unique(np.concatenate(seen))
     hidden = np.flatnonzero(np.diff(t) > MISSING_S)
-    found: list[float] = (0.5 * (t[hidden] + t[hidden + 1])).tolist()
+    found = [_moment_between(window, t[row], t[row + 1]) for row in hidden.tolist()]
     for a, b in pairwise([float(t[0]), *found, float(t[-1])]):
         count = int((b - a) / APART_S)
         found += (a + (b - a) * np.arange(1, count + 1) / (count + 1)).tolist()
     at = np.sort(np.array(found))
     return at[(at > t[0] + ENDS_S) & (at < t[-1] - ENDS_S)]
+
+
+def _moment_between(window: Window, start_s: float, end_s: float) -> float:
+    """The middle of a gap, or where the shoulder, which may be seen in it, moved farthest at once."""
+    if window.shoulder is not None:
+        t, position = window.t[window.shoulder.node], window.shoulder.position
+        rows = np.flatnonzero(np.isfinite(position[:, 0]) & (t >= start_s) & (t <= end_s))
+        if len(rows) > 1:
+            far = rows[np.argmax(np.linalg.norm(np.diff(position[rows], axis=0), axis=1))]
+            return 0.5 * float(t[far] + t[rows[rows > far][0]])
+    return 0.5 * float(start_s + end_s)
 
 
 def step_columns(solved: SolvedWindow, at_s: FloatArray) -> FloatArray:  # (r, WIDTH m)

@@ -22,12 +22,13 @@ from ..result.verdict import EVER, Finding, finding
 from ..window.solution import Step
 
 #: A step is one where chance, over all kinds and moments that were tried, gives as much so rarely by the
-#: model; none of some 300 sound recordings, simulated and real, came to less than 0.2.
-FALSE_ALARM = 0.05
+#: model; none of some 300 sound recordings, simulated and real, came to less than 0.2: from there on the gap
+#: with it is not to be trusted.
+FALSE_ALARM, DOUBTFUL = 0.05, 0.2
 #: .. and where, without blocks that the rest contradicts, one within this time, s, is still this rare.
 LEFT_CHANCE, LEFT_WITHIN_S = 0.05, 4.0
-#: .. else this long on both sides, s, is not to be trusted, and the gap it is in.
-BESIDE_S = 0.1
+#: .. else this long on both sides, s, and the gaps there are not to be trusted: a path bends so far away.
+BESIDE_S = 1.0
 #: The IMU is looked at in batches of this length, s, each reaching so far into the next.
 BATCH_S, OVERLAP_S = 60.0, 10.0
 #: Fewer filled samples are not worth a word.
@@ -44,9 +45,9 @@ def changed_for_good(steps: Sequence[Step], left: Sequence[Step]) -> Iterator[Fi
 
     `left` are those without the camera's blocks that the rest contradicts: another body for a while is no
     step, and what is left of a step after a part of one side was taken for such a block still shows it.
-    Where it does not, the gap there is not to be trusted.
+    Where it does not, or chance is not that rare, the gap there is not to be trusted.
     """
-    significant = [step for step in steps if _chance(step) * len(steps) < FALSE_ALARM]
+    significant = [step for step in steps if _chance(step) * len(steps) < DOUBTFUL]
     if not significant:
         return
     step = max(significant, key=lambda each: each.squared)
@@ -62,7 +63,8 @@ def changed_for_good(steps: Sequence[Step], left: Sequence[Step]) -> Iterator[Fi
         what = f"{of} turns by {turned_deg:.0f} degrees and moves by {moved_cm:.0f} cm, unfelt by the IMU"
         code, cause = "moved-or-slipped", "the camera was moved, or the strap slipped"
     shows_still = [each.at_s for each in left if _chance(each) < LEFT_CHANCE]
-    if not any(abs(step.at_s - at_s) < LEFT_WITHIN_S for at_s in shows_still):
+    is_rare = _chance(step) * len(steps) < FALSE_ALARM
+    if not is_rare or not any(abs(step.at_s - at_s) < LEFT_WITHIN_S for at_s in shows_still):
         yield finding(
             code,
             f"at about {step.at_s:.0f} s {what}: {cause}, or another body was seen beside it",

@@ -283,8 +283,9 @@ class Recovery:
 
     @property
     def trusted(self) -> BoolArray:
-        """(N,) whether a sample is to be trusted; all of them if the result was not judged."""
-        return trusted_at(self.t_s, self.estimates.trusted, self.estimates.untrusted)
+        """(N,) whether a sample, and the gap it is in, is to be trusted; all if the result was not judged."""
+        doubtful = (gap for gap in self.gap_verdicts if not gap.trusted)
+        return trusted_at(self.t_s, self.estimates.trusted, (*self.estimates.untrusted, *doubtful))
 
     @property
     def gap_verdicts(self) -> tuple[GapVerdict, ...]:

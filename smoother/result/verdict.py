@@ -82,7 +82,9 @@ def gap_verdicts(
     return tuple(verdicts)
 
 
-def trusted_at(t_s: FloatArray, trusted: bool | None, untrusted: Sequence[UntrustedInterval]) -> BoolArray:
+def trusted_at(
+    t_s: FloatArray, trusted: bool | None, untrusted: Sequence[UntrustedInterval | GapVerdict]
+) -> BoolArray:
     """Which times (N,), increasing, are trusted; all of them where not judged (None)."""
     good = np.full(len(t_s), trusted is not False)
     for each in untrusted:

@@ -197,7 +197,7 @@ def test_what_chance_gives_is_no_step() -> None:
     assert list(changed_for_good([step], [step]))
     assert not list(changed_for_good([step, *usual], [step, *usual]))
     (doubt,) = changed_for_good([step], usual)
-    assert (doubt.start_s, doubt.end_s) == pytest.approx((9.9, 10.1))
+    assert (doubt.start_s, doubt.end_s) == pytest.approx((9.0, 11.0))
 
 
 def test_a_tracked_point_has_no_mounting_to_step() -> None:
