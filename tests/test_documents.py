@@ -203,10 +203,6 @@ def test_the_tutorial_runs_as_it_stands(tmp_path: Path, monkeypatch: pytest.Monk
         assert numberless(answer) in printed, answer
 
 
-def test_the_quotes_would_be_missed():
-    assert "this was never printed by anybody" not in sentences()
-
-
 def test_figures_of_the_readme_are_those_of_the_results():
     rows = [
         line.split("|", 2)[2] for line in text_of("README.md").splitlines() if re.match(r"\|.* cm \|", line)
@@ -250,21 +246,17 @@ def test_pictures_are_small_and_whole():
             minidom.parse(str(path))
 
 
-def blocks(path: str, language: str) -> list[str]:
-    """Code blocks of a document."""
-    text = (ROOT / path).read_text(encoding="utf-8")
-    return re.findall(rf"^```{language}\n(.*?)^```", text, re.DOTALL | re.MULTILINE)
+def blocks(document: str, language: str) -> list[str]:
+    """Code blocks of a document in a language."""
+    return [block for own, block in split(text_of(document))[0] if own == language]
 
 
-def test_the_first_two_commands():
-    lines = [line for block in blocks("README.md", "sh") for line in block.splitlines() if line.strip()]
-    assert lines[:2] == ["make demo", "make test"]
-
-
-def test_the_readme_is_one_screen():
-    text = (ROOT / "README.md").read_text(encoding="utf-8")
+def test_the_readme_is_one_screen_and_begins_with_two_commands():
+    text = text_of("README.md")
     assert len(text.splitlines()) <= 90
     assert "CITATION.cff" in text and "What this is not" in text
+    assert re.search(r"[^!]\[\**([^]*]*)", text)[1] == "Which number do I report?"  # the first link
+    assert "\n".join(blocks("README.md", "sh")).split("\n")[:2] == ["make demo", "make test"]
 
 
 @pytest.mark.slow
