@@ -31,28 +31,19 @@ def arms_figures(arms: Sequence[Any], figures: Sequence[dict[str, Any]]) -> dict
         return figures[0]
     each = [{"side": arm.side, "body": arm.body, **mine} for arm, mine in zip(arms, figures, strict=True)]
     together = {**each[0], "arms": each}
-    if "trusted" in together:
-        trusted = [mine["trusted"] for mine in each]
-        labels = [arm.arm_label for arm in arms]
-        together["trusted"] = False if False in trusted else None if None in trusted else True
-        together["reasons"] = [
-            f"{label}: {reason}"
-            for label, mine in zip(labels, each, strict=True)
-            for reason in mine.get("reasons", ())
-        ]
-        if "verdict" in together:
-            together["verdict"] = " ".join(
-                f"{label.capitalize()}: {mine['verdict']}" for label, mine in zip(labels, each, strict=True)
-            )
-        together |= _least_proved([mine["pairing"] for mine in each if mine.get("pairing")])
+    if "trusted" not in together:
+        return together
+    trusted = [mine["trusted"] for mine in each]
+    together["trusted"] = False if False in trusted else None if None in trusted else True
+    labelled = [(arm.arm_label, mine) for arm, mine in zip(arms, each, strict=True)]
+    reasons = ((label, reason) for label, mine in labelled for reason in mine.get("reasons", ()))
+    together["reasons"] = [f"{label}: {reason}" for label, reason in reasons]
+    if "verdict" in together:
+        verdicts = (f"{label.capitalize()}: {mine['verdict']}" for label, mine in labelled)
+        together["verdict"] = " ".join(verdicts)
+    if pairings := [mine["pairing"] for mine in each if mine.get("pairing")]:
+        together["pairing"] = max(pairings, key=lambda one: (not one["proved"], one["chance"] or 0.0))
     return together
-
-
-def _least_proved(pairings: Sequence[dict[str, Any]]) -> dict[str, Any]:
-    """`pairing` of several arms: one that is not proved before one that is; nothing without any."""
-    if not pairings:
-        return {}
-    return {"pairing": max(pairings, key=lambda each: (not each["proved"], each["chance"] or 0.0))}
 
 
 def each_arm(

@@ -37,17 +37,13 @@ def choose(names: str) -> list[str]:
 
 def baseline_settings(names: Sequence[str], orientation: str | None) -> BaselineSettings:
     """Check what was set for the baselines among the chosen methods."""
-    if orientation is not None and not any(_needs_orientation(name) for name in names):
+    known = BASELINES | LIVE_BASELINES
+    if orientation is not None and not any(known[name].needs_orientation for name in names if name in known):
         raise typer.BadParameter(
             "--orientation belongs to the methods that need a filter's orientation, such as rts; no such"
             f" method was chosen, but {', '.join(names)}"
         )
     return BaselineSettings(orientation or DEFAULT_ORIENTATION)
-
-
-def _needs_orientation(name: str) -> bool:
-    entry = (BASELINES | LIVE_BASELINES).get(name)
-    return entry is not None and entry.needs_orientation
 
 
 def usual_draws(draws: int | None) -> int:
@@ -60,7 +56,8 @@ def usual_draws(draws: int | None) -> int:
 def drawn_motions(draws: int | None, seed: int | None, method: str) -> int:
     """How many motions are drawn from the posterior: as usual unless something else was said."""
     if method != GRAPH:
-        for option in [*(["--draws"] if draws else []), *(["--seed"] if seed is not None else [])]:
+        if draws or seed is not None:
+            option = "--draws" if draws else "--seed"
             raise typer.BadParameter(f"{option} belongs to the method {GRAPH}: '{method}' has no posterior")
         return 0
     if seed is not None and draws == 0:

@@ -110,13 +110,11 @@ def check_outputs(force: bool, outputs: Iterable[Path | None], inputs: Iterable[
 
 def _identity(path: Path) -> set[object]:
     """By what two names show to be one file: where links lead, and the file itself if it is there."""
-    try:
+    keys: set[object] = {os.path.realpath(path)}
+    with suppress(OSError, ValueError):
         about = path.stat()
-    except (OSError, ValueError):
-        return {os.path.realpath(path)}
-    return (
-        {os.path.realpath(path), (about.st_dev, about.st_ino)} if about.st_ino else {os.path.realpath(path)}
-    )
+        keys |= {(about.st_dev, about.st_ino)} if about.st_ino else set()
+    return keys
 
 
 #: Endings of files of other formats than MCAP; those of `unocclude export` first.
