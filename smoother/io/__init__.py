@@ -6,15 +6,12 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from ..runtime.outputs import check_output as check_output
-    from ..runtime.outputs import writing as writing
     from .datasets import import_broad as import_broad
     from .datasets import import_utd_mhad as import_utd_mhad
     from .export.csv import export_csv as export_csv
     from .export.prepare import prepare_export as prepare_export
     from .files import ImuFiles as ImuFiles
     from .files import import_files as import_files
-    from .info import RecordingInfo as RecordingInfo
     from .info import describe as describe
     from .recording.read import open_recording as open_recording
     from .recording.read import read_imu as read_imu
@@ -32,8 +29,6 @@ if TYPE_CHECKING:
 _HOMES = {
     "ImuFiles": ".files",
     "RecordingFile": ".recording.streams",
-    "RecordingInfo": ".info",
-    "check_output": "..runtime.outputs",
     "describe": ".info",
     "export_csv": ".export.csv",
     "import_broad": ".datasets",
@@ -51,7 +46,6 @@ _HOMES = {
     "select_recordings": ".recording.select",
     "write_recording": ".recording.write",
     "write_recovery": ".result.write",
-    "writing": "..runtime.outputs",
 }
 __all__ = list(_HOMES)
 

@@ -21,8 +21,10 @@ from pathlib import Path
 from ..errors import UnoccludeError
 
 _ENDING = ".unocclude.tmp"
+#: What tells computers apart that share a name and a folder; it is not there but on Linux.
+_BOOT = Path("/proc/sys/kernel/random/boot_id")
 #: This computer and the process that writes, in the name of a temporary file.
-_HOST = f"{zlib.crc32(platform.node().encode()):08x}"
+_HOST = f"{zlib.crc32(platform.node().encode() + (_BOOT.read_bytes() if _BOOT.exists() else b'')):08x}"
 _NAME = re.compile(r"\..*\.([0-9a-f]{8})-(\d+)-[0-9a-f]{12}" + re.escape(_ENDING) + r"(\.\w+)?")
 #: A file of another computer's that nobody wrote to for this long was left behind, s.
 _STALE_S = 86_400.0
