@@ -244,7 +244,7 @@ def _load(
     """The stream to calibrate, once it is certain that the outputs can be written."""
     from calib.sensor import sensors_in
 
-    from ..io import read_imu
+    from ..io.recording.read import read_imu
 
     sensors_in(load_existing_calibration(output, others, force, [path]))
     stream, notes = read_imu(path, name)

@@ -27,8 +27,8 @@ from .output import (
 )
 
 if TYPE_CHECKING:
-    from ..io import RecordingFile
     from ..io.files import FileReport, ImuFiles
+    from ..io.recording.streams import RecordingFile
     from ..io.tables.describe import DescribedFile
     from ..recording import Recording
 

@@ -150,7 +150,8 @@ def open_smartfallmm(trial: BenchmarkTrial) -> Recording:
 
 def imported(name: str, skeleton: Path, sensors: tuple[Path, ...]) -> Recording:
     """The recording of files as devices write them."""
-    from ..io import ImuFiles, import_files, read_recording, write_recording
+    from ..io import read_recording, write_recording
+    from ..io.files import ImuFiles, import_files
 
     with tempfile.TemporaryDirectory(prefix="unocclude-") as folder:
         path = Path(folder) / f"{name}.mcap"

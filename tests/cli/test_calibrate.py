@@ -19,8 +19,9 @@ from calib.imu import calibrate_imu, imu_answer
 from smoother.cli.load import load_arm
 from smoother.cli.run import run
 from smoother.config import Config
-from smoother.io import read_imu, write_recording
+from smoother.io import write_recording
 from smoother.io.mcap.messages import nanoseconds
+from smoother.io.recording.read import read_imu
 from smoother.io.recording.streams import ImuSamples, RecordingFile
 from smoother.linalg import sphere
 from smoother.recording import ImuStream

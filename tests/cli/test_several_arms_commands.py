@@ -13,8 +13,9 @@ from commands import done
 
 from smoother.cli.run import run
 from smoother.errors import RecordingError
-from smoother.io import open_recording, read_recording, read_recovery, select_recording
+from smoother.io import open_recording, read_recording, read_recovery
 from smoother.io.recording.match import match_file
+from smoother.io.recording.select import select_recording
 from smoother.io.recording.streams import RecordingFile
 
 

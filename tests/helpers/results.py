@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 from arms import make_recording, make_recovery
 
-from smoother.io import prepare_export
+from smoother.io.export.prepare import prepare_export
 from smoother.measurements.visibility import accepted_samples, find_gaps, occluded_at, visible_frames
 from smoother.recording import JOINTS, JointState, JointTracks
 from smoother.result import Recovery

@@ -16,17 +16,17 @@ from smoother.cli.imports import skeleton_file
 from smoother.errors import UnoccludeError
 from smoother.io import (
     describe,
-    export_csv,
-    import_csv,
     open_recording,
     read_recording,
     read_recovery,
-    select_recording,
     write_recording,
     write_recovery,
 )
+from smoother.io.export.csv import export_csv
 from smoother.io.recording.choose import choose_arms
+from smoother.io.recording.select import select_recording
 from smoother.io.recording.streams import RecordingFile
+from smoother.io.tables.recording_toml import import_csv
 from smoother.recording import FOREARM_JOINTS, JOINTS, ImuStream, JointState, Recording, TrunkSensors
 from smoother.result import Recovery
 from smoother.result.segment_motion import SegmentMotion, TrunkMotion

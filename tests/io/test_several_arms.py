@@ -13,17 +13,10 @@ from scipy.ndimage import gaussian_filter1d
 from scipy.spatial.transform import Rotation
 
 from smoother.errors import RecordingError, UnoccludeError
-from smoother.io import (
-    read_recording,
-    read_recordings,
-    read_recovery,
-    select_recording,
-    select_recordings,
-    write_recording,
-    write_recovery,
-)
+from smoother.io import read_recording, read_recordings, read_recovery, write_recording, write_recovery
 from smoother.io.recording.bodies import unswap_bodies
 from smoother.io.recording.choose import choose_arms
+from smoother.io.recording.select import select_recording, select_recordings
 from smoother.io.recording.streams import ArmFrames, ImuSamples, RecordingFile
 from smoother.io.recording.write import as_file, as_session
 from smoother.recording import JOINTS

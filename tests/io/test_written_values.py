@@ -13,8 +13,8 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 from made_results import assert_same, recovery
 
-from smoother.io import export_csv, read_recovery, write_recovery
-from smoother.io.export.csv import file_columns
+from smoother.io import read_recovery, write_recovery
+from smoother.io.export.csv import export_csv, file_columns
 from smoother.io.export.markers import C3dContent, write_c3d, write_trc
 from smoother.io.export.parquet import METADATA_KEY, export_parquet
 from smoother.io.mcap.messages import nanoseconds

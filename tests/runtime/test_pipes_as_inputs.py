@@ -19,22 +19,16 @@ from smoother.cli.config import read_config
 from smoother.errors import UnoccludeError
 from smoother.evaluation.mocap.markers import read_marker_map
 from smoother.evaluation.truth import read_truth_csv
-from smoother.io import (
-    describe,
-    import_csv,
-    import_files,
-    open_recording,
-    read_imu,
-    read_recording,
-    read_recovery,
-)
+from smoother.io import describe, open_recording, read_recording, read_recovery
 from smoother.io.datasets import import_utd_mhad
-from smoother.io.files import ImuFiles
+from smoother.io.files import ImuFiles, import_files
 from smoother.io.mcap.container import Container
+from smoother.io.recording.read import read_imu
 from smoother.io.rig.clock import read_broadcast, read_sound
 from smoother.io.rig.images import read_images
 from smoother.io.tables.columns import read_exact as read_strict
 from smoother.io.tables.markers import read_c3d, read_markers, read_positions, read_trc
+from smoother.io.tables.recording_toml import import_csv
 from smoother.io.tables.table import read_head, read_table
 from smoother.study.inputs import file_hash, find_entries
 

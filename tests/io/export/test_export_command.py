@@ -13,7 +13,8 @@ import pytest
 from commands import done, refused
 from results import made, read_mot, read_trc, without_answer
 
-from smoother.io import prepare_export, write_recovery
+from smoother.io import write_recovery
+from smoother.io.export.prepare import prepare_export
 
 FORMATS = ("csv", "trc", "mot", "c3d", "parquet")
 

@@ -14,8 +14,8 @@ from results import HIDDEN, export, jittered, made, read_trc, without_answer
 from scipy.spatial.transform import Rotation
 
 from smoother.errors import UnoccludeError
-from smoother.io import prepare_export
 from smoother.io.export.markers import MOST_FRAMES, C3dContent, write_c3d
+from smoother.io.export.prepare import prepare_export
 from smoother.recording import JOINTS, JointState
 
 AFTER = ["shoulder", "elbow", "wrist", "hand", "imu"]

@@ -14,7 +14,7 @@ from scipy.ndimage import gaussian_filter1d
 from scipy.spatial.transform import Rotation
 
 from smoother.errors import UnoccludeError
-from smoother.io import prepare_export
+from smoother.io.export.prepare import prepare_export
 from smoother.joint_angles import torso_axes, wrapped_deg
 from smoother.result import Recovery
 

@@ -13,7 +13,8 @@ from results import made, without_answer
 
 from smoother.cli.run import run
 from smoother.errors import UnoccludeError
-from smoother.io import prepare_export, write_recovery
+from smoother.io import write_recovery
+from smoother.io.export.prepare import prepare_export
 from smoother.io.export.rrd import prepare_rrd, rerun_module, write_rrd
 
 

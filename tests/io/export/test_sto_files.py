@@ -14,7 +14,8 @@ from scipy.spatial.transform import Rotation
 
 from smoother.calibration import ArmCalibration, SegmentMounting
 from smoother.errors import UnoccludeError
-from smoother.io import prepare_export, write_recovery
+from smoother.io import write_recovery
+from smoother.io.export.prepare import prepare_export
 from smoother.result import Recovery
 from smoother.result.segment_motion import SegmentMotion, TrunkMotion
 
