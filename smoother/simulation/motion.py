@@ -357,17 +357,15 @@ class TrunkTurn:
             return np.tile(np.eye(3), (len(t_s), 1, 1))
         return np.asarray(Rotation.from_rotvec(self._spline(t_s)).as_matrix())
 
-    def moved(self, points_T: FloatArray, t_s: FloatArray) -> FloatArray:
+    def moved(self, points_T: FloatArray, t_s: FloatArray, way: str = "nij,nj->ni") -> FloatArray:
         """Points (N, 3) of the upright trunk, m in {T}, where its turning takes them."""
         if self._spline is None:
             return points_T
-        return HIPS + np.einsum("nij,nj->ni", self.at(t_s), points_T - HIPS)
+        return HIPS + np.einsum(way, self.at(t_s), points_T - HIPS)
 
     def back(self, points_T: FloatArray, t_s: FloatArray) -> FloatArray:
         """The other way round: points (N, 3) of the turned trunk as the upright one has them."""
-        if self._spline is None:
-            return points_T
-        return HIPS + np.einsum("nji,nj->ni", self.at(t_s), points_T - HIPS)
+        return self.moved(points_T, t_s, "nji,nj->ni")
 
 
 #: Axes of a level Kinect to those of other level cameras.

@@ -66,12 +66,10 @@ def render(
     origin, rays = camera.origin, camera.rays(np.stack([column.ravel(), row.ravel()], axis=1).astype(float))
     grey, z = np.full(len(rays), WALL), np.full(len(rays), WALL_M)
     no_depth = np.zeros(len(rays), dtype=bool)
-    look = _near(camera, arm)
     for surface in (_trunk, _capsule, _ball):
-        reach, shade, blind = surface(arm, origin, rays[look])
-        closer = reach < z[look]
-        index = np.flatnonzero(look)[closer]
-        z[index], grey[index], no_depth[index] = reach[closer], shade[closer], blind[closer]
+        reach, shade, blind = surface(arm, origin, rays)
+        closer = reach < z
+        z[closer], grey[closer], no_depth[closer] = reach[closer], shade[closer], blind[closer]
     shape = (camera.lens.height, camera.lens.width)
     grey, z, no_depth = grey.reshape(shape), z.reshape(shape), no_depth.reshape(shape)
     if noise is not None:
@@ -83,20 +81,6 @@ def render(
         no_depth = (no_depth & (noise.rng.random(shape) < noise.strap_holes)) | rim
         z = np.rint(1000 * z) / 1000  # depth images count millimetres
     return np.clip(grey, 0, 255).astype(np.uint8), np.where(no_depth, np.nan, z)
-
-
-def _near(camera: PlacedCamera, arm: Arm) -> NDArray[np.bool_]:
-    """Pixels in which the arm or the trunk can be: the others see the wall."""
-    ends = np.stack([arm.elbow, arm.wrist])
-    if arm.trunk is not None:
-        centre, half = arm.trunk
-        ends = np.concatenate([ends, centre - half * np.eye(3), centre + half * np.eye(3)])
-    pixels, z = camera.pixels(ends)
-    margin = 1.6 * (arm.radius + 0.06) * camera.lens.fx / float(np.nanmin(z))
-    low, high = np.nanmin(pixels, axis=0) - margin, np.nanmax(pixels, axis=0) + margin
-    column, row = np.meshgrid(np.arange(camera.lens.width), np.arange(camera.lens.height))
-    inside = (column > low[0]) & (column < high[0]) & (row > low[1]) & (row < high[1])
-    return np.asarray(inside.ravel())
 
 
 def _capsule(

@@ -86,30 +86,6 @@ def test_toml_of_any_plain_values(table: dict):
     assert tomllib.loads(to_toml({"x": table})) == {"x": table}
 
 
-def test_writing_merges(tmp_path: Path):
-    path = tmp_path / "cal.toml"
-    path.write_text(
-        HEAD
-        + "# a comment\n[arm.left]\nupper_arm_m = 0.28\nupper_arm_sigma_m = 0.01\n"
-        + "[arm.right]\nupper_arm_m = 0.3\nupper_arm_sigma_m = 0.01\ngyroscope_bias = [0.1, 0, 0]\n"
-        + "[arm.right.lever_arm.elbow]\nposition_m = [0, -0.2, 0]\nsigma_m = [1, 1, 1]\n"
-        + "[camera_from_mocap]\nrotation = [1, 0, 0, 0]\n[other.deep]\nkept = [{a = 1}]\n"
-    )
-    wrist = LeverArm(np.array([0.0, 0.05, 0.0]), np.full(3, 0.002))
-    new = CalibrationFile().with_arm(ArmCalibration("right", {"wrist": wrist}, Length(0.31, 0.002)))
-    write_calibration(path, new.with_table("camera_from_mocap", {"translation": [1.0, 2.0, 3.0]}))
-    back = read_calibration(path)
-    assert back.arm("left").upper_arm == Length(0.28, 0.01)
-    right = back.arm("right")
-    assert right.upper_arm == Length(0.31, 0.002)
-    assert set(right.lever_arms) == {"elbow", "wrist"}
-    np.testing.assert_array_equal(right.gyroscope_bias, [0.1, 0, 0])
-    assert back.tables == {
-        "camera_from_mocap": {"translation": [1.0, 2.0, 3.0]},
-        "other": {"deep": {"kept": [{"a": 1}]}},
-    }
-
-
 COMMENTED = """# Anna's rig, measured on Monday
 [arm.right]   # the weak one
 # by ruler

@@ -177,26 +177,6 @@ def test_an_echo_as_loud_as_the_beep_costs_sigma():
     assert loud.loud_room and loud.sigma_s > 0.01 and abs(loud.end_s - 1.5) < 3 * loud.sigma_s
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize(("delay_s", "gain"), [(0.015, 0.6), (0.04, 0.4), (0.08, 0.5)])
-def test_a_single_echo_is_not_taken_for_the_beep(delay_s: float, gain: float):
-    """An echo may cancel the direct sound in part: the loudness then stays as it was when the beep stops."""
-    errors, sigmas = [], []
-    for seed in range(6):
-        rng = np.random.default_rng(seed)
-        rate, end, tone = 16000, 1.5 + rng.uniform(0, 1e-3), rng.uniform(600, 4000)
-        t = np.arange(int(2.5 * rate)) / rate
-        ring = np.where(t < end, 1.0, np.exp(-np.maximum(t - end, 0) / 1e-3)) * (t > 0.8)
-        direct = 0.5 * ring * np.sin(2 * np.pi * tone * t)
-        sound, late = direct.copy(), int(delay_s * rate)
-        sound[late:] += gain * direct[:-late]
-        (found,) = find_beeps(sound + 3e-3 * rng.normal(size=len(t)), rate)
-        errors.append(found.end_s - end)
-        sigmas.append(found.sigma_s)
-    assert np.abs(errors).max() < 1.5e-3
-    assert (np.abs(errors) < 3 * np.array(sigmas)).all()
-
-
 def test_the_tone_may_be_named():
     sound, end, tone = beep(4)
     t = np.arange(len(sound)) / 16000

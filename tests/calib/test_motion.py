@@ -72,23 +72,6 @@ def test_mounting_over_two_recordings(arm: SimulatedArm):
     assert found.evidence.visible_s > 20 and np.degrees(found.evidence.axial_rad) > 90
 
 
-def test_a_recording_without_motion():
-    still = simulate_arm(ArmSimulation(protocol="hang", still_all=True, duration_s=12), 1).recording
-    found = calibrate_motion([still], None, ONE_PROCESS)
-    text = "\n".join(found.not_determined)
-    assert "the forearm hardly moved while it was visible (0 degrees/s on average)" in text
-    assert "is known only roughly in the IMU's axes" in text
-    assert "the clock offset is known to" in text
-    assert found.calibration.R_F_A is None
-
-
-def test_what_is_known_is_kept(arm: SimulatedArm):
-    known = ArmCalibration("right", upper_arm=Length(0.25, 0.0005), R_F_A=np.eye(3))
-    found = calibrate_motion([arm.recording], known, ONE_PROCESS)
-    assert found.calibration.upper_arm.value_m == pytest.approx(0.25, abs=0.005)
-    assert np.array_equal(found.calibration.R_F_A, np.eye(3))
-
-
 def test_the_command(arm: SimulatedArm, file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     cal = tmp_path / "cal.toml"
     # what is there already stays, without --force
