@@ -475,13 +475,10 @@ def clock_answer(calibration: ClockCalibration) -> Answer:
     )
     apart = disagreements(network)
     grade = "good" if all(link.sigma_s <= WEAK_S for link in links) else "usable"
+    numbers = ("offset_s", "sigma_s", "skew_ppm", "skew_sigma_ppm", "at_s")
     rows = [
-        {
-            "from": link.from_clock,
-            "to": link.to_clock,
-            **{name: float(getattr(link, name)) for name in ("offset_s", "sigma_s", "skew_ppm")},
-            **{name: float(getattr(link, name)) for name in ("skew_sigma_ppm", "at_s")},
-        }
+        {"from": link.from_clock, "to": link.to_clock}
+        | {name: float(getattr(link, name)) for name in numbers}
         for link in links
     ]
     shown = ("end_s", "sigma_s", "frequency_hz", "above_quiet_db")
@@ -500,15 +497,10 @@ def clock_answer(calibration: ClockCalibration) -> Answer:
         ],
         "beeps": [{key: getattr(beep, key) for key in shown} for beep in calibration.beeps],
     }
-    return Answer(
-        "not good enough" if apart or len(network.groups) > 1 else grade,
-        sentence,
-        [*(Finding(text, is_open=True) for text in apart), *_checks(calibration, links)],
-        CalibrationFile().with_table(
-            "clock", {"session": calibration.session, "valid_for": "this session alone", "links": rows}
-        ),
-        figures,
-    )
+    grade = "not good enough" if apart or len(network.groups) > 1 else grade
+    checks = [*(Finding(text, is_open=True) for text in apart), *_checks(calibration, links)]
+    table = {"session": calibration.session, "valid_for": "this session alone", "links": rows}
+    return Answer(grade, sentence, checks, CalibrationFile().with_table("clock", table), figures)
 
 
 def disagreements(network: ClockNetwork) -> list[str]:
@@ -577,7 +569,11 @@ def measured_clock(file: CalibrationFile, recording: Recording) -> Clock | None:
     table = file.tables.get("clock")
     if not isinstance(table, dict) or not isinstance(table.get("links"), list):
         return None
-    links = [link for link in table["links"] if isinstance(link, dict) and _camera_ends(link) == 1]
+    links = [
+        link
+        for link in table["links"]
+        if isinstance(link, dict) and _is_camera(link.get("from")) != _is_camera(link.get("to"))
+    ]
     named = [link for link in links if _imu_end(link).lower() in recording.imu.name.lower()]
     links = named or links
     if not links:
@@ -591,16 +587,12 @@ def measured_clock(file: CalibrationFile, recording: Recording) -> Clock | None:
     return _clock(links[0], file.source, recording)
 
 
-def _camera_ends(link: Mapping[str, Any]) -> int:
-    return sum(_is_camera(str(link.get(end, ""))) for end in ("from", "to"))
-
-
-def _is_camera(name: str) -> bool:
-    return any(word in name.lower() for word in CAMERA_WORDS)
+def _is_camera(name: object) -> bool:
+    return any(word in str(name).lower() for word in CAMERA_WORDS)
 
 
 def _imu_end(link: Mapping[str, Any]) -> str:
-    return str(link["to"] if _is_camera(str(link["from"])) else link["from"])
+    return str(link["to"] if _is_camera(link["from"]) else link["from"])
 
 
 class _MeasuredLink(BaseModel):
@@ -618,7 +610,7 @@ class _MeasuredLink(BaseModel):
 def _clock(link: Mapping[str, Any], source: str, recording: Recording) -> Clock:
     read = checked(_MeasuredLink, link, f"{source}: a link of [clock]")
     offset_s, skew, at_s = read.offset_s, 1e-6 * read.skew_ppm, read.at_s
-    if not _is_camera(str(link["from"])):  # t_camera = t_imu + offset, turned round
+    if not _is_camera(link["from"]):  # t_camera = t_imu + offset, turned round
         offset_s, skew, at_s = -offset_s, -skew, at_s + offset_s
     if abs(at_s) > UNIX_S:
         at_s -= 1e-9 * recording.origin_ns

@@ -10,13 +10,13 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter1d
-from scipy.spatial.transform import Rotation
 
 from smoother.array_types import FloatArray
 from smoother.calibration import ArmCalibration, Length
 from smoother.errors import CalibrationError
 from smoother.linalg import unit
 from smoother.result import Recovery
+from smoother.rotation import Rotation
 
 from .file import CalibrationFile
 from .forearm import USUAL_RADIUS
@@ -353,19 +353,10 @@ def mounted_on(recovery: Recovery, radius: Length | None = None) -> Mounted:
     roll = min(frame.roll_sigma_rad, 1.0)
     return Mounted(
         t_s=recovery.t_s - recovery.clock_offset_s,
-        R_K_A=_matrices(recovery.quaternion),
+        R_K_A=Rotation.from_quat(recovery.quaternion, scalar_first=True).as_matrix(),
         origin_ns=recovery.origin_ns,
         from_core=distance * away,
         sigma_m=float(np.hypot(sum(weight) ** -0.5, distance * roll) / np.sqrt(2)),
         along=frame.direction,
         radius_m=float(np.clip(distance, 0.02, 0.06)) if radius is None else radius.value_m,
     )
-
-
-def _matrices(quaternion: FloatArray) -> FloatArray:
-    """(N, 3, 3) of quaternions qw, qx, qy, qz; nan where there is none."""
-    good = np.isfinite(quaternion).all(axis=1)
-    R = np.full((len(quaternion), 3, 3), np.nan)
-    if good.any():
-        R[good] = Rotation.from_quat(quaternion[good], scalar_first=True).as_matrix()
-    return R

@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from ..errors import CalibrationError
 from . import options as o
 from .calibrate import error_prefix, finish, load_existing_calibration
 from .load import load_arm, refuse_twice
@@ -182,7 +181,11 @@ def world(
     if recording is not None:
         if any(images):
             raise typer.BadParameter("give either a recording or files, not both")
-        views, times, panels, bases, lens, notes = _from_recording(recording, panel_topic, base_topic, lens)
+        from ..io.rig.panel import read_session
+
+        found = read_session(recording, panel_topic, base_topic, lens)
+        views, times, lens, notes = found.views, found.times_s, found.lens, tuple(found.notes)
+        panels, bases = [found.panel] * len(views), [found.base] * len(views)
     else:
         views, times, panels, bases = _from_files(*images)
         notes = ()
@@ -213,21 +216,6 @@ def _from_files(
         with error_prefix(f"{path} and the base IMU's file of that pose"):
             times.append(common_time(own, base))
     return views, times, on_panel, on_base
-
-
-def _from_recording(
-    path: Path, panel_topic: str, base_topic: str, lens: Intrinsics | None
-) -> tuple[list[View], list[float], list[ImuStream], list[ImuStream], Intrinsics, tuple[str, ...]]:
-    from ..io.rig.panel import read_session
-
-    session = read_session(path, panel_topic, base_topic)
-    lens = lens or session.lens
-    if lens is None:
-        raise CalibrationError(
-            f"{path} has no lens (CameraCalibration, CameraInfo) of the depth camera; give --intrinsics."
-        )
-    count, notes = len(session.views), tuple(session.notes)
-    return session.views, session.times_s, [session.panel] * count, [session.base] * count, lens, notes
 
 
 def clock(

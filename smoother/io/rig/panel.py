@@ -59,12 +59,15 @@ class PanelSession:
     times_s: list[float]  # Of the views
     panel: ImuStream  # The IMU on the panel and the one on the camera; times as in `times_s`
     base: ImuStream  # The IMU on the panel and the one on the camera; times as in `times_s`
-    lens: Intrinsics | None  # Of the depth camera, or None
+    lens: Intrinsics  # Of the depth camera
     notes: list[str]  # What was dropped, one sentence each
 
 
 def read_session(
-    path: str | os.PathLike[str], panel_topic: str = "panel", base_topic: str = "base"
+    path: str | os.PathLike[str],
+    panel_topic: str = "panel",
+    base_topic: str = "base",
+    lens: Intrinsics | None = None,
 ) -> PanelSession:
     """Read the panel's images and the IMUs on panel and camera."""
     file = open_recording(path)
@@ -81,7 +84,7 @@ def read_session(
     for kept in stamped:
         name = kept.topic.rpartition("/")[2]
         streams.append(ImuStream(name, seconds(kept.stamp_ns, origin), kept.acc, kept.gyro, kept.mag))
-    pairs, lens = read_pairs(path)
+    pairs, lens = read_pairs(path, lens)
     views, times = [], []
     for depth, infrared in pairs:
         t_s = (depth.stamp_ns - origin) / 1e9
@@ -91,8 +94,8 @@ def read_session(
 
 
 def read_pairs(
-    path: str | os.PathLike[str], notes: list[str] | None = None
-) -> tuple[list[tuple[ImageMessage, ImageMessage]], Intrinsics | None]:
+    path: str | os.PathLike[str], lens: Intrinsics | None = None, notes: list[str] | None = None
+) -> tuple[list[tuple[ImageMessage, ImageMessage]], Intrinsics]:
     """Depth and infrared images of one exposure each, one pair a pose, and the depth camera's lens."""
     found: dict[bool, list[ImageMessage]] = {True: [], False: []}
     lenses: list[LensMessage] = []
@@ -125,7 +128,12 @@ def read_pairs(
     named = [lens for lens in lenses if lens.frame_id == pairs[0][0].frame_id] or [
         lens for lens in lenses if "depth" in lens.topic.lower()
     ]
-    return [pairs[run[len(run) // 2]] for run in runs], named[0].intrinsics if named else None
+    lens = lens or (named[0].intrinsics if named else None)
+    if lens is None:
+        raise RecordingError(
+            f"{path} has no lens (CameraCalibration, CameraInfo) of the depth camera; give --intrinsics."
+        )
+    return [pairs[run[len(run) // 2]] for run in runs], lens
 
 
 #: Markers within this time of a pose's images are averaged, s.
@@ -142,12 +150,7 @@ def read_panel_session(
 ) -> tuple[list[View], list[dict[str, FloatArray]], Intrinsics]:
     """Views of the panel, one per pose, with the mocap markers of their moment, and the lens."""
     path = Path(path)
-    pairs, found_lens = read_pairs(path, notes)
-    lens = lens or found_lens
-    if lens is None:
-        raise RecordingError(
-            f"{path} has no lens (CameraCalibration, CameraInfo) of the depth camera; give --intrinsics."
-        )
+    pairs, lens = read_pairs(path, lens, notes)
     if given and len(given) != len(pairs):
         raise RecordingError(
             f"{path} shows {len(pairs)} poses of the panel and --markers is given {len(given)} times; give it"
