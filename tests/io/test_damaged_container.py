@@ -327,7 +327,7 @@ def test_repair(path: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     assert lost["missing"] and lost["losses"] and lost["notes"]
     assert sum(lost["messages"].values()) + sum(lost["missing"].values()) == COUNT
     out = capsys.readouterr().out
-    assert "missing by its own count" in out and "left out" in out and "written:" in out
+    assert "missing" in out and "left out" in out and "written:" in out
     done("repair", output, "-o", tmp_path / "again.mcap")
     for repaired in (output, tmp_path / "again.mcap"):
         notes = open_recording(repaired).notes
