@@ -153,6 +153,7 @@ def wait_for(calibrator: BackgroundCalibrator) -> LiveCalibration:
     pytest.fail("no answer in a minute")
 
 
+@pytest.mark.slow
 def test_the_background_answers_as_this_process_does():
     calibrator = BackgroundCalibrator()
     try:
@@ -171,6 +172,7 @@ def test_the_background_answers_as_this_process_does():
     assert answer.clock.mean_s == pytest.approx(-0.02, abs=0.01)
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(os.name != "posix", reason="kills by signals")
 def test_a_background_that_dies_while_it_answers(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     """The rest of its answer never comes: it was waited for as long as the live run went on."""

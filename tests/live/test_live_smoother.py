@@ -12,6 +12,8 @@ from smoother.errors import UnoccludeError
 from smoother.live.answers import LiveState
 from smoother.live.smoother import LiveSmoother
 
+pytestmark = pytest.mark.slow
+
 SIMULATION = simulated(2, 27.0)  # a second calibration at 23 s
 
 
@@ -20,7 +22,6 @@ def outputs():
     return list(play(events(SIMULATION)))
 
 
-@pytest.mark.slow
 def test_it_says_calibrating_before_it_knows_and_never_guesses(outputs):
     early = [output for output in outputs if output.now_s < 8.0]
     assert early and all(output.state is LiveState.CALIBRATING for output in early)
