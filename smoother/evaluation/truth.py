@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from ..array_types import BoolArray, FloatArray
 from ..errors import RecordingError
-from ..io.tables.table import shown
+from ..io.tables.table import read_table, shown
 from ..recording import Truth
 from ..result import Recovery
 from ..runtime.inputs import check_input
@@ -43,30 +42,17 @@ def read_truth(path: Path | str, recovery: Recovery) -> Truth:
 def read_truth_csv(path: Path) -> Truth:
     """Read a truth from a CSV file, its times as written."""
     check_input(path, RecordingError)
-    try:
-        with open(path, newline="", encoding="utf-8-sig") as file:
-            table = csv.reader(file)
-            header = [name.strip() for name in next(table, [])]
-            rows = [(table.line_num, row) for row in table if any(cell.strip() for cell in row)]
-    except (UnicodeDecodeError, csv.Error) as error:
-        raise RecordingError(f"{path}: not a CSV file with a header ({shown(str(error))})") from error
-    if missing := [name for name in _COLUMNS if name not in header]:
+    table = read_table(path, f"a truth with the columns {', '.join(_COLUMNS)}", strict=True)
+    names = [name.strip() for name in table.names]
+    columns = {name: names.index(name) if name in names else None for name in _COLUMNS + _ORIENTATION}
+    if missing := [name for name in _COLUMNS if columns[name] is None]:
         raise RecordingError(
             f"{path}: the column {', '.join(missing)} is missing; the file has"
-            f" {shown(', '.join(header)) or 'nothing'}"
+            f" {shown(', '.join(names)) or 'no header'}"
         )
-    values = np.full((len(rows), 8), np.nan)
-    for place, name in enumerate(_COLUMNS + _ORIENTATION):
-        column = header.index(name) if name in header else len(header)
-        for number, (line, row) in enumerate(rows):
-            text = row[column].strip() if column < min(len(row), len(header)) else ""
-            try:
-                values[number, place] = float(text or "nan")
-            except ValueError:
-                raise RecordingError(
-                    f"{path}, line {line}: '{shown(text, 40)}' in column {name} is not a number"
-                ) from None
-    values = values[np.isfinite(values[:, 0])]
+    nothing = np.full(len(table), np.nan)
+    found = [nothing if at is None else table.numbers(at) for at in columns.values()]
+    values = np.stack(found, axis=1)[np.isfinite(found[0])]
     if not len(values):
         raise RecordingError(f"{path}: no row has a time")
     values = values[np.argsort(values[:, 0], kind="stable")]

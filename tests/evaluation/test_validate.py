@@ -199,10 +199,10 @@ def test_unix_times_and_relative_times(tmp_path, exact):
 @pytest.mark.parametrize(
     ("name", "text", "sentence"),
     [
-        ("a.csv", "", "column t_s, x, y, z is missing; the file has nothing"),
+        ("a.csv", "", "is empty, but should be a truth with the columns t_s, x, y, z"),
         ("a.csv", "time,x,y,z\n0,1,2,3\n", "column t_s is missing; the file has time, x, y, z"),
         ("a.csv", "t_s,x,y,z\n0,1,2,3\n0.1,1,two,3\n", "line 3: 'two' in column y is not a number"),
-        ("a.csv", "t_s,x,y,z\n", "no row has a time"),
+        ("a.csv", "t_s,x,y,z\n", "has a header and has no rows"),
         ("a.txt", "", "a truth is read from .c3d or .trc"),
         ("a.csv", None, "there is no such file"),
     ],
@@ -220,7 +220,7 @@ def test_bad_files_are_one_sentence(tmp_path, exact, name, text, sentence):
 def test_binary_is_refused(tmp_path, exact):
     path = tmp_path / "a.csv"
     path.write_bytes(b"\x89\x00\xff\xfe" * 10)
-    with pytest.raises(RecordingError, match="not a CSV file"):
+    with pytest.raises(RecordingError, match="is not text"):
         read_truth(path, exact)
 
 
