@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
-from html import escape
 from importlib import import_module
 from textwrap import shorten
 from typing import TYPE_CHECKING, Any
@@ -35,8 +34,6 @@ if TYPE_CHECKING:
 
     from ..angles import AngleTable
 
-#: More gaps than this make the page too long to read.
-MOST_GAPS = 20
 _VERDICT_LENGTH = 200
 
 
@@ -143,24 +140,6 @@ class Recovery:
 
     def __repr__(self) -> str:
         return "\n  ".join(self._lines())
-
-    def _repr_html_(self) -> str:
-        """Its lines, and the gaps as a table, as notebooks show it."""
-        head = ("gap from, s", "length, s", "within (95 %), cm", "seen from", "trusted")
-        rows = [
-            (
-                f"{gap.start_s:.2f}",
-                f"{gap.length_s:.2f}",
-                "no answer" if (radius := self._error_95_m(gap)) is None else f"{100 * radius:.1f}",
-                "one side" if gap.open_start or gap.open_end else "both sides",
-                "not judged" if not self.has_verdict else "; ".join(verdict.reasons) or "yes",
-            )
-            for gap, verdict in zip(self.gaps[:MOST_GAPS], self.gap_verdicts, strict=False)
-        ]
-        table = "".join(f"<tr><td>{'</td><td>'.join(map(escape, row))}</td></tr>" for row in (head, *rows))
-        more = len(self.gaps) - len(rows)
-        left_out = f"<p>.. and {more} gaps more</p>" if more else ""
-        return f"<p>{'<br>'.join(map(escape, self._lines()))}</p><table>{table}</table>{left_out}"
 
     def _lines(self) -> list[str]:
         """Whose arm, how long, how many gaps and how sure, the joints, the verdict."""
