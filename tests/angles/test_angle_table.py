@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import csv
+import sys
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -187,11 +189,15 @@ def test_against_the_trunk() -> None:
         np.testing.assert_allclose(moved.angles().values[name], table.values[name], atol=1e-7)
 
 
-def test_all_outputs_have_the_same_columns(tmp_path: Path) -> None:
+def test_all_outputs_have_the_same_columns(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     made = arm(30, **some(30))
     columns = [f"{name}_{what}" for name in ALWAYS for what in ("deg", "sigma_deg")]
     table = made.angles()
     assert list(table.to_arrays()) == columns
+    given: list[dict[str, FloatArray]] = []
+    monkeypatch.setitem(sys.modules, "pandas", SimpleNamespace(DataFrame=given.append))
+    table.to_dataframe()
+    assert list(given[0]) == ["t_s", *columns]
     export_csv(made, tmp_path / "a.csv")
     with open(tmp_path / "a.csv", newline="") as file:
         rows = list(csv.DictReader(file))
@@ -321,6 +327,16 @@ def test_sigma_is_that_of_drawn_errors(monkeypatch: pytest.MonkeyPatch) -> None:
     for name in ("wrist_flexion", "wrist_deviation"):
         stated = float(table.sigmas[name][0])
         assert drawn.values[name].std() == pytest.approx(stated, rel=0.05)
+
+
+def test_rough_lever_arms_make_the_wrist_less_certain() -> None:
+    made = arm_with_hand(np.full(3, 20.0), np.full(3, 5.0), sigma_rad=0.01)
+    assert made.calibration is not None
+    places = {"elbow": R_F_A.T @ [0.0, -0.2, 0.0], "wrist": R_F_A.T @ [0.0, 0.05, 0.0]}
+    levers = {name: LeverArm(place, np.full(3, 0.02)) for name, place in places.items()}
+    rough = replace(made, calibration=replace(made.calibration, lever_arms=levers))
+    for name in ("wrist_flexion", "wrist_deviation"):
+        assert (rough.angles().sigmas[name] > made.angles().sigmas[name] + 0.1).all()
 
 
 def test_what_is_not_known_has_a_reason() -> None:

@@ -224,6 +224,7 @@ def progress_over(values: np.ndarray, sessions: tuple[str, ...]) -> list[PersonP
 
 
 def test_who_takes_part():
+    assert sem_agreement(np.ones((3, 2))) == (0.0, 0.0, 0.0)
     values = np.arange(8.0).reshape(4, 2)
     assert reliability_of(progress_over(values[:2], ("a", "b"))) == []  # two persons
     assert reliability_of(progress_over(values[:, :1], ("a",))) == []  # one session
