@@ -522,7 +522,7 @@ def _checks(calibration: ClockCalibration, links: list[ClockLink]) -> Iterator[F
     for name in sorted({name for each in receptions for name in each.node} - set(network.nodes)):
         yield Finding(f"{name} received nothing that another clock received: it is not linked", is_open=True)
     for left in network.leftovers:
-        name = f"{left.source}: times of {len(left.used)} that did not fit and were rejected"
+        name = f"{left.source}: rejected times, of {len(left.used)}"
         yield Finding(name, int((~left.used).sum()), 0, is_open=True)
     has_clear_beep = any(beep.sigma_s < WEAK_S for beep in calibration.beeps)
     for link in links:

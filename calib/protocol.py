@@ -38,7 +38,7 @@ class Finding(NamedTuple):
         if self.value is None:
             return self.name
         wanted = f"{'at least' if self.at_least else 'at most'} {self.bound:.3g} {self.unit}".strip()
-        return f"{self.name}: {self.value:.3g} {self.unit}".strip() + f" ({wanted} is good)"
+        return f"{self.name}: {self.value:.4g} {self.unit}".strip() + f" ({wanted} is good)"
 
 
 @dataclass(frozen=True)
@@ -83,7 +83,7 @@ class Answer:
         """The figures, and the statistics that were checked against their bounds."""
         yield from tables_of(self.figures)
         rows = [
-            (row.name, f"{row.value:.3g}", f"{'>=' if row.at_least else '<='} {row.bound:.3g}", row.unit)
+            (row.name, f"{row.value:.4g}", f"{'>=' if row.at_least else '<='} {row.bound:.3g}", row.unit)
             for row in self.checks
             if row.value is not None and np.isfinite(row.bound)
         ]
