@@ -1,4 +1,4 @@
-"""Figures for a paper: curves with their 95 % bands, Bland-Altman plots, curves over a repetition."""
+"""Figures for a paper: curves over time with their 95 % bands."""
 
 from __future__ import annotations
 
