@@ -18,7 +18,6 @@ from typing import Annotated, Any, Self
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, model_validator
-from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
 from smoother.array_types import BoolArray, FloatArray
@@ -332,7 +331,7 @@ def raised(theta: FloatArray, height_m: float) -> FloatArray:
 
 @dataclass(frozen=True)
 class PanelSolution:
-    """The least-squares answer."""
+    """The graph's answer."""
 
     camera_from_mocap: Frame  # p_K = R p_E + origin
     # (6, 6): Of a small rotation about {K}'s axes at the camera's place (rad) and a shift (m)
@@ -352,84 +351,146 @@ class PanelSolution:
 
 def solve(poses: list[PoseData]) -> PanelSolution:
     """Solve for camera from mocap."""
-    free = solution(poses, solve_offset=True)
+    free = graph_solution(poses, solve_offset=True)
     clear = abs(free.depth_offset_m) > CLEAR * free.depth_offset_sigma_m and free.misfit < EXPLAINED
-    answer = free if len(poses) > 1 or clear else solution(poses, solve_offset=False)
+    answer = free if len(poses) > 1 or clear else graph_solution(poses, solve_offset=False)
     return replace(answer, offset_apart_m=free.depth_offset_m, offset_apart_sigma_m=free.depth_offset_sigma_m)
 
 
-#: About one sigma of the turn, rad, of the shift, m, and of the depth's error, m.
-_UNITS = np.array([1e-4] * 6 + [1e-3])
-#: Weights have settled where none changes by more.
-_SETTLED, _ROUNDS = 1e-9, 50
+def graph_solution(poses: list[PoseData], solve_offset: bool) -> PanelSolution:
+    """The optimum of the graph of all poses, with or without the depth's error."""
+    import gtsam
 
-
-def solution(poses: list[PoseData], solve_offset: bool) -> PanelSolution:
-    """Least squares over all poses, with Huber's loss of rays and mocap markers by weights found in turn.
-
-    Unknowns in about their sigmas: the camera's small turn and shift, the depth's error, then by pose the
-    plane in the depth's camera and the four markers in the mocap frame.
-    """
-    rays, markers_E = (np.array([getattr(pose, name) for pose in poses]) for name in ("rays", "markers_E"))
-    sigmas = np.array([pose.sigmas for pose in poses])[..., None]
-    sigma_E, height = (np.array([[getattr(p, n)] for p in poses]) for n in ("sigma_E_m", "height_m"))
-    roots = np.linalg.cholesky([pose.plane.covariance for pose in poses])
-    first = kabsch(np.concatenate(markers_E), np.concatenate([pose.points_K() for pose in poses]))
-
-    def camera(x: FloatArray) -> Frame:
-        turn = Rotation.from_rotvec(_UNITS[:3] * x[:3]).as_matrix()
-        return Frame(turn @ first.R, turn @ first.origin + _UNITS[3:6] * x[3:6])
-
-    def misfits(x: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Of rays (P, 4, 2), mocap markers (P, 4, 3) and the rest, in sigmas."""
-        at, offset, own = camera(x), _UNITS[6] * x[6] * solve_offset, x[7:].reshape(-1, 15)
-        plane = np.array([pose.plane.at_offset(offset) for pose in poses])
-        theta, moved = plane + np.einsum("pij,pj->pi", roots, own[:, :3]), own[:, 3:].reshape(-1, 4, 3)
-        points = (markers_E + sigma_E[..., None] * moved) @ at.R.T + at.origin
-        seen = (points[..., :2] / points[..., 2:] - rays) / sigmas
-        away = (np.einsum("pki,pi->pk", points, theta) - 1) / np.linalg.norm(theta, axis=1)[:, None] + height
-        prior = _UNITS[6] * x[6:7] / OFFSET_SIGMA_M
-        return seen, moved, np.concatenate([prior, (away / ON_PLANE_SIGMA_M).ravel(), own[:, :3].ravel()])
-
-    def weighted(x: FloatArray, weights: list[FloatArray]) -> FloatArray:
-        *parts, rest = misfits(x)
-        return np.concatenate([*((w * part).ravel() for w, part in zip(weights, parts, strict=True)), rest])
-
-    x, sizes = np.zeros(7 + 15 * len(poses)), [np.zeros((len(poses), 4, 1))] * 2
-    for _ in range(_ROUNDS):
-        weights = [np.sqrt(np.minimum(HUBER / np.maximum(size, HUBER), 1.0)) for size in sizes]
-        fit = least_squares(weighted, x, args=(weights,), method="lm")
-        before, x = sizes, fit.x
-        *parts, rest = misfits(x)
-        sizes = [np.linalg.norm(part, axis=2, keepdims=True) for part in parts]
-        if max(np.abs(a - b).max() for a, b in zip(sizes, before, strict=True)) < _SETTLED:
-            break
-    information = fit.jac.T @ fit.jac
-    if not np.linalg.cond(information) < 1e12:
+    graph, start = _build(poses, solve_offset)
+    settings = gtsam.LevenbergMarquardtParams()
+    settings.setRelativeErrorTol(1e-12)
+    settings.setAbsoluteErrorTol(1e-12)
+    try:
+        values = gtsam.LevenbergMarquardtOptimizer(graph, start, settings).optimize()
+        marginals = gtsam.Marginals(graph, values)
+        covariance = np.array(marginals.marginalCovariance(_CAMERA))
+        offset_variance = marginals.marginalCovariance(_OFFSET)[0, 0] if solve_offset else np.inf
+    except RuntimeError as error:
         raise CalibrationError(
             "the panel's poses contradict each other or do not determine the transform; check that images and"
             " markers of a pose were taken at the same moment"
-        )
-    robust = sum(float(np.where(z < HUBER, z**2, HUBER * (2 * z - HUBER)).sum()) for z in sizes)
-    misfit, count = robust + float(rest @ rest), 6 * len(poses)
+        ) from error
+    camera_in_mocap = values.atPose3(_CAMERA)
+    inverse = camera_in_mocap.inverse()
+    transform = Frame(inverse.rotation().matrix(), np.array(inverse.translation()))
+    offset = float(values.atVector(_OFFSET)[0]) if solve_offset else 0.0
+    misfit, count = 2 * graph.error(values), 6 * len(poses)
     scale = (PRIOR_RESIDUALS + misfit) / (PRIOR_RESIDUALS + count)
-    covariance = np.linalg.inv(information)[:7, :7] * np.outer(_UNITS, _UNITS) * scale
-    offset_m, transform = float(_UNITS[6] * x[6] * solve_offset), camera(x)
-    at = markers_E @ transform.R.T + transform.origin
-    seen = np.array([pose.points_K(offset_m) for pose in poses])
-    theta = np.array([pose.plane.at_offset(offset_m) for pose in poses])
-    away = (np.einsum("pki,pi->pk", at, theta) - 1) / np.linalg.norm(theta, axis=1)[:, None]
     return PanelSolution(
         camera_from_mocap=transform,
-        covariance=covariance[:6, :6],
-        depth_offset_m=offset_m,
-        depth_offset_sigma_m=float(np.sqrt(covariance[6, 6])) if solve_offset else np.inf,
-        ray_residuals=np.linalg.norm(at[..., :2] / at[..., 2:] - rays, axis=2),
-        marker_residuals_m=np.linalg.norm(at - seen, axis=2),
-        plane_residuals_m=away + height,
+        covariance=covariance * scale,
+        depth_offset_m=offset,
+        depth_offset_sigma_m=float(np.sqrt(offset_variance * scale)),
         misfit=misfit / count,
         residuals=count,
+        **_residuals(poses, transform, offset),
     )
+
+
+_CAMERA, _OFFSET = 0, 1
+
+
+def _marker(pose: int, k: int) -> int:
+    return 10 + 5 * pose + k
+
+
+def _plane(pose: int) -> int:
+    return 10 + 5 * pose + 4
+
+
+def _build(poses: list[PoseData], solve_offset: bool) -> tuple[Any, Any]:
+    """The graph and its start: Kabsch on rays that meet the depth's plane."""
+    import gtsam
+
+    graph, start = gtsam.NonlinearFactorGraph(), gtsam.Values()
+    lens = gtsam.Cal3_S2(1.0, 1.0, 0.0, 0.0, 0.0)
+    huber = gtsam.noiseModel.mEstimator.Huber.Create(HUBER)
+    on_plane = gtsam.noiseModel.Isotropic.Sigma(1, ON_PLANE_SIGMA_M)
+    seen = np.concatenate([pose.points_K() for pose in poses])
+    first = kabsch(seen, np.concatenate([pose.markers_E for pose in poses]))
+    start.insert(_CAMERA, gtsam.Pose3(gtsam.Rot3(first.R), first.origin))
+    if solve_offset:
+        start.insert(_OFFSET, np.zeros(1))
+        graph.add(
+            gtsam.PriorFactorVector(_OFFSET, np.zeros(1), gtsam.noiseModel.Isotropic.Sigma(1, OFFSET_SIGMA_M))
+        )
+    for p, pose in enumerate(poses):
+        mocap = gtsam.noiseModel.Robust.Create(huber, gtsam.noiseModel.Isotropic.Sigma(3, pose.sigma_E_m))
+        start.insert(_plane(p), pose.plane.theta)
+        graph.add(_depth_factor(p, pose.plane, solve_offset))
+        for k in range(4):
+            start.insert(_marker(p, k), pose.markers_E[k])
+            graph.add(gtsam.PriorFactorPoint3(_marker(p, k), pose.markers_E[k], mocap))
+            ray = gtsam.noiseModel.Isotropic.Sigma(2, float(pose.sigmas[k]))
+            graph.add(
+                gtsam.GenericProjectionFactorCal3_S2(
+                    pose.rays[k],
+                    gtsam.noiseModel.Robust.Create(huber, ray),
+                    _CAMERA,
+                    _marker(p, k),
+                    lens,
+                )
+            )
+            graph.add(_on_plane_factor(p, k, pose.height_m, on_plane))
+    return graph, start
+
+
+def _depth_factor(p: int, plane: Plane, solve_offset: bool) -> Any:
+    """The pose's plane as the depth has it once its constant error is taken off."""
+    import gtsam
+
+    noise = gtsam.noiseModel.Gaussian.Covariance(plane.covariance)
+    keys = [_plane(p), _OFFSET] if solve_offset else [_plane(p)]
+
+    def error(this: Any, values: Any, jacobians: Any) -> FloatArray:
+        offset = float(values.atVector(_OFFSET)[0]) if solve_offset else 0.0
+        if jacobians is not None:
+            jacobians[0] = np.eye(3)
+            if solve_offset:
+                jacobians[1] = -(plane.offset_rate + 2 * offset * plane.offset_curve)[:, None]
+        return np.asarray(values.atVector(_plane(p)) - plane.at_offset(offset))
+
+    return gtsam.CustomFactor(noise, keys, error)
+
+
+def _on_plane_factor(p: int, k: int, height_m: float, noise: Any) -> Any:
+    """Signed distance of a marker from the pose's plane, less its height, m."""
+    import gtsam
+
+    def error(this: Any, values: Any, jacobians: Any) -> FloatArray:
+        camera, theta = values.atPose3(_CAMERA), values.atVector(_plane(p))
+        d_camera, d_marker = np.zeros((3, 6), order="F"), np.zeros((3, 3), order="F")
+        at = camera.transformTo(values.atPoint3(_marker(p, k)), d_camera, d_marker)
+        size = float(np.linalg.norm(theta))
+        away = (float(theta @ at) - 1) / size
+        if jacobians is not None:
+            normal = theta / size
+            jacobians[0] = (normal @ d_camera)[None]
+            jacobians[1] = (normal @ d_marker)[None]
+            jacobians[2] = ((at - away * normal) / size)[None]
+        return np.array([away + height_m])  # the normal theta points away from the camera
+
+    return gtsam.CustomFactor(noise, [_CAMERA, _marker(p, k), _plane(p)], error)
+
+
+def _residuals(poses: list[PoseData], transform: Frame, offset_m: float) -> dict[str, FloatArray]:
+    rays, markers, planes = [], [], []
+    for pose in poses:
+        at = pose.markers_E @ transform.R.T + transform.origin
+        rays.append(np.linalg.norm(at[:, :2] / at[:, 2:] - pose.rays, axis=1))
+        markers.append(np.linalg.norm(at - pose.points_K(offset_m), axis=1))
+        theta = pose.plane.at_offset(offset_m)
+        planes.append((at @ theta - 1) / np.linalg.norm(theta) + pose.height_m)
+    return {
+        "ray_residuals": np.array(rays),
+        "marker_residuals_m": np.array(markers),
+        "plane_residuals_m": np.array(planes),
+    }
 
 
 #: Noise of a mocap marker where nothing else is said, m per axis.

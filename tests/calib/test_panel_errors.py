@@ -115,7 +115,7 @@ def test_several_poses_are_the_dense_solution() -> None:
 
 def test_one_pose_is_the_dense_solution() -> None:
     poses = [pose(1)]
-    found, free = solve(poses), panel.solution(poses, solve_offset=True)
+    found, free = solve(poses), panel.graph_solution(poses, solve_offset=True)
     agrees(found, Dense(poses, False), poses)
     agrees(free, Dense(poses, True), poses)
     assert found.depth_offset_m == 0.0 and found.depth_offset_sigma_m == np.inf
@@ -155,6 +155,19 @@ def solved_pose(seed: int, number: int, offset_m: float = 0.0, height_m: float =
         sigma_E_m=SIGMA_E_M,
         height_m=height_m,
     )
+
+
+def test_errors_are_as_large_as_sigma_says():
+    squared, offsets = [], []
+    for seed in range(25):
+        found = solve([solved_pose(seed, number, 0.005) for number in range(2)])
+        turn = Rotation.from_matrix(found.camera_from_mocap.R @ TRUTH.R.T).as_rotvec()
+        shift = found.camera_from_mocap.origin - TRUTH.origin - np.cross(turn, TRUTH.origin)
+        error = np.concatenate([turn, shift])
+        squared.append(error @ np.linalg.solve(found.covariance, error) / 6)
+        offsets.append((found.depth_offset_m - 0.005) / found.depth_offset_sigma_m)
+    assert 0.65 < np.mean(squared) < 1.4  # 150 squared errors scatter by 12 %
+    assert 0.4 < np.mean(np.square(offsets)) < 1.9 and abs(np.mean(offsets)) < 0.6
 
 
 def test_one_pose_tells_a_large_depth_error_and_believes_a_small_one():
