@@ -90,14 +90,14 @@ def progress_file(path: Path) -> Progress:
 def check_outputs(force: bool, outputs: Iterable[Path | None], inputs: Iterable[Path | None] = ()) -> None:
     """Refuse outputs that could not be written in the end, before any work is done for them."""
     from ..runtime.inputs import check_input
-    from ..runtime.outputs import check_output, remove_stale_tempfiles
+    from ..runtime.outputs import check_output, is_stream, remove_stale_tempfiles
 
     read: set[object] = set()
     for path in (path for path in inputs if path is not None):
         check_input(path)
         read |= _identity(path)
     written: set[object] = set()
-    for path in (path for path in outputs if path is not None):
+    for path in (path for path in outputs if path is not None and not is_stream(path)):
         keys = _identity(path)
         if keys & read:
             raise UnoccludeError(f"{path} is read by this command; give another name to write to")

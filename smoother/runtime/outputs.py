@@ -12,6 +12,8 @@ import re
 import secrets
 import shutil
 import stat
+import sys
+import tempfile
 import time
 import zlib
 from collections.abc import Iterator
@@ -38,6 +40,10 @@ _swept: set[Path] = set()
 def writing(path: str | os.PathLike[str], force: bool = False) -> Iterator[Path]:
     """Yield a hidden name beside `path` to write to; it becomes `path` when all went well."""
     check_output(path, force)
+    if is_stream(path):
+        with _sending(path) as temporary:
+            yield temporary
+        return
     # A link keeps pointing at the file it named, which is the one replaced.
     target = Path(path).resolve()
     temporary = temporary_name(target)
@@ -63,6 +69,33 @@ def writing(path: str | os.PathLike[str], force: bool = False) -> Iterator[Path]
     finally:
         with suppress(OSError):
             temporary.unlink(missing_ok=True)
+
+
+def is_stream(path: str | os.PathLike[str]) -> bool:
+    """Whether a name is that of a pipe, of the null device, or of what this program prints to."""
+    try:
+        about, own = os.stat(path), os.fstat(1)
+    except (OSError, ValueError):
+        return False
+    named = os.fspath(path).startswith(("/dev/", "/proc/"))  # also where that leads to a file
+    is_null = os.path.samestat(about, os.stat(os.devnull))
+    return stat.S_ISFIFO(about.st_mode) or is_null or (named and os.path.samestat(about, own))
+
+
+@contextmanager
+def _sending(path: str | os.PathLike[str]) -> Iterator[Path]:
+    """Yield a temporary file to write to; its content goes to the stream `path` when all went well."""
+    try:
+        with tempfile.TemporaryDirectory(prefix="unocclude-") as folder:  # for its owner alone
+            temporary = Path(folder) / "output"
+            temporary.touch(mode=0o600)
+            yield temporary
+            sys.stdout.flush()  # what was printed comes first
+            is_own = os.path.samestat(os.stat(path), os.fstat(1))  # opened anew, a file would begin anew
+            with open(temporary, "rb") as content, open(os.dup(1) if is_own else path, "wb") as stream:
+                shutil.copyfileobj(content, stream)
+    except OSError as error:
+        raise could_not_be_written(path, error) from error
 
 
 @contextmanager
@@ -140,7 +173,7 @@ def check_output(path: str | os.PathLike[str], force: bool = False) -> None:
     """Refuse an output that could not be written in the end, before any work is done for it."""
     target = Path(path)
     _check_kind(target)
-    if target.exists() and not force:
+    if target.exists() and not force and not is_stream(target):
         raise UnoccludeError(f"{target} exists already; give another name, or force=True to overwrite it.")
     if target.is_symlink() and not target.exists():
         target = target.resolve()
@@ -160,8 +193,8 @@ def _check_kind(target: Path) -> None:
         raise UnoccludeError(f"{str(target)!r} is not a valid file name; give another.") from error
     if stat.S_ISDIR(mode):
         raise UnoccludeError(f"{target} is a folder; name a file to write to.")
-    if not stat.S_ISREG(mode):
-        raise UnoccludeError(f"{target} is a pipe, a socket or a device; name a file to write to.")
+    if not stat.S_ISREG(mode) and not is_stream(target):
+        raise UnoccludeError(f"{target} is a socket or a device; name a file to write to.")
 
 
 def _give_name(temporary: Path, target: Path, force: bool) -> None:

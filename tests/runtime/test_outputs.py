@@ -8,6 +8,7 @@ import signal
 import stat
 import subprocess
 import sys
+import threading
 import time
 from pathlib import Path
 
@@ -85,11 +86,30 @@ def mode(path: Path) -> int:
 
 
 @posix
-def test_pipes_and_devices_are_refused(tmp_path: Path):
-    os.mkfifo(tmp_path / "pipe")
-    for path in (tmp_path / "pipe", Path("/dev/null")):
-        with pytest.raises(UnoccludeError, match="is a pipe, a socket or a device"), writing(path, True):
-            pass
+def test_a_pipe_and_the_null_device_are_written_to(tmp_path: Path):
+    pipe, received = tmp_path / "pipe", []
+    os.mkfifo(pipe)
+    reader = threading.Thread(target=lambda: received.append(pipe.read_text()), daemon=True)
+    reader.start()
+    for path in (pipe, Path("/dev/null")):
+        with writing(path) as temporary:
+            temporary.write_text("whole")
+    reader.join(10.0)
+    assert received == ["whole"] and stat.S_ISFIFO(os.lstat(pipe).st_mode)
+    with pytest.raises(UnoccludeError, match="is a socket or a device"), writing("/dev/zero", True):
+        pass
+
+
+@posix
+def test_standard_output_comes_after_what_was_printed(tmp_path: Path):
+    code = (
+        "from smoother.runtime.outputs import writing\nprint('before')\n"
+        "with writing('/dev/stdout') as t: t.write_text('the output\\n')\nprint('after')"
+    )
+    with open(tmp_path / "file", "w+") as file:
+        subprocess.run([sys.executable, "-c", code], stdout=file, check=True, timeout=60)
+        file.seek(0)
+        assert file.read().split() == ["before", "the", "output", "after"]
 
 
 @posix
