@@ -379,6 +379,7 @@ def graph_solution(poses: list[PoseData], solve_offset: bool) -> PanelSolution:
     inverse = camera_in_mocap.inverse()
     transform = Frame(inverse.rotation().matrix(), np.array(inverse.translation()))
     offset = float(values.atVector(_OFFSET)[0]) if solve_offset else 0.0
+    rays, markers_m, planes_m = _residuals(poses, transform, offset)
     misfit, count = 2 * graph.error(values), 6 * len(poses)
     scale = (PRIOR_RESIDUALS + misfit) / (PRIOR_RESIDUALS + count)
     return PanelSolution(
@@ -388,7 +389,9 @@ def graph_solution(poses: list[PoseData], solve_offset: bool) -> PanelSolution:
         depth_offset_sigma_m=float(np.sqrt(offset_variance * scale)),
         misfit=misfit / count,
         residuals=count,
-        **_residuals(poses, transform, offset),
+        ray_residuals=rays,
+        marker_residuals_m=markers_m,
+        plane_residuals_m=planes_m,
     )
 
 
@@ -478,19 +481,24 @@ def _on_plane_factor(p: int, k: int, height_m: float, noise: Any) -> Any:
     return gtsam.CustomFactor(noise, [_CAMERA, _marker(p, k), _plane(p)], error)
 
 
-def _residuals(poses: list[PoseData], transform: Frame, offset_m: float) -> dict[str, FloatArray]:
-    rays, markers, planes = [], [], []
-    for pose in poses:
-        at = pose.markers_E @ transform.R.T + transform.origin
-        rays.append(np.linalg.norm(at[:, :2] / at[:, 2:] - pose.rays, axis=1))
-        markers.append(np.linalg.norm(at - pose.points_K(offset_m), axis=1))
-        theta = pose.plane.at_offset(offset_m)
-        planes.append((at @ theta - 1) / np.linalg.norm(theta) + pose.height_m)
-    return {
-        "ray_residuals": np.array(rays),
-        "marker_residuals_m": np.array(markers),
-        "plane_residuals_m": np.array(planes),
-    }
+def _residuals(
+    poses: list[PoseData], transform: Frame, offset_m: float
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Of rays, markers and distances from the plane, (poses, 4) each."""
+    theta, seen, rays, markers_E = (
+        np.array(each)
+        for each in (
+            [pose.plane.at_offset(offset_m) for pose in poses],
+            [pose.points_K(offset_m) for pose in poses],
+            [pose.rays for pose in poses],
+            [pose.markers_E for pose in poses],
+        )
+    )
+    at = markers_E @ transform.R.T + transform.origin
+    away = (np.einsum("pki,pi->pk", at, theta) - 1) / np.linalg.norm(theta, axis=1)[:, None]
+    height = np.array([[pose.height_m] for pose in poses])
+    off_ray = np.linalg.norm(at[..., :2] / at[..., 2:] - rays, axis=2)
+    return off_ray, np.linalg.norm(at - seen, axis=2), away + height
 
 
 #: Noise of a mocap marker where nothing else is said, m per axis.
