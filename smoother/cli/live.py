@@ -158,6 +158,9 @@ def live(
             metavar="[PLACE=]STREAM",
         ),
     ] = None,
+    gyro: Annotated[
+        str | None, o.option("The gyroscope's LSL stream, if it has one of its own.", metavar="STREAM")
+    ] = None,
     skeleton: Annotated[
         str | None, o.option("The skeleton's LSL stream; a topic with --replay.", metavar="STREAM")
     ] = None,
@@ -203,7 +206,9 @@ def live(
         if given and replay is None:
             raise typer.BadParameter(f"{option} is of a replay; give --replay as well")
     further = any(set(streams) - {"forearm"} for streams in imus.values())
-    for option, named in (("--body", body), ("a further --imu", further)):
+    if arms == "both" and gyro is not None:
+        raise typer.BadParameter("--gyro is of one arm; with --arms both it is found by the --imu's name")
+    for option, named in (("--body", body), ("--gyro", gyro), ("a further --imu", further)):
         if named and replay is not None:
             raise typer.BadParameter(f"{option} is of a stream; a replay takes --imu and --skeleton")
     if record is not None:
@@ -240,7 +245,7 @@ def live(
             )
             check_arms(source.infos, replay)
         else:
-            source = received = LslSource(imus, skeleton, prefer, body)
+            source = received = LslSource(imus, skeleton, prefer, body, gyro)
             stack.callback(received.close)
             say(f"looking for the streams, at most {wait:g} s")
             if not received.open(wait, stop_request, say):

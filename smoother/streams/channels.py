@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from ..array_types import FloatArray
 from ..errors import RecordingError
-from ..io.tables.imu import SensorChannels, find_sensors, joint_label, kind_of
+from ..io.tables.imu import SensorChannels, find_sensors, joint_label, kind_of, stem_of
 from ..io.tables.joints import find_joint_columns, words_of
 from ..io.tables.skeleton_formats import kinect_states, share_states
 from ..io.tables.skeletons import without_origin
@@ -86,25 +86,26 @@ _SENSORS = {
 
 @dataclass(frozen=True)
 class ImuChannels:
-    """Channels of an IMU."""
+    """Channels of an IMU, or of its accelerometer or gyroscope alone."""
 
     axes: dict[str, Axes]  # Columns of x, y, z of `acc`, `gyro` and `mag`, as far as they are sent
     units: dict[str, float]  # m/s^2 and rad/s in one of theirs
 
     @classmethod
-    def of(cls, stream: StreamLabels) -> ImuChannels:
-        """What an IMU's stream contains."""
+    def of(cls, stream: StreamLabels, half: str = "") -> ImuChannels:
+        """What an IMU's stream contains; of one half, `acc` or `gyro`, where that is asked for."""
         stream.check_numbers()
-        name = printable(stream.name)
-        sensors = find_sensors(stream.labels, stream.types, f"{stream.name} {stream.kind}")
+        name, wanted = printable(stream.name), [half] if half else list(_SENSORS)
+        sensors = _sensors_of(stream)
         check_one_of_each(stream, sensors)
-        whole = [sensor for sensor in sensors if _SENSORS.keys() <= sensor.axes.keys()]
+        whole = [sensor for sensor in sensors if set(wanted) <= sensor.axes.keys()]
         if not whole:
             there = {kind for sensor in sensors for kind in sensor.axes}
-            lacks = [f"{kind}_x, {kind}_y, {kind}_z" for kind in _SENSORS if kind not in there]
+            lacks = [f"{kind}_x, {kind}_y, {kind}_z" for kind in wanted if kind not in there]
             raise RecordingError(
-                f"The stream {name} cannot be used as IMU: {stream.shown}; {' and '.join(lacks)} are missing:"
-                " send accelerometer and gyroscope in one stream, with these labels and their units."
+                f"The stream {name} cannot be used as {_SENSORS[half][0] if half else 'IMU'}: {stream.shown};"
+                f" {' and '.join(lacks)} are missing: send accelerometer and gyroscope with these labels and"
+                " their units, in one stream or in two (--gyro names the second)."
             )
         if len(whole) > 1:
             names = printable(", ".join(sensor.name for sensor in whole))
@@ -112,17 +113,38 @@ class ImuChannels:
                 f"The stream {name} contains several IMUs ({names}); send that of the forearm in a stream"
                 " of its own."
             )
-        axes = whole[0].axes
+        axes = {kind: at for kind, at in whole[0].axes.items() if kind in (*wanted, "mag")}
         units = {
             kind: unit_factor(stream, axes[kind], known, what, such_as)
             for kind, (what, known, such_as) in _SENSORS.items()
+            if kind in wanted
         }
         return cls(axes, units)
+
+    def with_gyroscope(self, gyro: ImuChannels, behind: int) -> ImuChannels:
+        """An accelerometer's with a gyroscope's, whose channels come behind so many."""
+        axes = {kind: (x + behind, y + behind, z + behind) for kind, (x, y, z) in gyro.axes.items()}
+        return ImuChannels({**self.axes, **axes}, {**self.units, **gyro.units})
 
     def values(self, samples: NDArray) -> dict[str, FloatArray]:
         """Specific force, angular velocity in SI, magnetic field as sent (n, 3) of samples (n, channels)."""
         samples = samples.astype(float)
         return {kind: samples[:, at] * self.units.get(kind, 1.0) for kind, at in self.axes.items()}
+
+
+def is_accelerometer(stream: StreamLabels) -> bool:
+    """Whether it has an IMU's accelerometer and no gyroscope."""
+    kinds = {kind for sensor in _sensors_of(stream) for kind in sensor.axes}
+    return not stream.is_text and kinds & _SENSORS.keys() == {"acc"}
+
+
+def belongs(name: str, kind: str, to_name: str) -> bool:
+    """Whether a stream, by its name and type, may be the gyroscope of an accelerometer's stream."""
+    return kind_of(words_of(f"{name} {kind}")) == "gyro" and stem_of(name) == stem_of(to_name)
+
+
+def _sensors_of(stream: StreamLabels) -> list[SensorChannels]:
+    return find_sensors(stream.labels, stream.types, f"{stream.name} {stream.kind}")
 
 
 def check_one_of_each(stream: StreamLabels, sensors: Sequence[SensorChannels]) -> None:

@@ -6,8 +6,10 @@ import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
+from dataclasses import dataclass, field
+from functools import partial
 from queue import SimpleQueue
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,8 +19,8 @@ from ..body import FOREARM, SEGMENTS
 from ..errors import UnoccludeError
 from ..io.recording.names import named_side
 from ..runtime.printable import printable
-from .arrivals import Arrivals, FrameRows, ImuRows, SourceInfo
-from .channels import ImuChannels, SkeletonChannels, StreamLabels
+from .arrivals import STEP_OF_IMU_S, Arrivals, FrameRows, ImuRows, SourceInfo, StampSteps, StreamRows
+from .channels import ImuChannels, SkeletonChannels, StreamLabels, belongs, is_accelerometer
 from .lsl import lsl_module
 
 
@@ -36,21 +38,28 @@ _MOST, _BUFFER_S = 512, 120
 _RESOLVE_S, _PULL_S, _CLOCK_S = 1.0, 0.2, 3.0
 
 
-class LslSamples(NamedTuple):
-    """Samples that came together."""
+@dataclass(frozen=True)
+class LslSamples(StreamRows):
+    """Samples that came together; times are after the beginning on this computer's LSL clock."""
 
-    t_s: FloatArray  # (n,) s: stamps on this computer's LSL clock: as sent, and the library's time correction
-    values: NDArray  # (n, channels)
-    arrival_s: FloatArray  # (n,) s: when they came, on the same clock
+    # (n,) s: stamps: as sent, and the library's time correction
+    t_s: FloatArray = field(default_factory=partial(np.empty, 0))
+    values: NDArray = field(default_factory=partial(np.empty, (0, 0)))  # (n, channels)
+    arrival_s: FloatArray = field(default_factory=partial(np.empty, 0))  # (n,) s: when they came
 
 
 class LslInlet:
     """Receives a stream, also after it was lost."""
 
     def __init__(
-        self, option: str, wanted: str | None, types: tuple[str, ...], wake: Callable[[], None]
+        self,
+        option: str,
+        wanted: str | None,
+        types: tuple[str, ...],
+        wake: Callable[[], None],
+        start_s: float = 0.0,
     ) -> None:
-        self._option = option
+        self._option, self._start_s = option, start_s
         self.stream: Any = None
         self.others: list[Any] = []
         self.correction_s = float("nan")
@@ -176,13 +185,55 @@ class LslInlet:
         arrival = lsl_module().local_clock()
         with suppress(lsl_module().util.TimeoutError):  # the one before holds until there is a new one
             self.correction_s = inlet.time_correction(0.0)
-        t_s = np.asarray(stamps, float) + self.correction_s
-        self._samples.put(LslSamples(t_s, np.asarray(values), np.full(len(t_s), arrival)))
+        t_s = np.asarray(stamps, float) + self.correction_s - self._start_s
+        self._samples.put(LslSamples(t_s, np.asarray(values), np.full(len(t_s), arrival - self._start_s)))
         self._wake()
+
+
+#: Between samples of the accelerometer farther apart than this nothing is interpolated, s.
+_MOST_APART_S = 0.2
+#: A sample waits for the other half no longer than this, s.
+_LONGEST_WAIT_S = 2.0
+
+
+class ImuHalves:
+    """Joins an accelerometer's samples, interpolated, to those of a gyroscope with a stream of its own."""
+
+    def __init__(self, *names: str) -> None:
+        self._steps = [StampSteps[LslSamples](name, STEP_OF_IMU_S, STEP_OF_IMU_S) for name in names]
+        self._waiting = [LslSamples(), LslSamples()]
+
+    def joined(self, *came: Sequence[LslSamples]) -> tuple[list[LslSamples], list[str]]:
+        """What both halves reach, the gyroscope's channels last; and what was done to stamps."""
+        events: list[str] = []
+        for at, batches in enumerate(came):
+            for batch in batches:
+                rows, said = self._steps[at].corrected(batch)
+                rows = LslSamples.joined([each for each in (self._waiting[at], rows) if len(each)])
+                self._waiting[at] = rows.select(np.unique(rows.t_s, return_index=True)[1])  # in order
+                events += said
+        acc, gyro = self._waiting
+        stop = int(np.searchsorted(gyro.t_s, acc.t_s.max(initial=-np.inf), "right"))
+        due, later = gyro.select(slice(0, stop)), gyro.select(slice(stop, None))
+        self._waiting = [
+            rows.select(np.flatnonzero(rows.t_s > rows.t_s.max(initial=-np.inf) - _LONGEST_WAIT_S))
+            for rows in (acc, later)
+        ]
+        after = np.searchsorted(acc.t_s, due.t_s)
+        before = np.searchsorted(acc.t_s, due.t_s, "right") - 1
+        held = np.flatnonzero((before >= 0) & (acc.t_s[after] - acc.t_s[before] <= _MOST_APART_S))
+        if not len(held):
+            return [], events
+        due = due.select(held)
+        force = [np.interp(due.t_s, acc.t_s, channel) for channel in acc.values.T]
+        # a sample is complete when the later half has come
+        arrival_s = np.maximum(due.arrival_s, acc.arrival_s[after[held]])
+        return [LslSamples(due.t_s, np.column_stack([*force, due.values]), arrival_s)], events
 
 
 #: Content types by which streams are found that were not named.
 _IMU_TYPES, _SKELETON_TYPES = ("imu", "accelerometer", "acc"), ("mocap", "skeleton")
+_GYRO_TYPES = ("gyroscope", "gyro", "gyr")
 
 
 class _Arm:
@@ -190,6 +241,8 @@ class _Arm:
 
     def __init__(self, side: str | None, imus: dict[str, LslInlet]) -> None:
         self.side, self.imus = side, imus
+        self.gyros: dict[str, LslInlet] = {}  # Gyroscopes of IMUs that have one in a stream of its own
+        self.halves: dict[str, ImuHalves] = {}
         self.channels: dict[str, ImuChannels] = {}
         self.skeleton: SkeletonChannels | None = None
 
@@ -206,24 +259,34 @@ class LslSource:
         skeleton: str | None = None,
         prefer_side: str | None = None,
         body: str | None = None,
+        gyro: str | None = None,  # Stream of the first arm's gyroscope where it has one of its own
     ) -> None:
         lsl = lsl_module()
         self._something = threading.Event()
-        self._skeleton = LslInlet("--skeleton ", skeleton, _SKELETON_TYPES, self._something.set)
+        self._start_s = float(np.floor(lsl.local_clock()))
+        self._origin_ns = time.time_ns() - int((lsl.local_clock() - self._start_s) * 1e9)
+        self._skeleton = self._inlet("--skeleton ", skeleton, _SKELETON_TYPES)
         self._arms = [self._of_arm(side, named) for side, named in arms.items()]
         self._inlets = [inlet for arm in self._arms for inlet in arm.imus.values()]
         self._inlets.insert(1, self._skeleton)
+        if gyro is not None:
+            self._add_gyro(self._arms[0], FOREARM.name, gyro, _GYRO_TYPES)
         self._prefer_side, self._body = prefer_side, body
-        self._start_s = float(np.floor(lsl.local_clock()))
-        self._origin_ns = time.time_ns() - int((lsl.local_clock() - self._start_s) * 1e9)
         self.infos: list[SourceInfo] = []
+
+    def _inlet(self, option: str, wanted: str | None, types: tuple[str, ...]) -> LslInlet:
+        return LslInlet(option, wanted, types, self._something.set, self._start_s)
+
+    def _add_gyro(self, arm: _Arm, segment: str, wanted: str, types: tuple[str, ...]) -> None:
+        arm.gyros[segment] = self._inlet("--gyro ", wanted, types)
+        self._inlets.append(arm.gyros[segment])
 
     def _of_arm(self, side: str | None, named: Mapping[str, str]) -> _Arm:
         streams: dict[str, str | None] = {FOREARM.name: None, **named}
         inlets = {}
         for segment, wanted in streams.items():
             option = "--imu " if segment == FOREARM.name else f"--imu {segment.replace('_', '-')}="
-            inlets[segment] = LslInlet(option, wanted, _IMU_TYPES, self._something.set)
+            inlets[segment] = self._inlet(option, wanted, _IMU_TYPES)
         return _Arm(side, inlets)
 
     def open(
@@ -254,9 +317,7 @@ class LslSource:
         for arm in self._arms:
             for segment, inlet in arm.imus.items():
                 if segment not in arm.channels and inlet.stream is not None:
-                    arm.channels[segment] = ImuChannels.of(StreamLabels.of(inlet.stream))
-                    where = "" if segment == FOREARM.name else f" of the {SEGMENTS[segment].label}"
-                    say(f"IMU stream {inlet.stream.name()}{where} is there")
+                    self._take_imu(arm, segment, inlet, say)
             imu = arm.imus[FOREARM.name].stream
             if arm.skeleton is None and skeleton is not None:
                 side = arm.side or named_side("" if imu is None else imu.name())
@@ -265,6 +326,25 @@ class LslSource:
                 if arm is self._arms[0]:
                     say(f"skeleton stream {skeleton.name()} is there")
         return skeleton is not None and all(len(arm.channels) == len(arm.imus) for arm in self._arms)
+
+    def _take_imu(self, arm: _Arm, segment: str, inlet: LslInlet, say: Callable[[str], None]) -> None:
+        """Take down what an IMU sends, unless its gyroscope has a stream that is still to come."""
+        stream, labels = inlet.stream, StreamLabels.of(inlet.stream)
+        where = "" if segment == FOREARM.name else f" of the {SEGMENTS[segment].label}"
+        if segment not in arm.gyros and is_accelerometer(labels):
+            beside = [each for each in inlet.others if each.uid() != stream.uid()]
+            found = [each for each in beside if belongs(each.name(), each.type(), stream.name())]
+            if len(found) == 1:
+                self._add_gyro(arm, segment, found[0].name(), (found[0].type().lower(),))
+                arm.gyros[segment].start()
+        if segment not in arm.gyros:
+            arm.channels[segment] = ImuChannels.of(labels)
+            say(f"IMU stream {stream.name()}{where} is there")
+        elif (gyro := arm.gyros[segment]).stream is not None:
+            turns = ImuChannels.of(StreamLabels.of(gyro.stream), "gyro")
+            arm.channels[segment] = ImuChannels.of(labels, "acc").with_gyroscope(turns, len(labels.labels))
+            arm.halves[segment] = ImuHalves(inlet.name, gyro.name)
+            say(f"accelerometer stream {inlet.name} and gyroscope stream {gyro.name}{where} are there")
 
     def now_s(self) -> float:
         """The LSL clock of this computer, after the session's beginning."""
@@ -280,30 +360,24 @@ class LslSource:
         frames, events = self._skeleton.samples(), [text for inlet in self._inlets for text in inlet.events()]
         came: list[Arrivals] = []
         for arm in self._arms:
-            imus = {name: self._imu_rows(arm.channels[name], inlet) for name, inlet in arm.imus.items()}
-            said = () if came else tuple(events)
-            came.append(Arrivals(imus, self._frame_rows(arm.skeleton, frames), said))
-        return came
-
-    def _imu_rows(self, channels: ImuChannels, inlet: LslInlet) -> ImuRows:
-        rows = []
-        for batch in inlet.samples():
-            t_s, arrival_s = batch.t_s - self._start_s, batch.arrival_s - self._start_s
-            rows.append(ImuRows(t_s=t_s, arrival_s=arrival_s, **channels.values(batch.values)))
-        return ImuRows.joined(rows)
-
-    def _frame_rows(self, channels: SkeletonChannels | None, batches: Sequence[LslSamples]) -> FrameRows:
-        assert channels is not None  # since `open`
-        return FrameRows.joined(
-            [
-                FrameRows(
-                    batch.t_s - self._start_s,
-                    *channels.values(batch.values),
-                    batch.arrival_s - self._start_s,
-                )
-                for batch in batches
+            imus = {}
+            for segment, inlet in arm.imus.items():
+                batches, channels = inlet.samples(), arm.channels[segment]
+                if segment in arm.halves:
+                    batches, said = arm.halves[segment].joined(batches, arm.gyros[segment].samples())
+                    events += said
+                rows = [
+                    ImuRows(each.t_s, arrival_s=each.arrival_s, **channels.values(each.values))
+                    for each in batches
+                ]
+                imus[segment] = ImuRows.joined(rows)
+            assert arm.skeleton is not None  # since `open`
+            arm_frames = [
+                FrameRows(each.t_s, *arm.skeleton.values(each.values), each.arrival_s) for each in frames
             ]
-        )
+            came.append(Arrivals(imus, FrameRows.joined(arm_frames), tuple(events)))
+            events = []
+        return came
 
     def close(self) -> None:
         """Let the streams go."""
@@ -312,8 +386,14 @@ class LslSource:
 
     def _described(self, arm: _Arm) -> SourceInfo:
         assert arm.skeleton is not None
-        inlets = [*arm.imus.values(), self._skeleton]
+        inlets = [*arm.imus.values(), self._skeleton, *arm.gyros.values()]
         corrections = [f"{each.name} {1e3 * each.correction_s:+.1f} ms" for each in inlets]
+        notes = [f"LSL's time correction: {', '.join(corrections)}."]
+        notes += [
+            f"Accelerometer {arm.imus[segment].name} and gyroscope {gyro.name} are two streams: the"
+            " accelerometer is interpolated to the gyroscope's stamps."
+            for segment, gyro in arm.gyros.items()
+        ]
         return SourceInfo(
             {segment: inlet.name for segment, inlet in arm.imus.items()},
             self._skeleton.name,
@@ -322,7 +402,7 @@ class LslSource:
             self._origin_ns,
             arm.skeleton.camera_frame,
             lsl_start_s=self._start_s,
-            notes=(f"LSL's time correction: {', '.join(corrections)}.",),
+            notes=tuple(notes),
         )
 
     def _missing(self, seconds: float) -> str:

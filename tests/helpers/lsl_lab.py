@@ -1,6 +1,6 @@
 """A lab's network on this computer, for tests: outlets that play a recording, and a reader, as programs.
 
-python lsl_lab.py play REC.mcap IMU SKELETON [--late S] [--bare | --both]
+python lsl_lab.py play REC.mcap IMU SKELETON [--late S] [--bare | --halves | --both]
 python lsl_lab.py read NAME SECONDS [--least SAMPLES]
 """
 
@@ -29,18 +29,30 @@ def config(folder: Path, session: str) -> Path:
     return file
 
 
-def imu_outlet(name: str, bare: bool = False, unit: str = "m/s^2", source_id: str = ""):
+def imu_outlet(name: str, bare: bool = False, unit: str = "m/s^2", source_id: str = "", kind: str = "IMU"):
     import pylsl
 
-    info = pylsl.StreamInfo(name, "IMU", 6, 100, "double64", source_id or f"id-{name}")
+    sensors = [s for s in (("acc", unit), ("gyro", "rad/s")) if kind in ("IMU", s[0].upper())]
+    info = pylsl.StreamInfo(name, kind, 3 * len(sensors), 100, "double64", source_id or f"id-{name}")
     if not bare:
         channels = info.desc().append_child("channels")
-        for label, axis_unit in (("acc", unit), ("gyro", "rad/s")):
+        for label, axis_unit in sensors:
             for axis in "xyz":
                 channel = channels.append_child("channel")
                 channel.append_child_value("label", f"{label}_{axis}")
                 channel.append_child_value("unit", axis_unit)
     return pylsl.StreamOutlet(info)
+
+
+class Halves:
+    """Accelerometer and gyroscope as a headband sends them: streams of one name and two types."""
+
+    def __init__(self, name: str):
+        self.acc, self.gyro = (imu_outlet(name, kind=kind) for kind in ("ACC", "GYRO"))
+
+    def push_sample(self, row: list[float], stamp_s: float) -> None:
+        self.acc.push_sample(row[:3], stamp_s - 0.005)
+        self.gyro.push_sample(row[3:], stamp_s)
 
 
 def skeleton_outlet(name: str, *sides: str, unit: str = "meters"):
@@ -91,7 +103,7 @@ def play(options: argparse.Namespace) -> None:
     sides = ("right", "left") if options.both else ()
     events = events_of(options.recording, options.late, sides)
     make = {
-        "imu": lambda: imu_outlet(options.imu, options.bare),
+        "imu": lambda: Halves(options.imu) if options.halves else imu_outlet(options.imu, options.bare),
         "skeleton": lambda: skeleton_outlet(options.skeleton, *sides),
     }
     if sides:
@@ -159,6 +171,7 @@ def main() -> None:
     player.add_argument("skeleton")
     player.add_argument("--late", type=float, default=0.1)
     player.add_argument("--bare", action="store_true")
+    player.add_argument("--halves", action="store_true")
     player.add_argument("--both", action="store_true")
     player.set_defaults(run=play)
     reader = commands.add_parser("read")

@@ -159,6 +159,29 @@ def test_two_outlets_in_and_one_out(lab, tmp_path):
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("named", [(), ("--gyro", "wrist")])
+def test_accelerometer_and_gyroscope_in_two_streams(lab, tmp_path, named):
+    outlets = players(lab, "--halves")
+    arguments = ["--imu", "wrist", "--record", "session.mcap", *named]
+    live = lab.start("live_program.py", "--echo", "live", *arguments)
+    lines_until(live, "calibrating")
+    tell(outlets, "go")
+    for _ in range(3):  # a line every two seconds
+        lines_until(live, " IMU ")
+    live.send_signal(signal.SIGINT)
+    said, errors = live.communicate(timeout=20)
+    assert (live.returncode, errors) == (0, ""), said
+    recorded, original = read_recording(tmp_path / "session.mcap"), read_recording(DEMO)
+    assert len(recorded.imu.t_s) > 100
+    # each sample is known by its gyroscope; the accelerometer's stamps are 5 ms earlier
+    at = [int(np.flatnonzero((original.imu.gyro == row).all(axis=1))[0]) for row in recorded.imu.gyro]
+    t = original.imu.t_s
+    expected = np.stack([np.interp(t[at] + 0.005, t, axis) for axis in original.imu.acc.T], axis=1)
+    # LSL corrects each stream by itself
+    np.testing.assert_allclose(recorded.imu.acc, expected, atol=0.005)
+
+
+@pytest.mark.slow
 def test_both_arms_and_imus_on_the_upper_arms(lab, tmp_path):
     both = tmp_path / "both.mcap"
     made = ["--arms", "both", "--set", "imus=wrist,upper-arm", "--set", "protocol=random"]

@@ -56,6 +56,7 @@ def arm(labels: StreamLabels) -> SkeletonChannels:
     [
         (imu, [""] * 6, "", "its channels have no labels; acc_x, acc_y, acc_z and gyro_x"),
         (imu, imu_labels()[:3], "g", "gyro_x, gyro_y, gyro_z are missing"),
+        (imu, imu_labels()[:3], "g", "in one stream or in two (--gyro names the second)"),
         (imu, imu_labels(), "", "the unit of its accelerometer is missing; send m/s^2 or g"),
         (
             imu,
