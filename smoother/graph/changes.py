@@ -39,6 +39,9 @@ JUMP_M, JUMP_M_PER_S = 0.12, 3.6
 #: Moments that are looked at: one in every gap, and so far apart elsewhere, s; so much of the window
 #: lies before the first and after the last, s: in trials of 4 s a Kinect v1's slow errors look like a step.
 APART_S, ENDS_S = 10.0, 3.0
+#: The shoulder jumped where it moved this many times as far as in the median of its steps: noise of 1 cm does
+#: not, 25 cm do.
+JUMPED = 4.0
 #: What may change by itself, one sigma: a camera's slow errors shift a block, m; they turn with the posture,
 #: rad, and move, m; a strap turns and slides a little; stamps of a frame's time, s.
 SLOW_M = np.full(3, 0.015)
@@ -184,13 +187,14 @@ def moments(window: Window) -> FloatArray:
 
 
 def _moment_between(window: Window, start_s: float, end_s: float) -> float:
-    """The middle of a gap, or where the shoulder, which may be seen in it, moved farthest at once."""
+    """The middle of a gap, or where the shoulder, if it is seen in it, clearly jumped."""
     if window.shoulder is not None:
         t, position = window.t[window.shoulder.node], window.shoulder.position
         rows = np.flatnonzero(np.isfinite(position[:, 0]) & (t >= start_s) & (t <= end_s))
-        if len(rows) > 1:
-            far = rows[np.argmax(np.linalg.norm(np.diff(position[rows], axis=0), axis=1))]
-            return 0.5 * float(t[far] + t[rows[rows > far][0]])
+        moved_m = np.linalg.norm(np.diff(position[rows], axis=0), axis=1)
+        if len(moved_m) > 2 and moved_m.max() > JUMPED * np.median(moved_m):
+            first = int(np.argmax(moved_m))
+            return 0.5 * float(t[rows[first]] + t[rows[first + 1]])
     return 0.5 * float(start_s + end_s)
 
 
