@@ -79,6 +79,7 @@ def reach(seed: int, seconds: float = 1.0) -> tuple[FloatArray, FloatArray, Meas
     return t, path(t), Measurements(frames, point[:, None], t, acc[:, None])
 
 
+@pytest.mark.slow
 def test_fused_prediction_beats_position_only_as_published():
     """Table 4.1: -35.8 % rms and -59.7 % stated sigma, frames 0.1 s late; here over 12 reaches."""
     squares, sigmas = np.zeros(2), np.zeros(2)
@@ -95,6 +96,7 @@ def test_fused_prediction_beats_position_only_as_published():
     assert 1.0 - sigmas[0] / sigmas[1] > 0.55
 
 
+@pytest.mark.slow
 def test_prediction_takes_the_cameras_lag_away():
     """0.11 s of 0.1 s in the thesis; on the mean of ten reaches to a sample (11 ms) here."""
     before, after = [], []

@@ -203,6 +203,7 @@ def look(arm: Arm, rng: np.random.Generator, joint_sigma_m: float, colour: Place
     )
 
 
+@pytest.mark.slow
 def test_five_millimetres():
     errors, nees = [], []
     for seed in range(24):

@@ -274,6 +274,7 @@ def test_errors_that_are_larger_than_stated_ask_for_more(
     assert all(row.factor > 2.0 and row.gaps == FEW for row in wrong.by_length)
 
 
+@pytest.mark.slow
 def test_the_calibration_keeps_them(calibrated: ArmEstimates) -> None:
     factors = calibrated.calibration.sigma_factors
     assert factors is not None and factors.at(1.0) > 1.0

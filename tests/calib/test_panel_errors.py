@@ -190,6 +190,7 @@ def test_one_pose_takes_a_wrong_spot_for_no_depth_error(seed: int):
     assert np.linalg.norm(off) < 0.0015  # with the depth's error believed: 6 to 10 mm
 
 
+@pytest.mark.slow
 def test_a_wrong_marker_hardly_moves_many_poses():
     poses = [solved_pose(7, number) for number in range(6)]
     clean = solve(poses).camera_from_mocap

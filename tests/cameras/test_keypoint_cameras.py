@@ -81,6 +81,7 @@ def test_rays_of_two_cameras_meet_in_the_joints() -> None:
         np.testing.assert_allclose(depth[rows, column], there[2][rows], atol=0.01)  # between frames
 
 
+@pytest.mark.slow
 def test_the_clock_of_a_camera_whose_place_is_known() -> None:
     simulated = made("all")
     clock, misfit_m = clock_of_known_place(simulated.recording.cameras[0], simulated.recording.arm)
@@ -178,6 +179,7 @@ def test_a_wrong_focal_length_is_in_sigma_and_not_trusted(part: float, share: fl
     assert asked == (share == FOCAL_DATA_SHEET)
 
 
+@pytest.mark.slow
 def test_a_lens_changes_nothing_of_a_camera_with_depth() -> None:
     recording = replace(made("none", cameras=(), duration_s=8.0).recording, truth=None)
     answers = [
@@ -188,12 +190,14 @@ def test_a_lens_changes_nothing_of_a_camera_with_depth() -> None:
         assert one.tobytes() == other.tobytes()
 
 
+@pytest.mark.slow
 def test_an_imu_of_another_motion_is_refused() -> None:
     one, other = made("all", seed=941, cameras=(), duration_s=40.0), made("all", seed=943, cameras=())
     with pytest.raises(SolveError, match="does not turn as the IMU does"):
         join_cameras(replace(other.recording, imu=one.recording.imu, truth=None))
 
 
+@pytest.mark.slow
 def test_start_depths_are_those_of_the_forearm_that_was_assumed() -> None:
     simulated = made("all", seed=944, cameras=())
     recording, truth = simulated.recording, simulated.recording.truth

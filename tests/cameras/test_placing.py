@@ -107,6 +107,7 @@ def test_a_camera_that_is_wrong_is_named_and_left_out(fault: str, words: str) ->
     assert joined.arm is recording.arm
 
 
+@pytest.mark.slow
 def test_a_camera_that_stood_still_was_not_moved() -> None:
     """Fourteen seconds off, its parts lie 146 degrees apart and fit to 5.4 cm; the whole fits to 4.9."""
     config = ArmSimulation.preset(

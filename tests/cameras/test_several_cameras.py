@@ -60,6 +60,7 @@ def test_gaps_are_where_no_camera_sees_and_the_answer_is_better_in_the_first_one
     assert wrist_m(two, one.occluded) < wrist_m(one, one.occluded)
 
 
+@pytest.mark.slow
 def test_the_table_of_cameras_is_among_the_estimates_and_survives_a_file() -> None:
     recovery = recovered(2)
     first, second = recovery.estimates.cameras
@@ -153,6 +154,7 @@ def test_frames_of_two_cameras_share_nodes_and_none_is_lost() -> None:
     assert len(group_frames_of_cameras(few, np.ones(2, bool), np.zeros(2, bool), 2)) == 2
 
 
+@pytest.mark.slow
 def test_a_set_up_is_calibrated_kept_and_used_as_a_prior() -> None:
     set_up = calibrate_cameras([made().recording, made(921).recording])
     # two set-ups: the second recording's camera stands elsewhere, and is named

@@ -290,6 +290,7 @@ def test_magnetometer(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys) -
     assert down == pytest.approx(np.full(len(down), -np.sin(np.radians(60.0))), abs=0.06)
 
 
+@pytest.mark.slow
 def test_clock(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys) -> None:
     monkeypatch.chdir(tmp_path)
     words = simulated(capsys, "clock", "-o", "session", "--seed", 5)

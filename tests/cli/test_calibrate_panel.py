@@ -307,6 +307,7 @@ def test_recording_gives_camera_from_base_and_the_mounting(world_session: Path, 
     assert json.loads(figures.read_text())["grade"] == tables["world"]["grade"]
 
 
+@pytest.mark.slow
 def test_what_is_wrong_is_one_sentence_and_no_file(world_session: Path, tmp_path: Path, capsys):
     cal, panel = tmp_path / "cal.toml", ["--panel", str(world_session / "s/panel.toml")]
     short = tmp_path / "short.csv"

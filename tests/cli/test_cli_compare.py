@@ -40,6 +40,7 @@ def test_every_method_is_there_the_best_first(everything):
         ), name
 
 
+@pytest.mark.slow
 def test_latency_and_lag(everything):
     figures, _ = everything
     camera = figures["camera"]
@@ -129,6 +130,7 @@ def test_what_cannot_be_compared_is_said_in_a_sentence(ten_seconds: Path, tmp_pa
         assert not json_file.exists()
 
 
+@pytest.mark.slow
 def test_gaps_draws_error_against_length(ten_seconds: Path, tmp_path: Path):
     page, json_file = tmp_path / "g.html", tmp_path / "g.json"
     done(

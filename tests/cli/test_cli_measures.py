@@ -80,6 +80,7 @@ def test_the_same_from_python(folder: Path):
         smoother.measure(folder / "out.mcap", side="right", body=4)
 
 
+@pytest.mark.slow
 def test_settings_are_read_and_checked(folder: Path, capsys: pytest.CaptureFixture[str]):
     settings, out = folder / "s.toml", folder / "s.json"
     settings.write_text("[movements]\nstart_m_s = 50.0\n")

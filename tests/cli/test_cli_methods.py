@@ -68,6 +68,7 @@ def test_smooth(ten_seconds: Path, tmp_path: Path, method: str, capsys):
     done("export", out, "--format", "csv", "-o", tmp_path / "out.csv")
 
 
+@pytest.mark.slow
 def test_the_orientation_asked_for_is_used(ten_seconds: Path, tmp_path: Path):
     found = {}
     for orientation in ("vqf", "complementary"):
@@ -96,6 +97,7 @@ def solved(monkeypatch: pytest.MonkeyPatch) -> list[Recording]:
     return seen
 
 
+@pytest.mark.slow
 def test_the_graph_is_solved_once_a_copy_and_sees_nothing_hidden(solved: list[Recording]):
     made = simulate_arm(
         ArmSimulation.preset("white", protocol="random", duration_s=10.0, occlusion_lengths_s=()), seed=7

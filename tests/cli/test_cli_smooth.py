@@ -59,6 +59,7 @@ def test_without_a_calibration(frozen, tmp_path, capsys):
     assert any("repeated the one before" in sentence for sentence in figures["advice"])
 
 
+@pytest.mark.slow
 def test_what_is_given_is_not_called_found(frozen, tmp_path, capsys):
     done("calibrate", "motion", frozen, "-o", tmp_path / "c.toml", "--processes", "1")
     capsys.readouterr()
@@ -83,6 +84,7 @@ def test_a_strap_that_is_the_imu(tmp_path, capsys):
     assert (np.abs(place) < 4 * sigma).all() and (sigma < 0.02).all()
 
 
+@pytest.mark.slow
 def test_a_strap_beside_the_imu(tmp_path):
     """The camera sees a point 3 cm beside the IMU."""
     from scipy.spatial.transform import Rotation

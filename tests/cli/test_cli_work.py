@@ -29,6 +29,7 @@ def session(tmp_path_factory) -> Path:
     return folder
 
 
+@pytest.mark.slow
 def test_info(session, tmp_path, capsys):
     done("info", session / "rec.mcap", "--json", tmp_path / "i.json")
     assert "/skeleton" in capsys.readouterr().out
@@ -73,6 +74,7 @@ def test_smooth(session):
     assert "Recovered arm motion" in page
 
 
+@pytest.mark.slow
 def test_uncertain_answers_are_marked(session, tmp_path, capsys):
     done(
         *("smooth", session / "rec.mcap", "-o", tmp_path / "o.mcap", "--calibration", session / "cal.toml"),

@@ -48,6 +48,7 @@ def test_the_strap_is_where_the_sensor_is(session):
     assert not (rows & hidden).any()
 
 
+@pytest.mark.slow
 def test_other_joints_stay_and_images_stay_out(session):
     folder, *_ = session
     before, after = read_recording(folder / "rec.mcap"), read_recording(folder / "out.mcap")

@@ -57,6 +57,7 @@ def test_smooth_recovers_both(folder: Path) -> None:
     assert [one.side for one in read_recovery(folder / "out.mcap")] == ["left", "right"]
 
 
+@pytest.mark.slow
 def test_one_page_has_both_arms(folder: Path) -> None:
     page = (folder / "r.html").read_text()
     assert all(f'id="arm-{side}"' in page and f'href="#arm-{side}"' in page for side in ("left", "right"))
@@ -220,6 +221,7 @@ def test_one_broken_sensor_does_not_keep_the_others(people) -> None:
     assert any(late.topic in note and "no time in common" in note for note in notes)
 
 
+@pytest.mark.slow
 def test_a_name_that_contradicts_the_motion(people) -> None:
     file, truth = open_recording(people[0]), people[1]
     imu = next(k for k, one in enumerate(file.imus) if truth[one.topic][1].startswith("wrist"))

@@ -104,6 +104,7 @@ def test_a_camera_that_lies(lie: dict[str, float], realistic_arms: list[Scene]) 
         assert not (kept.used & (kept.reason != 0)).any()
 
 
+@pytest.mark.slow
 def test_outliers_are_rejected_and_the_rest_is_kept() -> None:
     undisturbed, lying = arm(0), arm(0, outliers=0.1, outlier_m=0.5)
     wrong = np.linalg.norm(undisturbed.recording.arm.position - lying.recording.arm.position, axis=2) > 0.4
@@ -114,6 +115,7 @@ def test_outliers_are_rejected_and_the_rest_is_kept() -> None:
     assert kept.used[:, forearm][(tracked & ~wrong)[:, forearm]].mean() > 0.93
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("seed", "changes"),
     [

@@ -117,6 +117,7 @@ def test_small_angles_keep_their_sigma_and_large_ones_take_positions_along() -> 
     assert np.linalg.eigvalsh(found).min() > 0
 
 
+@pytest.mark.slow
 def test_a_recording_that_starts_late_and_drops_frames() -> None:
     """Stamps far from zero and a tenth of the frames lost, jitter on the rest."""
     made = arm(0, dropped_frames=0.1, frame_jitter_s=0.002)
@@ -181,6 +182,7 @@ def test_a_sensor_that_drops_out_again_and_again() -> None:
     assert np.sqrt(np.nanmean(np.sum(off[visible] ** 2, axis=1))) < 0.012
 
 
+@pytest.mark.slow
 def test_a_pause_within_a_gap_has_its_caution() -> None:
     recording = sound(0)
     hidden = recording.arm.hide((recording.arm.t_s > 12.0) & (recording.arm.t_s < 16.0))
@@ -198,6 +200,7 @@ def test_a_pause_within_a_gap_has_its_caution() -> None:
     assert "(12.0 to" in caution
 
 
+@pytest.mark.slow
 def test_short_segments_that_show_one_joint_only() -> None:
     """Between two pauses the elbow is never seen: gravity alone says how the IMU is turned there."""
     recording = sound(0)

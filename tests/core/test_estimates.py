@@ -128,6 +128,7 @@ values = st.recursive(
 )
 
 
+@pytest.mark.slow
 @given(st.dictionaries(st.sampled_from([*PLAIN, "else"]), values, max_size=6))
 def test_nothing_is_lost_whatever_a_file_states(plain: dict) -> None:
     again = Estimates.from_plain(plain).plain()

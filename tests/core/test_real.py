@@ -56,6 +56,7 @@ def test_errors_in_hidden_gaps(table: GapTable) -> None:
         assert found.figures.position_rms_m < limit, f"gaps of {length} s"
 
 
+@pytest.mark.slow
 def test_covariance_in_hidden_gaps(table: GapTable) -> None:
     """Honest is 1; the optical point lies a centimetre off the IMU, which fast turns show (measured 4.3)."""
     for length in LIMITS:
@@ -93,6 +94,7 @@ def test_lever_arms_of_a_person(wrist_of_a_person: ArmCalibration) -> None:
     assert np.degrees(np.arccos(along[0])) < 25.0  # the publishers' mounting: +x towards the hand
 
 
+@pytest.mark.slow
 def test_a_real_kinect_beats_interpolation(wrist_of_a_person: ArmCalibration) -> None:
     """Half a second hidden in the middle of three trials that calibration never saw."""
     ours, line = [], []

@@ -92,6 +92,7 @@ def test_calibrated(make: Callable[[int], SimulatedArm], measured: dict[str, flo
     assert_near(nees(recovered(make(seed)) for seed in SEEDS), measured, factor)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("scenes", "measured"), [("white_arms", WHITE_BLIND), ("realistic_arms", REALISTIC_BLIND)]
 )

@@ -59,6 +59,7 @@ def occluded_by_definition(scene: Scene) -> BoolArray:
     return np.array(answer)
 
 
+@pytest.mark.slow
 def test_the_occluded_column_is_the_definition(white_arm: Scene, white_point: Scene) -> None:
     for scene in (white_arm, white_point):
         np.testing.assert_array_equal(scene.recovery.occluded, occluded_by_definition(scene))

@@ -68,6 +68,7 @@ def test_better_than_one_and_as_good_as_it_says(made: SimulatedArm, two: Recover
     assert nees(two, made) < 1.5
 
 
+@pytest.mark.slow
 def test_mounting_and_clock_are_found(made: SimulatedArm, two: Recovery) -> None:
     for joint, lever in two.calibration.upper_imu.items():
         off = lever.position_m - made.calibration.upper_imu[joint].position_m
@@ -96,6 +97,7 @@ def test_the_upper_arms_pose_and_the_shoulders_angles(made: SimulatedArm, two: R
         assert np.mean((off / sigmas[name][raised]) ** 2) < 1.5
 
 
+@pytest.mark.slow
 def test_one_imu_where_the_other_pauses(made: SimulatedArm, two: Recovery) -> None:
     """Ten seconds without upper-arm samples, a gap's end among them."""
     upper = made.recording.upper_imu
@@ -147,6 +149,7 @@ def test_a_hidden_shoulder_loses_the_room_but_not_the_arm() -> None:
     assert np.nanmax(recovery.worst_sigma_m[inside]) > 0.03  # and says so
 
 
+@pytest.mark.slow
 def test_a_shoulder_that_is_never_seen(made: SimulatedArm) -> None:
     """Nothing says how the upper-arm IMU sits: it is left out, in a sentence, and one IMU answers."""
     hidden = made.recording.arm.hide(np.ones(len(made.recording.arm), bool), ("shoulder",))
@@ -176,6 +179,7 @@ def test_an_imu_that_is_not_on_this_upper_arm(made: SimulatedArm, whose: str) ->
     assert any(words in note for note in recovery.notes)
 
 
+@pytest.mark.slow
 def test_calibrated_beforehand(made: SimulatedArm) -> None:
     recovery = smooth(blind(made), made.calibration, processes=1)
     assert error_m(recovery, made) < 0.005
@@ -222,6 +226,7 @@ def test_wrist_and_hand_in_gaps(recovery: Recovery, hand_arm: SimulatedArm) -> N
     assert hand_m < 0.022 and 0.2 < hand_nees < 2.0
 
 
+@pytest.mark.slow
 def test_without_its_imu_the_hand_is_worse(recovery: Recovery, hand_arm: SimulatedArm) -> None:
     bare = replace(hand_arm.recording, truth=None).with_imu("hand", None)
     alone = smooth(bare, processes=1)

@@ -105,6 +105,7 @@ def test_what_left_the_window_counts_as_if_it_were_there(chain: Chain) -> None:
         assert all((np.abs(ratio[a.rows[name]] - 1.0) < 0.04).all() for name in ("turn", "position"))
 
 
+@pytest.mark.slow
 def test_it_holds_the_forearm_in_a_gap_and_says_how_well(chain: Chain) -> None:
     (_, two), (_, one) = followed(chain, 0.7), followed(chain, 0.7, further=(), joins=False)
     (off, sigma), (_, alone) = errors(chain, two), errors(chain, one)
@@ -113,6 +114,7 @@ def test_it_holds_the_forearm_in_a_gap_and_says_how_well(chain: Chain) -> None:
     assert (off < 3.0 * sigma).all()
 
 
+@pytest.mark.slow
 def test_samples_that_come_late_count_like_those_in_time(chain: Chain) -> None:
     (lag, late), (_, prompt) = followed(chain, 0.7, late=4), followed(chain, 0.7)
     assert len(lag.nodes_of(UPPER)) == len(lag.t) - 4

@@ -107,6 +107,7 @@ def test_sigma_covers_the_error_and_grows_in_a_gap(motion: Motion, shoulder: boo
     assert 0.05 < np.mean(nees[15:]) < 3.0
 
 
+@pytest.mark.slow
 def test_a_late_frame_counts_as_one_in_time(motion: Motion) -> None:
     (_, late), (_, in_time), (_, never) = (
         followed(motion, 0.7, late=60), followed(motion, 0.7), followed(motion, 0.7, range(60, 61))

@@ -90,6 +90,7 @@ def test_azure_kinect_recording(bag: tuple[Path, np.ndarray]) -> None:
     assert recording.origin_ns == ZERO
 
 
+@pytest.mark.slow
 def test_options_settle_what_is_meant(bag: tuple[Path, np.ndarray]) -> None:
     recording = read_recording(bag[0], imu="/k4a/imu", side="left", body=3)
     assert recording.imu.name == "/k4a/imu"

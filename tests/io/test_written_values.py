@@ -8,6 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
@@ -144,6 +145,7 @@ def test_tables_of_results(tmp_path: Path, made: Recovery):
     assert json.loads(table.schema.metadata[METADATA_KEY])["name"] == made.name
 
 
+@pytest.mark.slow
 @few
 @given(
     arrays.arrays(

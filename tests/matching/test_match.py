@@ -140,6 +140,7 @@ def test_the_other_methods_answer_too(method: str) -> None:
     assert sum(right) >= len(chosen) - 1
 
 
+@pytest.mark.slow
 def test_a_long_recording_is_read_in_excerpts() -> None:
     """Three minutes, of which the arm moves in some: the liveliest ten seconds of every twelfth."""
     arm = ArmSimulation.preset(

@@ -114,6 +114,7 @@ def test_an_option_that_is_not_needed_is_to_be_left_out(sound: Recording, needle
     assert likeliest_cause(corrected) is None
 
 
+@pytest.mark.slow
 def test_two_options_that_cancel_each_other_are_not_trusted(sound: Recording) -> None:
     """They make a sound motion its mirror image, half a metre off, and camera and IMU agree on it."""
     both = Remedy(mirror="x", negate=("accelerometer",))

@@ -98,6 +98,7 @@ def test_a_camera_that_is_pushed_is_not_trusted():
     assert recovery.estimates.trusted is False and not in_one_frame(recovery)
 
 
+@pytest.mark.slow
 def test_a_filled_skeleton_counts_as_not_seen():
     recovery = smooth(filled(made()), config=ALONE)
     assert any("a program filled gaps" in caution for caution in recovery.estimates.cautions)
@@ -166,6 +167,7 @@ def test_a_range_that_is_too_small(limit: float, trusted: bool, words: str):
     assert verdict[0] is trusted and words in verdict[1]
 
 
+@pytest.mark.slow
 def test_scale_errors_of_the_gyroscope_are_no_slip():
     config = ArmSimulation.preset("realistic", protocol="random", duration_s=30.0)
     arm = simulate_arm(config.model_copy(update={"imu_scale": 0.03}), 81)

@@ -66,6 +66,7 @@ def test_speeds_of_drawn_motions_vary_as_the_answer_states(drawn: Recovery) -> N
     assert 0.7 < np.median(ratio) < 1.3
 
 
+@pytest.mark.slow
 def test_the_same_seed_gives_the_same_motions_and_the_answer_stays(
     made: SimulatedArm, drawn: Recovery
 ) -> None:

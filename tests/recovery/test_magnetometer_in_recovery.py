@@ -65,6 +65,7 @@ def test_a_magnet_on_the_sensor_leaves_it_out(made, plain):
     assert np.allclose(scene.recovery.position, plain.recovery.position, atol=1e-4, equal_nan=True)
 
 
+@pytest.mark.slow
 def test_samples_that_are_missing_are_no_iron(made, helped):
     seen = with_field(made.recording)
     missing = np.where(seen.imu.t_s[:, None] < 11.0, np.nan, seen.imu.mag)
@@ -104,6 +105,7 @@ def test_the_middle_of_directions_is_not_pulled_by_a_few():
     assert np.degrees(np.arccos(found @ FIELD_K / np.linalg.norm(FIELD_K))) < 2.0
 
 
+@pytest.mark.slow
 def test_the_factors_are_the_angle_under_cauchys_loss(made):
     """The graph's error with and without the field, against the formula."""
     windows = [job.window for job in section_windows(with_field(made.recording), made.calibration)]

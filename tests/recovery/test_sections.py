@@ -84,6 +84,7 @@ def test_sections_answer_as_the_whole(sectioned: Recovery, whole: Recovery) -> N
     np.testing.assert_array_equal(sectioned.residuals.used, whole.residuals.used)
 
 
+@pytest.mark.slow
 def test_no_seam_at_the_section_borders(three_minutes: SimulatedArm, sectioned: Recovery) -> None:
     """Second differences at the borders are no larger than elsewhere."""
     jump = np.linalg.norm(np.diff(sectioned.position, n=2, axis=0), axis=1)
@@ -270,6 +271,7 @@ def test_the_section_drops_out(dropped: Dropped) -> None:
     assert np.isnan(there.joints["wrist"]).all()
 
 
+@pytest.mark.slow
 def test_the_others_answer_as_without_it(dropped: Dropped) -> None:
     """By the same excerpts, so that nothing but the sections differs (other excerpts: up to 0.2 sigma)."""
     recovery, expected = dropped.recovery, dropped.expected

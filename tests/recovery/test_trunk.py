@@ -93,6 +93,7 @@ def test_orientation_mounting_and_clock(made: SimulatedArm, recovery: Recovery) 
     assert np.degrees(off) < 6.0
 
 
+@pytest.mark.slow
 def test_sigma_holds(made: SimulatedArm, recovery: Recovery) -> None:
     trunk = recovery.trunk
     error = np.radians(errors_deg(recovery, made))

@@ -85,11 +85,13 @@ def test_a_wrong_block_is_left_out_and_the_gap_recovered(
     assert camera_t.max() < start_s + LENGTH_S + 1.5
 
 
+@pytest.mark.slow
 def test_what_was_left_out_is_still_what_the_camera_said() -> None:
     recovery = recovered(drape)
     np.testing.assert_array_equal(recovery.arm.state, made().recording.arm.state)
 
 
+@pytest.mark.slow
 def test_a_sound_recording_keeps_every_block() -> None:
     recovery = smooth(replace(made().recording, truth=None), config=ALONE)
     assert not (recovery.residuals.reason == Rejection.CONTRADICTED).any()

@@ -102,6 +102,7 @@ def test_every_page_fits_a_phone(browser: Browser, tmp_path: Path):
             assert browser.run("document.documentElement.scrollWidth <= innerWidth"), page.name
 
 
+@pytest.mark.slow
 def test_hostile_names_are_shown_and_not_obeyed(browser: Browser, tmp_path: Path):
     arm = replace(
         made_measures(EVIL, name=EVIL, verdict=EVIL, notes=(EVIL,)),

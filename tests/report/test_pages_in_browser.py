@@ -73,6 +73,7 @@ def test_a_link_into_what_is_folded_opens_it(player: Browser):
     player.run("history.replaceState(null, '', ' ')")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("width", "height", "beside"), [(1280, 900, True), (390, 844, False)])
 def test_the_first_screen(player: Browser, width: int, height: int, beside: bool):
     """A large verdict, and the moving arm beside it; on a phone under it."""

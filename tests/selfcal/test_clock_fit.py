@@ -161,6 +161,7 @@ def test_clocks_that_drift_far_apart(long: SimulatedArm) -> None:
     assert in_gaps_m(long, recovery) < 0.01
 
 
+@pytest.mark.slow
 def test_clocks_minutes_apart(long: SimulatedArm) -> None:
     """Farther than the context of the blocks: more of the IMU is looked at."""
     coarse = coarse_clock(later(long, np.full(len(long.recording.arm), 75.0)))

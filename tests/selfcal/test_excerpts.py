@@ -226,6 +226,7 @@ def test_a_coarse_round_changes_little(monkeypatch: pytest.MonkeyPatch) -> None:
     assert abs(moved_s) < 0.5 * whole.clock.sigma_s
 
 
+@pytest.mark.slow
 def test_a_half_that_cannot_be_used_is_no_reason_to_refuse(monkeypatch: pytest.MonkeyPatch) -> None:
     made = arm(5, protocol="random", duration_s=130.0, occlusion_lengths_s=(2.0,), occlusion_every_s=10.0)
     excerpts = informative_excerpts(made.recording, Timeline.of(made.recording))

@@ -35,6 +35,7 @@ def session(seed: int) -> tuple[list[Recording], list[float]]:
     return [trial for trial, *_ in trials], [offset_s for _, offset_s, _ in trials]
 
 
+@pytest.mark.slow
 def test_trials_show_the_direction_that_they_share_and_their_clocks() -> None:
     trials, offsets = session(3)
     (strap,) = find_straps(trials)
@@ -64,6 +65,7 @@ def test_a_trial_with_the_sensor_of_another_is_in_no_strap() -> None:
     assert 4 not in strap.members
 
 
+@pytest.mark.slow
 def test_a_strap_put_on_anew_is_another_one() -> None:
     mixed = [*session(3)[0][:5], *session(503)[0][5:]]
     straps = find_straps(mixed)

@@ -100,6 +100,7 @@ def test_at_rest_the_accelerometer_shows_gravity_upwards():
     assert not simulated.occluded.any()
 
 
+@pytest.mark.slow
 def test_two_occlusions_a_repetition_of_one_to_three_seconds(people: list[SimulatedArm]):
     for person in people:
         gaps = runs(person.occluded)

@@ -46,6 +46,7 @@ def ideal() -> SimulatedPanel:
     return simulate_panel(PanelSimulation.ideal(poses=4, quantised=False), seed=5)
 
 
+@pytest.mark.slow
 def test_depth_is_the_panels_plane(ideal: SimulatedPanel):
     for number in range(len(ideal.poses)):
         mask = on_board(ideal, 3, number)
@@ -65,6 +66,7 @@ def test_answer_brings_the_mocap_markers_to_the_panel(ideal: SimulatedPanel):
     assert any((p.marker_order != np.arange(4)).any() for p in ideal.poses)  # shuffled
 
 
+@pytest.mark.slow
 def test_spots_that_are_added_and_taken_away():
     import cv2
 
@@ -90,6 +92,7 @@ def test_same_seed_same_images():
         assert (a.depth != c.depth).any()
 
 
+@pytest.mark.slow
 def test_settings_that_cannot_be():
     with pytest.raises(ValidationError, match="outside the panel"):
         PanelSimulation(markers=((0, 0), (0.9, 0), (0.2, 0), (0, 0.3)))
@@ -174,6 +177,7 @@ def test_folder_and_recording_hold_the_session(tmp_path: Path):
     np.testing.assert_array_equal(images["/camera/depth/image", 5.5], depth)
 
 
+@pytest.mark.slow
 def test_folder_is_whole_or_not_there(tmp_path: Path, capsys: pytest.CaptureFixture):
     folder = tmp_path / "session"
     said = refused(capsys, "simulate", "panel", "-o", folder, *SMALL, "--set", "distance_m=0.35,0.36")

@@ -69,6 +69,7 @@ def test_what_is_recorded_is_what_was_played(original, tmp_path):
     assert not growing_name(tmp_path / "session.mcap").exists()
 
 
+@pytest.mark.slow
 def test_the_growing_file_can_be_read_at_any_moment(original, tmp_path):
     source, recording, session = begun(original, tmp_path / "session.mcap")
     session.run(lambda: source.now_s() >= 5.0)
@@ -92,6 +93,7 @@ def test_a_session_without_samples_leaves_no_file(original, tmp_path):
     assert sorted(path.name for path in tmp_path.iterdir()) == ["original.mcap"]
 
 
+@pytest.mark.slow
 def test_the_metadata_says_what_was_done(original, tmp_path):
     source, recording, session = begun(original, tmp_path / "session.mcap")
     (arm,) = source.arms
@@ -174,6 +176,7 @@ def test_a_slow_disk_delays_no_answer(original, tmp_path, monkeypatch):
     same(read_recording(original), read_recording(tmp_path / "session.mcap"))
 
 
+@pytest.mark.slow
 def test_what_was_shown_is_kept(original, tmp_path):
     played(original, tmp_path / "session.mcap")
     with open(tmp_path / "session.mcap", "rb") as file:

@@ -171,6 +171,7 @@ def test_a_worker_that_is_not_set_up(job, tmp_path):
     assert not (tmp_path / "none").exists()
 
 
+@pytest.mark.slow
 def test_a_full_disk_is_tried_again(in_here, job, made, monkeypatch, capsys):
     import smoother.io
 

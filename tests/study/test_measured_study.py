@@ -31,6 +31,7 @@ def study(here: None, made: Path, tmp_path_factory: pytest.TempPathFactory) -> P
     return out
 
 
+@pytest.mark.slow
 def test_rows_hold_the_measures_of_each_session(study: Path):
     rows = duckdb.sql(
         f"SELECT recording, unnest(measures, recursive := true) FROM '{study}/results/*.parquet'"

@@ -140,6 +140,7 @@ def test_truth(files: Path, capsys: pytest.CaptureFixture[str]):
     assert len(open_recording(files / "0.mcap").poses) == 1
 
 
+@pytest.mark.slow
 @pytest.mark.real
 def test_every_real_file_that_holds_raw_data(datasets: Path):
     """No option but file names; what cannot be used is refused with what to record."""
