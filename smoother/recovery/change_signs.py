@@ -65,9 +65,10 @@ def changed_for_good(steps: Sequence[Step], left: Sequence[Step]) -> Iterator[Fi
     shows_still = [each.at_s for each in left if _chance(each) < LEFT_CHANCE]
     is_rare = _chance(step) * len(steps) < FALSE_ALARM
     if not is_rare or not any(abs(step.at_s - at_s) < LEFT_WITHIN_S for at_s in shows_still):
+        seems = "" if is_rare else "it seems that "
         yield finding(
             code,
-            f"at about {step.at_s:.0f} s {what}: {cause}, or another body was seen beside it",
+            f"at about {step.at_s:.0f} s {seems}{what}: {cause}, or another body was seen beside it",
             (step.at_s - BESIDE_S, step.at_s + BESIDE_S),
         )
         return
