@@ -14,7 +14,7 @@ from smoother.errors import CalibrationError
 from smoother.recording import FIRST_CAMERA, CameraPose, Recording
 
 from .file import CalibrationFile
-from .protocol import Answer, Finding
+from .protocol import Answer, Check
 
 #: The top-level table of a calibration file, one table per camera.
 TABLE = "cameras"
@@ -100,11 +100,11 @@ def cameras_answer(set_up: CameraSetUp) -> Answer:
         },
         "left_out": list(set_up.left_out),
     }
-    checks = [Finding(text) for text in set_up.left_out]
+    checks = [Check(text) for text in set_up.left_out]
     for name, each in table.items():
         checks += [
-            Finding(f"{name}: sigma of the turn", each["sigma_deg"], GOOD_DEG, "degrees", FAR),
-            Finding(f"{name}: sigma of the place", each["sigma_m"], GOOD_M, "m", FAR),
+            Check(f"{name}: sigma of the turn", each["sigma_deg"], GOOD_DEG, "degrees", FAR),
+            Check(f"{name}: sigma of the place", each["sigma_m"], GOOD_M, "m", FAR),
         ]
     file = CalibrationFile().with_table(TABLE, table)
     return Answer(grade, "; ".join(sentences), checks, file, figures)

@@ -20,7 +20,7 @@ from smoother.measurements.clock import Clock
 from smoother.recording import Recording
 
 from .file import CalibrationFile, checked
-from .protocol import Answer, Finding
+from .protocol import Answer, Check
 
 if TYPE_CHECKING:
     from .motion_clock import MotionClock
@@ -498,7 +498,7 @@ def clock_answer(calibration: ClockCalibration) -> Answer:
         "beeps": [{key: getattr(beep, key) for key in shown} for beep in calibration.beeps],
     }
     grade = "not good enough" if apart or len(network.groups) > 1 else grade
-    checks = [*(Finding(text, is_open=True) for text in apart), *_checks(calibration, links)]
+    checks = [*(Check(text, is_open=True) for text in apart), *_checks(calibration, links)]
     table = {"session": calibration.session, "valid_for": "this session alone", "links": rows}
     return Answer(grade, sentence, checks, CalibrationFile().with_table("clock", table), figures)
 
@@ -513,31 +513,31 @@ def disagreements(network: ClockNetwork) -> list[str]:
     ]
 
 
-def _checks(calibration: ClockCalibration, links: list[ClockLink]) -> Iterator[Finding]:
+def _checks(calibration: ClockCalibration, links: list[ClockLink]) -> Iterator[Check]:
     """What is looked at, against its bounds."""
     network, receptions, motion = calibration.network, calibration.receptions, calibration.motion
     if len(network.groups) > 1:
         apart = "; ".join(map(", ".join, network.groups))
-        yield Finding(f"nothing links these groups of clocks: {apart}", remedy=ONE_NAME, is_open=True)
+        yield Check(f"nothing links these groups of clocks: {apart}", remedy=ONE_NAME, is_open=True)
     for name in sorted({name for each in receptions for name in each.node} - set(network.nodes)):
-        yield Finding(f"{name} received nothing that another clock received: it is not linked", is_open=True)
+        yield Check(f"{name} received nothing that another clock received: it is not linked", is_open=True)
     for left in network.leftovers:
         name = f"{left.source}: rejected times, of {len(left.used)}"
-        yield Finding(name, int((~left.used).sum()), 0, is_open=True)
+        yield Check(name, int((~left.used).sum()), 0, is_open=True)
     has_clear_beep = any(beep.sigma_s < WEAK_S for beep in calibration.beeps)
     for link in links:
         pair, common = f"{link.from_clock} and {link.to_clock}", _common(receptions, link)
-        yield Finding(f"{pair}: sigma", 1e3 * link.sigma_s, 1e3 * WEAK_S, "ms", is_open=True)
+        yield Check(f"{pair}: sigma", 1e3 * link.sigma_s, 1e3 * WEAK_S, "ms", is_open=True)
         if common and not has_clear_beep:
-            yield Finding(f"{pair}: rounds together", common, FEW_ROUNDS, "", ROUNDS_AGAIN, True, True)
+            yield Check(f"{pair}: rounds together", common, FEW_ROUNDS, "", ROUNDS_AGAIN, True, True)
     skew = max(link.skew_sigma_ppm for link in links)
-    yield Finding("sigma of a skew", skew, SKEW_KNOWN_PPM, "ppm", TWICE, is_open=True)
+    yield Check("sigma of a skew", skew, SKEW_KNOWN_PPM, "ppm", TWICE, is_open=True)
     for beep in calibration.beeps:
         name = f"sigma of the beep that ends at {beep.end_s:.2f} s, by its echo"
-        yield Finding(name, 1e3 * beep.sigma_s * beep.loud_room, 0.0, "ms", NEARER, is_open=True)
+        yield Check(name, 1e3 * beep.sigma_s * beep.loud_room, 0.0, "ms", NEARER, is_open=True)
     if motion is not None:
-        yield Finding("excerpts of the motion off the line", int((~motion.used).sum()), 0, is_open=True)
-        yield Finding("sigma by motion", 1e3 * motion.link.sigma_s, 3.0, "ms", BRISKLY)
+        yield Check("excerpts of the motion off the line", int((~motion.used).sum()), 0, is_open=True)
+        yield Check("sigma by motion", 1e3 * motion.link.sigma_s, 3.0, "ms", BRISKLY)
 
 
 def _common(receptions: Sequence[Receptions], link: ClockLink) -> int:

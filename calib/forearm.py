@@ -20,7 +20,7 @@ from smoother.smoothing import smooth
 
 from .file import CalibrationFile
 from .motion import forearm_frame
-from .protocol import Answer, Finding
+from .protocol import Answer, Check
 
 #: The pose is held at least this long, and looked at for no longer than that, s.
 SHORTEST_S, LONGEST_S = 0.8, 5.0
@@ -444,29 +444,29 @@ def forearm_answer(calibration: ForearmCalibration) -> Answer:
     towards = float(np.degrees(np.arcsin(np.abs(y @ middle) / np.linalg.norm(middle))))
     checks = [
         *(
-            Finding(f"{row.measure}, {row.pose:.0f} {row.unit} in the pose and {row.motion:.0f} in motion",
+            Check(f"{row.measure}, {row.pose:.0f} {row.unit} in the pose and {row.motion:.0f} in motion",
                     row.apart, AGREE, "sigmas apart", _BROKEN[row.measure])
             for row in rows
         ),
-        Finding("length of the pose", pose.end_s - pose.start_s, 2.0, "s", "hold it for three seconds", True),
-        Finding("turning of the sensor in the pose", float(np.degrees(pose.turning_rad_s)),
+        Check("length of the pose", pose.end_s - pose.start_s, 2.0, "s", "hold it for three seconds", True),
+        Check("turning of the sensor in the pose", float(np.degrees(pose.turning_rad_s)),
                 float(np.degrees(RESTLESS_RAD_S)), "degrees/s", "keep the arm still", is_open=True),
-        Finding("forearm towards or away from the camera, where depth errors are in its length", towards,
+        Check("forearm towards or away from the camera, where depth errors are in its length", towards,
                 float(np.degrees(CORONAL_RAD)), "degrees", "hold the arm across", is_open=True),
     ]  # fmt: skip
     if not rows:
         why = calibration.why_not or "the motion did not show the forearm"
-        checks.insert(0, Finding(f"there is no motion to compare the pose with: {why}"))
+        checks.insert(0, Check(f"there is no motion to compare the pose with: {why}"))
     if calibration.calibration.R_F_A is None:
         text = (
             f"lever arms and R_F_A: the sensor's orientation in the pose is not known ({calibration.why_not})"
         )
-        checks.append(Finding(text, remedy=THEN_MOVE, is_open=True))
+        checks.append(Check(text, remedy=THEN_MOVE, is_open=True))
     elif contradicts:
-        checks.append(Finding("R_F_A is not written: pose and motion contradict each other", is_open=True))
+        checks.append(Check("R_F_A is not written: pose and motion contradict each other", is_open=True))
     if calibration.measured.strap_from == "usual":
         text = "the strap's place was neither seen nor measured: usual values are used"
-        checks.append(Finding(text, remedy=BY_RULER, is_open=True))
+        checks.append(Check(text, remedy=BY_RULER, is_open=True))
     sigma_deg = {
         "direction": float(np.degrees(calibration.direction_sigma_rad)),
         "roll": float(np.degrees(calibration.roll_sigma_rad)),

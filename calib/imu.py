@@ -25,7 +25,7 @@ from smoother.recording import ImuStream
 from smoother.units import GRAVITY
 
 from .file import CalibrationFile
-from .protocol import Answer, Finding
+from .protocol import Answer, Check
 from .sensor import sensor_name
 
 #: Directions that the sphere is looked at; neighbours are some 4 degrees apart.
@@ -319,7 +319,7 @@ def noise_density(samples: FloatArray, rate_hz: float) -> FloatArray | None:  # 
 
 
 def allan_deviation(samples: FloatArray, count: int) -> FloatArray:
-    """Overlapping Allan deviation (3,) of samples (N, 3) averaged over so many of them."""
+    """Overlapping Allan deviation (3,) of samples (N, 3) in groups of `count`."""
     sums = np.vstack([np.zeros(samples.shape[1]), np.cumsum(samples - samples.mean(axis=0), axis=0)])
     second = sums[2 * count :] - 2.0 * sums[count:-count] + sums[: -2 * count]
     return np.sqrt(np.mean(second**2, axis=0) / (2.0 * count**2))
@@ -457,14 +457,14 @@ def imu_answer(calibration: ImuCalibration) -> Answer:
         "gyroscope": tables["gyroscope"] | {"rule": gyro.rule, "samples": gyro.samples},
     }
     checks = [
-        Finding("still samples of the gyroscope", gyro.samples * (gyro.rule == "rest"), STILL_SAMPLES, "",
+        Check("still samples of the gyroscope", gyro.samples * (gyro.rule == "rest"), STILL_SAMPLES, "",
                 "for the gyroscope's bias: leave the sensor lying for five seconds while it records", True),
-        Finding("longest rest, for the noise", calibration.noise_rest_s, WHITE_S, "s",
+        Check("longest rest, for the noise", calibration.noise_rest_s, WHITE_S, "s",
                 f"for the noise: one rest of {WHITE_S:.0f} s at least", True),
     ]  # fmt: skip
     grade, sentence = "usable", "this is one long rest: it gives the noise and the gyroscope's bias"
     if acc is None:
-        checks.insert(0, Finding("offset, scale and cross-axis", remedy=f"record {POSES}", is_open=True))
+        checks.insert(0, Check("offset, scale and cross-axis", remedy=f"record {POSES}", is_open=True))
     else:
         figures["accelerometer"] |= {
             name: getattr(acc, name) for name in ("covariance", "worst_direction", "residual")
@@ -479,9 +479,9 @@ def imu_answer(calibration: ImuCalibration) -> Answer:
         worst = int(np.argmax(np.abs(acc.residual)))
         grade = "good" if acc.worst_sigma < DOUBTED_SIGMA else "usable"
         checks += [
-            Finding(f"sigma with the sensor's {axis} up", acc.worst_sigma, DOUBTED_SIGMA, "m/s^2",
+            Check(f"sigma with the sensor's {axis} up", acc.worst_sigma, DOUBTED_SIGMA, "m/s^2",
                     f"add rests with the sensor's {axis} up, and with it down", is_open=True),
-            Finding(f"rest {worst + 1} off gravity", abs(float(acc.residual[worst])), LARGE_RESIDUAL, "m/s^2",
+            Check(f"rest {worst + 1} off gravity", abs(float(acc.residual[worst])), LARGE_RESIDUAL, "m/s^2",
                     "lay the sensor on something firm, and leave it quite still"),
         ]  # fmt: skip
     file = CalibrationFile().with_table("imu", {sensor_name(calibration.name): tables})
@@ -636,10 +636,10 @@ def magnetometer_answer(calibration: MagnetometerCalibration, imu_name: str) -> 
     on_one_spot = "turn the sensor on one spot, half a metre from iron, loudspeakers and telephones"
     hole_deg, towards = float(np.degrees(coverage.hole_rad)), axis_words(coverage.towards)
     checks = [
-        Finding(f"hole in the coverage, around the sensor's {towards}", hole_deg,
+        Check(f"hole in the coverage, around the sensor's {towards}", hole_deg,
                 float(np.degrees(LARGE_HOLE_RAD)), "degrees", "continue turning until it is filled"),
-        Finding("samples off the ellipsoid (rms)", residual, LARGE_MAG_RESIDUAL, "of the field", on_one_spot),
-        Finding("samples far off the rest", calibration.strays, STRAY_SHARE, "of all", on_one_spot),
+        Check("samples off the ellipsoid (rms)", residual, LARGE_MAG_RESIDUAL, "of the field", on_one_spot),
+        Check("samples far off the rest", calibration.strays, STRAY_SHARE, "of all", on_one_spot),
     ]  # fmt: skip
     grade = "good" if all(row.is_good for row in checks) else "usable"
     table = {

@@ -33,7 +33,7 @@ from smoother.selfcal.session import find_straps
 from smoother.window.priors import with_measured_noise
 
 from .file import CalibrationFile, with_sigma_table
-from .protocol import Answer, Finding
+from .protocol import Answer, Check
 from .sigma_factor import hidden_gap_factors, short_recordings
 
 #: Nearer to the elbow-wrist line than this the IMU does not show which way the back of the hand is, m.
@@ -436,7 +436,7 @@ def motion_answer(estimates: ArmEstimates) -> Answer:
     worst_m = max((float(np.max(lever.sigma_m)) for lever in arm.lever_arms.values()), default=np.nan)
     grade = "not good enough" if not arm.lever_arms else "usable" if open_questions else "good"
     sentence = f"lever arms are known to {1e3 * worst_m:.0f} mm per axis at worst (one sigma)"
-    checks = [Finding(each, remedy=MOVE, is_open=True) for each in open_questions]
+    checks = [Check(each, remedy=MOVE, is_open=True) for each in open_questions]
     return Answer(
         grade, sentence if arm.lever_arms else "no lever arm was found", checks, file, estimates.figures
     )

@@ -38,7 +38,7 @@ from .plane import (
     regions_on_plane,
     robust_plane,
 )
-from .protocol import Answer, Finding
+from .protocol import Answer, Check
 
 #: A panel that is larger, or whose markers are nearer, was not measured in metres.
 LARGEST_M, NEAREST_M = 5.0, 0.02
@@ -741,48 +741,46 @@ def panel_answer(calibration: PanelCalibration) -> Answer:
     return Answer(grade, sentence, list(_checks(calibration)), file, {NAME: table})
 
 
-def _checks(calibration: PanelCalibration) -> Iterator[Finding]:
+def _checks(calibration: PanelCalibration) -> Iterator[Check]:
     """What is looked at, against its bounds."""
     solution, seen = calibration.solution, calibration.seen
-    yield Finding("poses of the panel", len(seen), ENOUGH_POSES, "", MORE_POSES, at_least=True)
+    yield Check("poses of the panel", len(seen), ENOUGH_POSES, "", MORE_POSES, at_least=True)
     if not np.isfinite(solution.depth_offset_sigma_m):
         offset, sigma = 1e3 * solution.offset_apart_m, 1e3 * solution.offset_apart_sigma_m
         text = f"a constant error of the camera's depth ({offset:+.1f} +- {sigma:.1f} mm by this pose)"
-        yield Finding(text, remedy=MORE_POSES, is_open=True)
+        yield Check(text, remedy=MORE_POSES, is_open=True)
     residuals = solution.marker_residuals_m
     pose, marker = np.unravel_index(np.argmax(residuals), residuals.shape)
     worst = f"{calibration.labels[pose][marker]} of {calibration.names[pose]}"
     name = f"residuals over the stated noise (worst: marker {worst}, {1e3 * residuals.max():.1f} mm off)"
-    yield Finding(name, np.sqrt(solution.misfit), np.sqrt(CONTRADICTS), "", f"try without {worst}")
+    yield Check(name, np.sqrt(solution.misfit), np.sqrt(CONTRADICTS), "", f"try without {worst}")
     ends = np.array(list(combinations(range(4), 2))).T
     wanted, *measured = (
         np.linalg.norm(at[ends[0]] - at[ends[1]], axis=1)
         for at in (calibration.panel.markers_P, *calibration.markers_E)
     )
     shape = max(float(np.sqrt(np.mean((each - wanted) ** 2))) for each in measured)
-    yield Finding(
-        "markers' distances off the panel's definition (rms)", 1e3 * shape, 1e3 * DEFINITION_M, "mm"
-    )
+    yield Check("markers' distances off the panel's definition (rms)", 1e3 * shape, 1e3 * DEFINITION_M, "mm")
     for name, each in zip(calibration.names, seen, strict=True):
-        yield Finding(f"{name}: turned from the camera", each.tilt_deg, 45.0, "degrees", TURN_IT)
+        yield Check(f"{name}: turned from the camera", each.tilt_deg, 45.0, "degrees", TURN_IT)
     far = max(each.distance_m for each in seen)
-    yield Finding("farthest pose", far, 2.5, "m", "hold the panel nearer: depth is better there")
+    yield Check("farthest pose", far, 2.5, "m", "hold the panel nearer: depth is better there")
     if len(seen) > 1:
         normals = np.array([each.plane.normal for each in seen])
         spread = float(np.degrees(np.arccos(np.clip(normals @ normals.T, -1, 1).min())))
-        yield Finding("spread of the panel's normals", spread, ENOUGH_SPREAD_DEG, "degrees",
+        yield Check("spread of the panel's normals", spread, ENOUGH_SPREAD_DEG, "degrees",
                       "tilt the panel about 20 degrees to different sides", at_least=True)  # fmt: skip
         middles = np.array([each.points_K.mean(axis=0) for each in seen])
-        yield Finding("spread of the panel's places", float(np.ptp(middles, axis=0).max()), 0.3, "m",
+        yield Check("spread of the panel's places", float(np.ptp(middles, axis=0).max()), 0.3, "m",
                       "spread the poses over the arm's volume", at_least=True)  # fmt: skip
     ours, theirs = solution.camera_from_mocap, calibration.published
     if theirs is None:
-        yield Finding("the published method has too few depth points along the arms")
+        yield Check("the published method has too few depth points along the arms")
         return
     angle = float(np.degrees(Rotation.from_matrix(ours.R @ theirs.R.T).magnitude()))
     middle = np.mean(np.concatenate(calibration.markers_E), axis=0)
     apart = 1e3 * float(np.linalg.norm((ours.R - theirs.R) @ middle + ours.origin - theirs.origin))
-    yield Finding(
+    yield Check(
         f"the published method (principal components of regions) differs by {angle:.2f} degrees and"
         f" {apart:.1f} mm at the panel"
     )

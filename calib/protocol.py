@@ -14,10 +14,10 @@ from smoother.table import Table
 from .file import CalibrationFile
 
 
-class Finding(NamedTuple):
+class Check(NamedTuple):
     """A statistic of what was found against its bound, and what to record where it is beyond it."""
 
-    name: str  # What it is; a whole sentence where there is no number to it
+    name: str  # What was looked at; a whole sentence if it has no number
     value: float | None = None
     bound: float = np.inf
     unit: str = ""
@@ -47,7 +47,7 @@ class Answer:
 
     grade: str  # "good", "usable" or "not good enough"
     sentence: str  # The value's sigma and what it is good for
-    checks: Sequence[Finding]  # All that was looked at, the most important first
+    checks: Sequence[Check]  # All that was looked at, the most important first
     table: CalibrationFile  # What belongs into the calibration file, for `write_calibration`
     figures: dict[str, Any]  # What `--json` writes; keys end in their unit, sigma stands beside its value
 

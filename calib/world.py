@@ -26,12 +26,12 @@ from .imu import Rests, find_rests
 from .intrinsics import Intrinsics
 from .panel import SeenPanel, see_panel
 from .plane import Panel
-from .protocol import Answer, Finding
+from .protocol import Answer, Check
 from .sensor import corrected_streams, sensor_of
 
 #: A rest this near to a pose's time is the pose's, s; it is averaged over what lies so near.
 REACH_S = 1.0
-#: A hand moves a panel by so many times what a sensor that lies is allowed (0.2 m/s^2, 0.075 rad/s).
+#: A hand-held panel may move this many times more than a resting sensor (0.2 m/s^2, 0.075 rad/s).
 HAND = 5.0
 #: What a gyroscope's scale, axes and bias add to a turn: a share of it, and rad a second.
 GYRO_SCALE, GYRO_DRIFT_RAD_S = 0.003, 2e-4
@@ -602,12 +602,12 @@ def world_answer(calibration: WorldCalibration) -> Answer:
     is_free = sigma.heading_deg > FREE_DEG
     sentence = f"{grade}: the camera's tilt is known to {sigma.tilt_deg:.2f} degrees (one sigma)"
     checks = [
-        Finding("sigma of the tilt", sigma.tilt_deg, GOOD_DEG, "degrees", AGAIN),
-        Finding("sigma of the heading between camera and base IMU", sigma.heading_deg, FREE_DEG, "degrees",
+        Check("sigma of the tilt", sigma.tilt_deg, GOOD_DEG, "degrees", AGAIN),
+        Check("sigma of the heading between camera and base IMU", sigma.heading_deg, FREE_DEG, "degrees",
                 TURN_CAMERA, is_open=True),
-        Finding("sigma of how the IMU sits on the panel", float(sigma.mounting_deg.max()), GOOD_DEG,
+        Check("sigma of how the IMU sits on the panel", float(sigma.mounting_deg.max()), GOOD_DEG,
                 "degrees", MORE_POSES, is_open=calibration.by_eye),
-        *map(Finding, calibration.notes),
+        *map(Check, calibration.notes),
     ]  # fmt: skip
     tables = {
         NAME: {

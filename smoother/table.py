@@ -97,5 +97,5 @@ def percent(share: float | None) -> str | None:
 
 
 def fixed(value: float | None, digits: int = 2) -> str | None:
-    """A number for a cell, with so many decimals."""
+    """A number for a cell, with `digits` decimals."""
     return None if value is None or not math.isfinite(value) else f"{value:.{digits}f}"

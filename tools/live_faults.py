@@ -25,7 +25,7 @@ from smoother.live.calibrations import InlineCalibrator
 from smoother.live.smoother import LiveSmoother
 from smoother.recording import JOINTS, ImuStream
 from smoother.simulation import ArmSimulation, SimulatedArm, simulate_arm
-from smoother.streams.arrivals import Arrivals, FrameRows, ImuRows, SourceInfo, Step
+from smoother.streams.arrivals import Arrivals, FrameRows, ImuRows, LiveStep, SourceInfo
 from smoother.streams.replay import Playback
 from smoother.streams.session import LiveSession
 from smoother.units import GRAVITY
@@ -263,7 +263,7 @@ class Sound(Playback):
         self.play([arrivals_of(streams)])
         self._session.run(lambda: False)
 
-    def send(self, step: Step) -> None:
+    def send(self, step: LiveStep) -> None:
         """Keep what was answered and said."""
         self.outputs.append(step.output)
         self.events += [(step.output.now_s, text) for text in step.events]

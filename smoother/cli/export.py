@@ -211,7 +211,7 @@ def methods(
     check_outputs(force, [output, json_file], [result])
     recoveries = load_recoveries(result, side, body)
     version, title = read_origin(result)
-    is_simulated = title.lower().startswith("simulated")  # as those of `unocclude simulate` call themselves
+    is_simulated = title.lower().startswith("simulated")  # the title of `unocclude simulate`
     text, figures = methods_section(recoveries, version, title if is_simulated else "")
     if output is None:
         print(text, end="")

@@ -181,7 +181,7 @@ def _is_number(text: str) -> bool:
 
 
 def show(table: Table, most: int | None = None, rest: str = "rows more; --json has them all") -> None:
-    """Print a table that has rows, or at most so many of them; it fits into the terminal.
+    """Print the first `most` rows of a table at the terminal's width; nothing without rows.
 
     Columns of numbers are right-aligned.
     """

@@ -1,4 +1,4 @@
-"""Every method on one recording, held against one truth: errors, consistency, and the lag that is left."""
+"""Every method on one recording, compared with one truth: errors, consistency and remaining lag."""
 
 from __future__ import annotations
 

@@ -58,7 +58,7 @@ def unknown_file(head: FileHead) -> RecordingError:
     if is_video(head.raw):
         return RecordingError(
             f"{head.path} is a video; `unocclude import video {head.path} --model FILE.task` takes it as the"
-            " camera, and `smooth --video` shows it in the report."
+            " camera."
         )
     if head.trouble:
         return RecordingError(head.trouble)

@@ -76,7 +76,7 @@ class Culprit(Enum):
 
 
 @dataclass(frozen=True)
-class Finding:
+class FrameFinding:
     """What a frame says."""
 
     accepted: BoolArray  # bool (5,): joints that are used
@@ -181,13 +181,13 @@ class CameraMonitor:
         accepted: BoolArray,  # bool (5,)
         solution: LagSolution | None,
         signal_since: Callable[[float], DoubtfulSignal],
-    ) -> Finding:
+    ) -> FrameFinding:
         """Which joints of a frame are used, and whether something is wrong."""
         if solution is None:
-            return Finding(accepted)
+            return FrameFinding(accepted)
         accepted = self._with_shoulder(accepted, position, solution)
         if not accepted[_COLUMNS].any():
-            return Finding(accepted)
+            return FrameFinding(accepted)
         if self._is_frozen(t_s, position, accepted, signal_since):
             return self._left_out(t_s, "its joints repeat while the IMU moves", np.inf)
 
@@ -197,7 +197,7 @@ class CameraMonitor:
 
         now = against(solution)
         if now is None:
-            return Finding(accepted)
+            return FrameFinding(accepted)
         first = self._solutions[0] if self._solutions else None
         before, self._count = None, self._count + 1
         if first is not None and self._count % EACH == 0 and t_s - first.newest.t < 2.0 * BEFORE_S:
@@ -225,7 +225,7 @@ class CameraMonitor:
             self.sound_since_s = t_s
         left = accepted.copy()
         left[np.flatnonzero(now.used)[wrong]] = False
-        return Finding(left)
+        return FrameFinding(left)
 
     def _with_shoulder(self, accepted: BoolArray, position: FloatArray, solution: LagSolution) -> BoolArray:
         """Without a shoulder that is not where it was, or of a camera that is left out."""
@@ -260,18 +260,18 @@ class CameraMonitor:
         turning = float(np.linalg.norm(rate[:, 3:], axis=1).max())
         return turning > FROZEN_RATE or float(np.ptp(np.linalg.norm(rate[:, :3], axis=1))) > FROZEN_FORCE
 
-    def _left_out(self, t_s: float, why: str, retract_s: float) -> Finding:
+    def _left_out(self, t_s: float, why: str, retract_s: float) -> FrameFinding:
         """From this frame on the camera takes no part."""
         since_s, self._fits, self._bad, self.sound_since_s = self.since_s, 0, 0, np.inf
         nothing = np.zeros(len(JOINTS), bool)
         if since_s is not None:
             is_over = t_s - since_s > self._limit_s
-            return Finding(nothing, Culprit.TRACKER, _ANEW) if is_over else Finding(nothing)
+            return FrameFinding(nothing, Culprit.TRACKER, _ANEW) if is_over else FrameFinding(nothing)
         self.since_s = t_s
         self._waited.clear()
-        return Finding(nothing, Culprit.CAMERA, f"the camera is left out: {why}", retract_s)
+        return FrameFinding(nothing, Culprit.CAMERA, f"the camera is left out: {why}", retract_s)
 
-    def _waiting(self, t_s: float, now: JointResiduals, accepted: BoolArray) -> Finding:
+    def _waiting(self, t_s: float, now: JointResiduals, accepted: BoolArray) -> FrameFinding:
         """The camera takes no part: does it fit again, or is it time to begin anew?"""
         near_m = max(FITS_M, FITS_SHARE * self._jump_m)
         fits = (now.squared < FITS) & (now.off_m < near_m)
@@ -282,13 +282,13 @@ class CameraMonitor:
             away_s, self.since_s = t_s - self.since_s, None
             self._solutions.clear()
             self._visible_s = t_s
-            return Finding(accepted, Culprit.NOBODY, f"the camera fits again, after {away_s:.1f} s")
+            return FrameFinding(accepted, Culprit.NOBODY, f"the camera fits again, after {away_s:.1f} s")
         nothing = np.zeros(len(JOINTS), bool)
         if _rests(*self._waited[0], *self._waited[-1]):
             self._limit_s = LONGEST_S  # it is not the tracker that strayed
         if t_s - self.since_s > self._limit_s or now.predicted_m > PREDICTED_M:
-            return Finding(nothing, Culprit.TRACKER, _ANEW)
-        return Finding(nothing)
+            return FrameFinding(nothing, Culprit.TRACKER, _ANEW)
+        return FrameFinding(nothing)
 
     def _jumps(self, now: JointResiduals) -> bool:
         """Whether the camera's newest frame leaves its own motion, as no arm does."""
@@ -303,7 +303,7 @@ class CameraMonitor:
         limits = np.maximum(JUMPS_M, JUMPS_SHARE * np.linalg.norm(now.residual[rows], axis=1))
         return bool(np.sum(np.linalg.norm(left, axis=1) > limits) > 0.5 * rows.sum()) or not rows.any()
 
-    def _imu_wrong(self, t_s: float, since_s: float, accepted: BoolArray) -> Finding:
+    def _imu_wrong(self, t_s: float, since_s: float, accepted: BoolArray) -> FrameFinding:
         """The camera's motion is smooth and not what the IMU says: the camera leads."""
         again = since_s < self._doubted_until_s + 2.0
         self._doubt_s = min(2.0 * self._doubt_s, LONGEST_DOUBT_S) if again else DOUBT_S
@@ -311,9 +311,11 @@ class CameraMonitor:
         self._solutions.clear()
         self._bad, self.sound_since_s = 0, np.inf
         sentence = "" if again else _IMU_WRONG
-        return Finding(accepted, Culprit.IMU, sentence, doubt_s=(since_s, self._doubted_until_s), again=again)
+        return FrameFinding(
+            accepted, Culprit.IMU, sentence, doubt_s=(since_s, self._doubted_until_s), again=again
+        )
 
-    def _contradicted(self, t_s: float, first: LagSolution, accepted: BoolArray) -> Finding:
+    def _contradicted(self, t_s: float, first: LagSolution, accepted: BoolArray) -> FrameFinding:
         """The last half second does not fit to the IMU: say who is wrong."""
         frames = [each for each in self._seen if each.before is not None and each.t_s > first.newest.t + 1e-6]
         why = self._camera_fault(frames)

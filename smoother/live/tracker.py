@@ -29,7 +29,7 @@ from ..window.solution import LagSolution, NodeState
 from .answers import LiveState
 from .buffers import ImuBuffer, SkeletonFrame
 from .further_imus import SegmentFollower
-from .monitor import CameraMonitor, Culprit, Finding
+from .monitor import CameraMonitor, Culprit, FrameFinding
 from .signal import BEFORE_S, DoubtfulSignal, LiveSignal, increments_between, propagated
 
 #: A first state is read from this much around it, s.
@@ -150,7 +150,7 @@ class Tracker:
         self.window = LagWindow(priors, self.noise, model.joint_sigma_m, length_s)
         self.signal, self.history = LiveSignal(imu, model.errors.imu), FrameHistory()
         self.monitor, self.further = CameraMonitor(model, self.noise), further
-        self.findings: list[Finding] = []
+        self.findings: list[FrameFinding] = []
         self.left_out: list[float] = []
         self._located = np.array(JOINTS)[located(model.estimate)].tolist()
         self._forces: deque[tuple[float, FloatArray]] = deque()

@@ -1,4 +1,4 @@
-"""Rejects camera samples that call themselves tracked and are wrong, and keeps the reason.
+"""Rejects camera samples that are marked as tracked and are wrong, and keeps the reason.
 
 By what the camera alone says (frozen, interpolated, jump, bone length), by what the inertial attitude says
 (Jatesiktat and Ang 2017, II-J: direction, viewing ray, strap), and by what a first solution leaves

@@ -10,7 +10,7 @@ import numpy as np
 from calib.protocol import Answer
 
 from ..linalg import robust_sigma
-from .sheet import Page, Section, notes, rendered
+from .sheet import Page, PageSection, notes, rendered
 
 if TYPE_CHECKING:
     from ..io.rig.strap import StrapFound
@@ -22,11 +22,11 @@ def calibration_page(title: str, answer: Answer, remarks: Iterable[str] = ()) ->
     return Page(title, subtitle, [answer.sentence], _sections(answer, remarks))
 
 
-def _sections(answer: Answer, remarks: Iterable[str]) -> Iterator[Section]:
-    yield Section("What to record next", sentences=answer.next)
+def _sections(answer: Answer, remarks: Iterable[str]) -> Iterator[PageSection]:
+    yield PageSection("What to record next", sentences=answer.next)
     yield from map(rendered, answer.tables())
-    yield Section("What else was found", sentences=answer.findings)
-    yield Section("What stayed open", sentences=answer.open_questions or ["Nothing stayed open."])
+    yield PageSection("What else was found", sentences=answer.findings)
+    yield PageSection("What stayed open", sentences=answer.open_questions or ["Nothing stayed open."])
     yield notes(remarks)
 
 

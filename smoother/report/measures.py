@@ -18,7 +18,18 @@ from ..evaluation.progress import (
 )
 from ..measures import BothArms, Measure, Measures
 from ..table import Table
-from .sheet import NO_DIAGNOSIS, Html, Page, Section, badge, capitalised, explained, label, limits, rendered
+from .sheet import (
+    NO_DIAGNOSIS,
+    Html,
+    Page,
+    PageSection,
+    badge,
+    capitalised,
+    explained,
+    label,
+    limits,
+    rendered,
+)
 from .style import VISIBLE, dress, interval_bars
 
 
@@ -123,7 +134,7 @@ def _verdict(arms: Sequence[Measures]) -> Iterator[str]:
     yield NO_DIAGNOSIS
 
 
-def _sections(arms: Sequence[Measures], pairs: Sequence[BothArms]) -> Iterator[Section]:
+def _sections(arms: Sequence[Measures], pairs: Sequence[BothArms]) -> Iterator[PageSection]:
     yield _ranges(arms)
     yield _reach(arms)
     yield _by_movement(
@@ -147,7 +158,7 @@ def _sections(arms: Sequence[Measures], pairs: Sequence[BothArms]) -> Iterator[S
     yield explained(words, keys)
 
 
-def _ranges(arms: Sequence[Measures]) -> Section:
+def _ranges(arms: Sequence[Measures]) -> PageSection:
     """The smallest and the largest angle of each joint, each with its interval."""
     figure, names = go.Figure(), []
     for angle in RANGES:
@@ -164,9 +175,9 @@ def _ranges(arms: Sequence[Measures]) -> Section:
             dots = go.Scatter(x=[end.value for end in ends], y=names[-1:] * 2, mode="markers", error_x=bars)
             figure.add_trace(dots.update(marker_color=VISIBLE))
     if not names:
-        return Section()
+        return PageSection()
     figure.update_xaxes(ticksuffix="°", rangemode="tozero").update_yaxes(autorange="reversed")
-    return Section(
+    return PageSection(
         "How far the joints moved",
         "The blue bar goes from the smallest to the largest angle; the dark lines at its ends are their 95 %"
         " intervals.",
@@ -174,7 +185,7 @@ def _ranges(arms: Sequence[Measures]) -> Section:
     )
 
 
-def _reach(arms: Sequence[Measures]) -> Section:
+def _reach(arms: Sequence[Measures]) -> PageSection:
     """What the hand reached, and the volume that it passed through."""
     rows: list[list[object]] = [
         [words, *(reached(arm, key) for arm in arms)]
@@ -190,7 +201,7 @@ def _reach(arms: Sequence[Measures]) -> Section:
     return rendered(Table("Where the hand reached", columns, rows, caption))
 
 
-def _by_movement(arms: Sequence[Measures], key: str, heading: str, caption: str) -> Section:
+def _by_movement(arms: Sequence[Measures], key: str, heading: str, caption: str) -> PageSection:
     """A measure over the movements of each arm, with its intervals."""
     found = {}
     for arm in arms:
@@ -198,7 +209,7 @@ def _by_movement(arms: Sequence[Measures], key: str, heading: str, caption: str)
         if any(row.is_known for row in rows):
             found[capitalised(arm.arm_label) if len(arms) > 1 else ""] = rows
     if not found:
-        return Section()
+        return PageSection()
     most = max(map(len, found.values()))
     if most > MOST_MOVEMENTS:
         caption += f" The first {MOST_MOVEMENTS} of {most} movements are drawn."
@@ -212,10 +223,10 @@ def _by_movement(arms: Sequence[Measures], key: str, heading: str, caption: str)
         figure.update_xaxes(title_text="movement", dtick=max(1, len(rows) // 12))
         title = Html("<h3>{}</h3>").format(name) if name else Html("")
         panels.append((title, dress(figure, 170, head=8, showlegend=False)))
-    return Section(heading, caption, panels=panels)
+    return PageSection(heading, caption, panels=panels)
 
 
-def _table(arms: Sequence[Measures], pairs: Sequence[BothArms]) -> Section:
+def _table(arms: Sequence[Measures], pairs: Sequence[BothArms]) -> PageSection:
     """The main measures; of two arms also whether one clearly has more, and by how much."""
     known = [row.key for arm in arms for row in arm.session if row.is_known and row.key not in REACHED]
     indices = _indices(arms, pairs)
@@ -239,7 +250,7 @@ def _indices(arms: Sequence[Measures], pairs: Sequence[BothArms]) -> dict[str, M
     return pairs[0].by_key if len(arms) == 2 and len(pairs) == 1 and trusted else {}
 
 
-def _limits(arms: Sequence[Measures]) -> Section:
+def _limits(arms: Sequence[Measures]) -> PageSection:
     """What limits the numbers: what is not known and why, what comes from recovered samples."""
     sentences: list[str] = []
     for arm in arms:

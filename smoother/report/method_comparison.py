@@ -15,7 +15,7 @@ from ..evaluation.gaps import GapTable
 from ..measurements.visibility import Gap
 from ..recording import Recording
 from ..table import tabulated
-from .sheet import Page, Section, capitalised, label, notes, rendered
+from .sheet import Page, PageSection, capitalised, label, notes, rendered
 from .style import CAMERA, SHADE, TRUTH, axis_names, curve, dots, dress, interval_bars
 
 #: Colour and plotly dash of each method; strong methods in strong colours.
@@ -81,13 +81,13 @@ def verdict(comparison: Comparison) -> list[str]:
     return [*sentences, f"{comparison.camera_words}."]
 
 
-def sections(comparison: Comparison, recording: Recording) -> Iterator[Section]:
+def sections(comparison: Comparison, recording: Recording) -> Iterator[PageSection]:
     """The sections about one arm."""
     yield from map(rendered, comparison.tables)
     longest = sorted(comparison.gaps, key=lambda gap: -gap.length_s)[:MOST_GAPS]
     for gap in sorted(longest, key=lambda gap: gap.start_s):
         heading = f"Gap at {gap.start_s:.2f} s, {gap.length_s:.2f} s long"
-        yield Section(heading, _CURVES, in_gap(comparison, recording, gap))
+        yield PageSection(heading, _CURVES, in_gap(comparison, recording, gap))
     not_drawn = len(comparison.gaps) - len(longest)
     more = [f"{not_drawn} gaps more are not drawn: the longest are"] if not_drawn else []
     yield notes([*more, *recording.notes, *comparison.notes])
@@ -162,7 +162,7 @@ def gap_curves_page(table: GapTable, name: str, remarks: Sequence[str] = ()) -> 
         f"{gaps} gaps were made where the camera saw the arm, and recovered; compared with {reference}.",
         gap_verdict(spreads),
         [
-            Section("Error against gap length", _GAP_CURVES, curves(spreads)),
+            PageSection("Error against gap length", _GAP_CURVES, curves(spreads)),
             rendered(tabulated("The figures", rows, columns | {"failed": "failed"}, _TABLE)),
             notes(dict.fromkeys((*remarks, *table.notes))),
         ],

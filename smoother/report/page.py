@@ -22,7 +22,7 @@ from ..result.untrusted import untrusted_gaps
 from ..table import Table
 from . import tables, traces
 from .player import player, points
-from .sheet import NOT_TRUSTED, Fold, Html, Page, Section, badge, capitalised, notes, rendered
+from .sheet import NOT_TRUSTED, Fold, Html, Page, PageSection, badge, capitalised, notes, rendered
 from .style import MOST_POINTS, decimate
 from .summary import below, box
 
@@ -62,7 +62,7 @@ def write_arms_report(
     worst_first = sorted(reports, key=lambda each: each.recovery.estimates.trusted is not False)
     first = reports[0]
     if len(reports) == 1:
-        sections: list[Section | Fold] = [*first.first(), Fold(first.details(), has_contents=True)]
+        sections: list[PageSection | Fold] = [*first.first(), Fold(first.details(), has_contents=True)]
     else:
         tags = [
             re.sub("[^a-z0-9]+", "-", tag.lower()) for tag in arm_tags([each.recovery for each in reports])
@@ -89,7 +89,7 @@ def _origin(recovery: Recovery) -> str:
     return f"Times are relative to {start:%Y-%m-%d %H:%M:%S} UTC."
 
 
-def _arms(reports: Sequence[_ArmReport], tags: Sequence[str]) -> Section:
+def _arms(reports: Sequence[_ArmReport], tags: Sequence[str]) -> PageSection:
     rows = [
         (
             Html('<a href="#arm-{}">{}</a>').format(tag, each.name),
@@ -100,7 +100,7 @@ def _arms(reports: Sequence[_ArmReport], tags: Sequence[str]) -> Section:
         )
         for each, tag in zip(reports, tags, strict=True)
     ]
-    return Section(tables=[Table("", ("arm", "gaps", "hidden, s", "trusted", "verdict"), rows)])
+    return PageSection(tables=[Table("", ("arm", "gaps", "hidden, s", "trusted", "verdict"), rows)])
 
 
 def _trusted(recovery: Recovery) -> str:
@@ -112,7 +112,7 @@ def _trusted(recovery: Recovery) -> str:
     return badge(word) if untrusted else word or "–"
 
 
-def _in_motion(reports: Sequence[_ArmReport]) -> Section | None:
+def _in_motion(reports: Sequence[_ArmReport]) -> PageSection | None:
     """The section in which the arms move; None where none has an answer."""
     recoveries = [each.recovery for each in reports]
     reference = _REFERENCE if any(each.truth is not None for each in reports) else ""
@@ -158,23 +158,25 @@ class _ArmReport:
         self.reference = _REFERENCE if self.truth is not None else ""
         self.colours = _colours([self.recovery])
 
-    def first(self) -> Iterator[Section]:
+    def first(self) -> Iterator[PageSection]:
         """What follows the first screen: what to do where the set-up is wrong, and the angles."""
         if not len(self.recovery):
             return
         if self.recovery.estimates.trusted is False:
             sentences = advice(self.recovery, self.estimates)
-            yield Section(f"{self.prefix}What to do", sentences=sentences)
+            yield PageSection(f"{self.prefix}What to do", sentences=sentences)
         yield self._angles()
 
-    def _angles(self) -> Section:
+    def _angles(self) -> PageSection:
         """The joint angles with their bands, and why those that are not there are not."""
         found = joint_angles(self.recovery)
         missing = [f"{a.title}: {found.reasons[a.name]}" for a in found.angles if a.name in found.reasons]
         heading = f"{self.prefix}Joint angles"
         plot = traces.angles(self.recovery, found, self.truth)
         if plot is None:
-            return Section(heading, sentences=missing, below="" if missing else "There is no joint angle.")
+            return PageSection(
+                heading, sentences=missing, below="" if missing else "There is no joint angle."
+            )
         meanings = "; ".join(
             f"{angle.title}: {angle.meaning.removesuffix('.')}"
             for angle in found.angles
@@ -184,13 +186,13 @@ class _ArmReport:
         if self.recovery.trusted.any():
             around = "The band contains 95 of 100 true values; gaps are shaded."
         caption = Html(f"Curves are {self.colours}. {around}{self.reference}")
-        return Section(heading, caption, plot, sentences=missing, below=capitalised(f"{meanings}."))
+        return PageSection(heading, caption, plot, sentences=missing, below=capitalised(f"{meanings}."))
 
-    def details(self) -> Iterator[Section]:
+    def details(self) -> Iterator[PageSection]:
         """All else about the arm, for those who look for it."""
         recovery, validation = self.recovery, self.validation
         if len(recovery) and recovery.estimates.trusted is not False:
-            yield Section("For the next recording", sentences=advice(recovery, self.estimates))
+            yield PageSection("For the next recording", sentences=advice(recovery, self.estimates))
         found = tables.gaps(recovery, validation)
         yield replace(rendered(found), below="" if found.rows else "There is no gap.")
         if validation is not None:
@@ -203,24 +205,26 @@ class _ArmReport:
         if self.estimates is not None:
             yield rendered(tables.camera(self.estimates))
             open_questions = self.estimates.not_determined
-            yield Section("What the recording did not determine", sentences=open_questions)
+            yield PageSection("What the recording did not determine", sentences=open_questions)
         yield rendered(tables.cameras(recovery))
         yield rendered(tables.overview(recovery))
         yield notes([*(self.recording.notes if self.recording is not None else ()), *recovery.notes])
         yield rendered(tables.settings(recovery.config))
 
-    def _against_reference(self, found: Validation) -> Iterator[Section]:
+    def _against_reference(self, found: Validation) -> Iterator[PageSection]:
         heading = found.alignment.titled("Errors against the reference")
         if (
             found.joint_errors.rows
             and found.all.position_rms_m is None
             and found.all.orientation_rms_deg is None
         ):
-            yield Section(
+            yield PageSection(
                 heading, tables.ERRORS, below="The reference has joints only.", sentences=found.notes
             )
         else:
-            yield Section(heading, tables.ERRORS, tables=[found.errors(self.recovery)], sentences=found.notes)
+            yield PageSection(
+                heading, tables.ERRORS, tables=[found.errors(self.recovery)], sentences=found.notes
+            )
         yield from map(rendered, (found.joint_errors, found.gap_errors))
         yield from map(rendered, tables.measured(found))
         if found.angles is not None and found.angles.compared:
@@ -228,7 +232,7 @@ class _ArmReport:
             said = "" if carrying is None else f"Carrying angle of the reference: {carrying:.1f} degrees."
             yield replace(rendered(found.angle_errors, _ANGLES), below=said)
 
-    def _curves(self) -> Iterator[Section]:
+    def _curves(self) -> Iterator[PageSection]:
         decimated = ""
         if len(self.recovery) > MOST_POINTS:
             decimated = (
@@ -237,7 +241,7 @@ class _ArmReport:
             )
         recovery = self.recovery.rows(decimate(self.recovery.occluded))
         shown = points(recovery, self.truth)
-        yield Section(
+        yield PageSection(
             "Coordinates over time",
             Html(
                 f"Curves are {self.colours}; gaps are shaded. Grey dots are the camera's own samples."
@@ -251,14 +255,14 @@ class _ArmReport:
             " The thin line is the true error: 95 % of it should lie below; click on a joint's name for its"
             " error."
         )
-        yield Section(
+        yield PageSection(
             "How certain the answer is",
             "In 95 of 100 cases the error of the sensor's position (in space), and of its orientation, lies"
             " below the curve, as stated by the method. It grows into a gap and falls towards its end."
             + (true if self.truth is not None else ""),
             traces.uncertainty(recovery, self.truth),
         )
-        yield Section(
+        yield PageSection(
             "Camera residuals",
             "Distance between each joint that the camera tracked and the recovered joint. Dots were used in"
             " the solution, crosses were rejected (the reason appears under the pointer). A joint that stays"
@@ -266,7 +270,7 @@ class _ArmReport:
             traces.residuals(recovery),
         )
 
-    def _trust(self) -> Iterator[Section]:
+    def _trust(self) -> Iterator[PageSection]:
         """Whether what is stated holds, against the camera and a reference; which samples were rejected."""
         if self.recovery.estimates.trusted is not False:
             yield rendered(tables.consistency(self.recovery, self.truth))

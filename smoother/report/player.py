@@ -15,7 +15,7 @@ from ..linalg import interpolate, median_rate_hz, unit
 from ..recording import CameraFrame, Truth
 from ..result import Recovery
 from ..result.untrusted import untrusted_times
-from .sheet import Html, Section, data_block
+from .sheet import Html, PageSection, data_block
 from .style import axis_names, decimate
 
 SENSOR = "sensor"
@@ -92,7 +92,7 @@ LARGEST_SIGMA_M = 3.0
 
 def player(
     heading: str, caption: Html, arms: Sequence[tuple[Recovery, Truth | None]], frame: CameraFrame | None
-) -> Section | None:
+) -> PageSection | None:
     """The arms in space as they move; None where no arm has an answer."""
     arms = [(recovery, truth) for recovery, truth in arms if len(recovery) > 1 and recovery.answered.any()]
     if not arms:
@@ -104,7 +104,7 @@ def player(
     at = [float(first.t_s[row]) for hidden in (True, False) for row in instants(first, hidden)]
     view = view_of(points, up, _seen_from(points, up, frame))
     data = data_block({"view": view, "arms": played, "axes": list(axis_names(frame)), "instants": at})
-    return Section(heading, caption, player={"data": data, "switches": list(_switches(played))})
+    return PageSection(heading, caption, player={"data": data, "switches": list(_switches(played))})
 
 
 def played_arm(recovery: Recovery, truth: Truth | None, most_bytes: float) -> dict[str, Any]:

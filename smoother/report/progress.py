@@ -24,7 +24,7 @@ from ..evaluation.progress import (
     worded,
 )
 from ..table import Table, percent
-from .sheet import NO_DIAGNOSIS, Html, Page, Section, badge, explained, label, limits, rendered
+from .sheet import NO_DIAGNOSIS, Html, Page, PageSection, badge, explained, label, limits, rendered
 from .style import BAND, VISIBLE, dress, interval_bars
 
 #: Figures of a page, rows of its table, and sentences of its limits.
@@ -105,7 +105,7 @@ def _standing(progress: PersonProgress) -> str:
     return f"{'; '.join(stand[:3])}{more} {'remain' if len(stand) > 1 else 'remains'} clear"
 
 
-def _sections(progress: PersonProgress) -> Iterator[Section]:
+def _sections(progress: PersonProgress) -> Iterator[PageSection]:
     shown = _shown(progress)
     if shown:
         yield _drawn(progress, shown)
@@ -134,7 +134,7 @@ def _shown(progress: PersonProgress) -> list[Series]:
     return [each for key in keys for each in main if each.key == key][:MOST_FIGURES]
 
 
-def _drawn(progress: PersonProgress, shown: Sequence[Series]) -> Section:
+def _drawn(progress: PersonProgress, shown: Sequence[Series]) -> PageSection:
     """A panel of each measure: its sessions with their intervals, and whether it changed."""
     caption = (
         "One dot per session, with its 95 % interval as a line. The pale band is the interval of the first"
@@ -142,7 +142,7 @@ def _drawn(progress: PersonProgress, shown: Sequence[Series]) -> Section:
     )
     if len(progress.sessions) == 1:
         caption = "The session's value, with its 95 % interval as a line."
-    return Section("The main measures", caption, panels=[_panel(series, progress) for series in shown])
+    return PageSection("The main measures", caption, panels=[_panel(series, progress) for series in shown])
 
 
 def _panel(series: Series, progress: PersonProgress) -> tuple[Html, go.Figure]:
@@ -176,7 +176,7 @@ def _difference(change: Change, unit: str) -> str:
     return f"{text} ({between})" if between else text
 
 
-def _table(progress: PersonProgress, rows: Sequence[Series]) -> Section:
+def _table(progress: PersonProgress, rows: Sequence[Series]) -> PageSection:
     columns = ("measure", "first", "last", "change", "95 % interval", "in words", "recovered")
     cells = []
     for each in rows[:MOST_ROWS]:

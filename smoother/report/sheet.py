@@ -34,7 +34,7 @@ Html = Markup
 
 
 @dataclass
-class Section:
+class PageSection:
     """A heading with a plot, tables, sentences; left out where it has none of them."""
 
     heading: str = ""
@@ -62,7 +62,7 @@ class Section:
 class Fold:
     """Sections that a reader opens; paper has them all."""
 
-    sections: Iterable[Section]
+    sections: Iterable[PageSection]
     words: str = "Details"
     anchor: str = ""
     has_contents: bool = False  # The list of contents stands here
@@ -75,11 +75,11 @@ class Page:
     title: str  # Heading, and the line under it
     subtitle: str
     verdict: Iterable[str]  # Sentences at the top
-    sections: Iterable[Section | Fold]
+    sections: Iterable[PageSection | Fold]
     tone: str = ""  # `ALARM` or `CARE`: the first sentences are in red or amber
     # Tone, large word and sentences of each verdict of the first screen; `verdict` is below it then
     boxes: Sequence[tuple[str, str, list[str]]] = ()
-    beside: Section | None = None  # Beside the boxes
+    beside: PageSection | None = None  # Beside the boxes
 
     def write(self, path: str | os.PathLike[str], force: bool = False) -> None:
         """Write it to a file."""
@@ -87,7 +87,7 @@ class Page:
 
         from .. import __version__
 
-        sections: list[Section | Fold] = []
+        sections: list[PageSection | Fold] = []
         every = [self.beside] if self.beside else []
         for each in self.sections:
             if isinstance(each, Fold):
@@ -150,23 +150,23 @@ def label(text: object) -> str:
     return escape(str(text), quote=False)
 
 
-def rendered(each: Table, caption: str = "") -> Section:
+def rendered(each: Table, caption: str = "") -> PageSection:
     """A table under its title and a caption."""
-    return Section(each.title, caption or each.caption, tables=[each])
+    return PageSection(each.title, caption or each.caption, tables=[each])
 
 
-def notes(sentences: Iterable[str]) -> Section:
+def notes(sentences: Iterable[str]) -> PageSection:
     """The notes at the end of a page."""
     found = list(sentences)
-    return Section("Notes", sentences=found, below="" if found else "There is nothing to note.")
+    return PageSection("Notes", sentences=found, below="" if found else "There is nothing to note.")
 
 
-def limits(sentences: Iterable[str], most: int) -> Section:
-    """What limits the numbers of a page, at most so many sentences."""
+def limits(sentences: Iterable[str], most: int) -> PageSection:
+    """What limits the numbers of a page, at most `most` sentences."""
     every = list(dict.fromkeys(sentences))
     if len(every) > most:
         every = [*every[:most], f"{len(every) - most} sentences more are in --json"]
-    return Section("What limits this", sentences=every or ["Nothing to note"])
+    return PageSection("What limits this", sentences=every or ["Nothing to note"])
 
 
 def _cell(value: object) -> str:
@@ -272,7 +272,7 @@ _OF_MEASURES = {
 }
 
 
-def explained(names: Iterable[str], keys: Sequence[str]) -> Section:
+def explained(names: Iterable[str], keys: Sequence[str]) -> PageSection:
     """A section that explains terms, and those that the keys of some measures need."""
     own = [term for term, start in _OF_MEASURES.items() if any(key.startswith(start) for key in keys)]
-    return Section("The words on this page", terms=[TERMS[name] for name in (*names, *own)])
+    return PageSection("The words on this page", terms=[TERMS[name] for name in (*names, *own)])

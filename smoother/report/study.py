@@ -17,7 +17,7 @@ from ..evaluation.summary import trust_word
 from ..runtime.csv_rows import write_rows
 from ..runtime.outputs import writing
 from ..table import Table, tabulated
-from .sheet import ALARM, NOT_TRUSTED, Html, Page, Section, badge, rendered
+from .sheet import ALARM, NOT_TRUSTED, Html, Page, PageSection, badge, rendered
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -133,7 +133,7 @@ def _duration(seconds: float) -> str:
 
 def _worst(
     rows: Sequence[dict[str, Any]], count: int, persons: Mapping[str, str], path: Path, folder: Path
-) -> Section:
+) -> PageSection:
     """The recordings, each with a link to its report, or to its result where it has none."""
     measured = [each for row in rows for each in row["measures"] or ()]
     keys = first_of([each["key"] for each in measured], MOST_SHOWN)
@@ -215,17 +215,17 @@ def _scaled(value: float | None, factor: float = 1.0) -> str | None:
     return None if value is None or not np.isfinite(value) else f"{factor * value:.3g}"
 
 
-def _notes(recovered: pa.Table) -> Section:
+def _notes(recovered: pa.Table) -> PageSection:
     """The most frequent notes of the results."""
     import pyarrow.compute as pc
 
     texts = pc.list_flatten(recovered["note_texts"].combine_chunks())
     counted = sorted(texts.value_counts().to_pylist(), key=lambda note: (-note["counts"], note["values"]))
     sentences = [f"{note['counts']} x: {note['values']}" for note in counted[:20]]
-    return Section("Notes in the results", sentences=sentences)
+    return PageSection("Notes in the results", sentences=sentences)
 
 
-def _group(measures: list[dict[str, Any]], file: str) -> Section:
+def _group(measures: list[dict[str, Any]], file: str) -> PageSection:
     """Mean, spread and change of each measure over the persons."""
     several = any(each["last"][0] for each in measures)
     columns: dict[str, Callable[[dict[str, Any]], object]] = {"arm": lambda each: each["side"] or None}

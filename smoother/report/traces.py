@@ -39,7 +39,7 @@ MOST_RESIDUALS = 1200
 
 
 def _thinned(chosen: BoolArray, most: int) -> np.ndarray:
-    """Places where something is true, at most so many."""
+    """Places where something is true, at most `most`."""
     index = np.flatnonzero(chosen)
     return index[decimate(np.zeros(len(index), bool), most)]
 

@@ -36,7 +36,7 @@ def large_array(shape: tuple[int, ...], fill: float = np.nan, dtype: DTypeLike =
         return np.asarray(np.memmap(file, kind, "r+", shape=shape))
 
 
-class Column:
+class GatheredRows:
     """Rows of one shape, gathered batch after batch."""
 
     def __init__(self, tail: tuple[int, ...] = (), dtype: DTypeLike = np.float64):

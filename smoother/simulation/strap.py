@@ -158,7 +158,7 @@ DEPTH_LATER_S = 0.002
 
 
 @dataclass(frozen=True)
-class StrapImages:
+class StrapView:
     """A colour image and the depth image after it."""
 
     t_s: float  # Of the colour image, on the camera's clock
@@ -170,7 +170,7 @@ def strap_images(
     simulated: SimulatedArm,
     times: FloatArray,  # (n,) s
     seed: int = 0,
-) -> Iterator[StrapImages]:
+) -> Iterator[StrapView]:
     """Render the arm at some of the camera's times, the strap where the IMU is."""
     rng, truth, measures = np.random.default_rng(seed), simulated.recording.truth, simulated.parameters
     assert truth is not None
@@ -182,7 +182,7 @@ def strap_images(
         noise = StrapImageNoise(rng=rng)
         grey, _ = render(arm, COLOUR, noise)
         _, z = render(arm, DEPTH, noise)
-        yield StrapImages(t, grey, np.nan_to_num(np.rint(1000 * z)).astype(np.uint16))
+        yield StrapView(t, grey, np.nan_to_num(np.rint(1000 * z)).astype(np.uint16))
 
 
 def strap_radius_m(simulated: SimulatedArm) -> float:

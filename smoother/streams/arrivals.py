@@ -147,7 +147,7 @@ class Source(Protocol):
 
 
 @dataclass(frozen=True)
-class Step:
+class LiveStep:
     """A step of an arm, as everything that shows, sends or keeps it gets it."""
 
     arm: int  # Which of the session's
@@ -161,7 +161,7 @@ class Step:
 class Receiver(Protocol):
     """Is sent every step."""
 
-    def send(self, step: Step) -> None:
+    def send(self, step: LiveStep) -> None:
         """Take a step in; never waits for long."""
 
     def close(self) -> None:

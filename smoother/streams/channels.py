@@ -122,7 +122,7 @@ class ImuChannels:
         return cls(axes, units)
 
     def with_gyroscope(self, gyro: ImuChannels, behind: int) -> ImuChannels:
-        """An accelerometer's with a gyroscope's, whose channels come behind so many."""
+        """An accelerometer's with a gyroscope's, whose channels come after `behind` others."""
         axes = {kind: (x + behind, y + behind, z + behind) for kind, (x, y, z) in gyro.axes.items()}
         return ImuChannels({**self.axes, **axes}, {**self.units, **gyro.units})
 

@@ -22,7 +22,7 @@ from ..measurements.visibility import Gap
 from ..recording import JOINTS, JointTracks
 from ..result import Recovery
 from ..runtime.packages import extra_module
-from .arrivals import FrameRows, SourceInfo, Step
+from .arrivals import FrameRows, LiveStep, SourceInfo
 from .origin_gate import LOOPBACK, OriginGate
 
 #: Of a settled answer, the topics with numbers.
@@ -173,7 +173,7 @@ class FoxgloveServer:
         """What is entered in Foxglove under Open connection."""
         return f"ws://{LOOPBACK}:{self._gate.port}"
 
-    def send(self, step: Step) -> None:
+    def send(self, step: LiveStep) -> None:
         """Send what a step answered of an arm, that at most some 30 times per second."""
         messages, output = self._messages[step.arm], step.output
         if self._is_announced and not any(channel.has_sinks() for channel in self._channels.values()):

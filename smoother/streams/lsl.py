@@ -29,7 +29,7 @@ from ..live.answers import LiveEstimate, LiveOutput, LiveState
 from ..recording import JOINTS
 from ..runtime.packages import extra_module
 from ..runtime.pool import prepare_worker, starting_processes
-from .arrivals import SourceInfo, Step
+from .arrivals import LiveStep, SourceInfo
 
 #: Where liblsl looks for settings of the user's own.
 _SETTINGS = (
@@ -201,7 +201,7 @@ class LslSender:
                 "the process that sends --lsl-out cannot be started; --lsl-network sends without one"
             )
 
-    def send(self, step: Step) -> None:
+    def send(self, step: LiveStep) -> None:
         """Send what a step answered, or hand it over; never waits."""
         if self._process is None:
             self._outlets[step.arm].send(step.output)

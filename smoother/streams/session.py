@@ -22,11 +22,11 @@ from .arrivals import (
     Arrivals,
     FrameRows,
     ImuRows,
+    LiveStep,
     Receiver,
     Source,
     SourceInfo,
     StampSteps,
-    Step,
 )
 from .session_figures import SessionFigures
 from .session_recording import SessionRecording
@@ -168,7 +168,7 @@ class LiveSession:
             events += self._recording.events()
         events += output.notes
         arm.figures.event(output.now_s, events)
-        step = Step(number, arrivals, frames, output, arm.figures.step(output), events)
+        step = LiveStep(number, arrivals, frames, output, arm.figures.step(output), events)
         for receiver in self._receivers:
             receiver.send(step)
         if self.source.speed:

@@ -22,7 +22,7 @@ from ..io.recording.streams import ARRIVAL, ORDER, ArmFrames, ImuSamples
 from ..io.recording.write import CAMERA, arm_messages, imu_messages, imu_topic
 from ..recording import JOINTS
 from ..runtime.outputs import check_output, umask
-from .arrivals import SourceInfo, Step
+from .arrivals import LiveStep, SourceInfo
 from .foxglove import LiveMessages
 
 #: What came is written after this long, s: a killed program loses no more.
@@ -75,12 +75,12 @@ class SessionRecording:
         self._flushed_s = -np.inf
         self._write_metadata()
         self._patient, self._has_ended, self._lost = patient, False, 0
-        self._jobs: Queue[Step | threading.Event | None] = Queue(_MOST_WAITING)
+        self._jobs: Queue[LiveStep | threading.Event | None] = Queue(_MOST_WAITING)
         self._events: SimpleQueue[str] = SimpleQueue()
         self._thread = threading.Thread(target=self._work, name="recorder", daemon=True)
         self._thread.start()
 
-    def send(self, step: Step) -> None:
+    def send(self, step: LiveStep) -> None:
         """Write what arrived before a step, and some 30 times per second the pose of the IMU *now*."""
         self._put(step)
 
@@ -95,7 +95,7 @@ class SessionRecording:
         while not (self._has_ended or written.wait(0.02)) and time.monotonic() < until_s:
             pass
 
-    def _put(self, job: Step | threading.Event) -> None:
+    def _put(self, job: LiveStep | threading.Event) -> None:
         if self._has_ended:
             return
         try:
@@ -120,7 +120,7 @@ class SessionRecording:
                         f" `unocclude repair {self.growing} -o {self.path}`"
                     )
 
-    def _write(self, step: Step) -> None:
+    def _write(self, step: LiveStep) -> None:
         arm, origin, outgoing = self._arms[step.arm], self._info.origin_ns, []
         self._notes += step.arrivals.events
         for segment, rows in step.arrivals.imus.items():

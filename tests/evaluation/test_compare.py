@@ -1,4 +1,4 @@
-"""Methods against one truth: order, failures, the lag that is left, the spread over gaps."""
+"""Methods against one truth: order, failures, remaining lag, the spread over gaps."""
 
 from __future__ import annotations
 

@@ -16,7 +16,7 @@ from private_memory import program_output
 
 from smoother.errors import UnoccludeError
 from smoother.runtime import store
-from smoother.runtime.store import Column, large_array
+from smoother.runtime.store import GatheredRows, large_array
 
 LARGE = (300_000, 3)
 
@@ -38,10 +38,10 @@ def test_memory_stays_flat():
     program = """
 import numpy as np
 from private_memory import PrivatePeak
-from smoother.runtime.store import Column, large_array
+from smoother.runtime.store import GatheredRows, large_array
 peak = PrivatePeak()
 begin = peak.mb()
-arrays, gathered = [large_array((1_000_000, 4)), large_array((1_000_000, 4), 0.0)], Column((4,))
+arrays, gathered = [large_array((1_000_000, 4)), large_array((1_000_000, 4), 0.0)], GatheredRows((4,))
 for start in range(0, 1_000_000, 50_000):
     for array in arrays:
         array[start:start + 50_000] = start
@@ -72,13 +72,13 @@ def test_space_is_reserved_or_refused_before_it_is_mapped():
 import resource, signal
 import numpy as np
 from smoother.errors import UnoccludeError
-from smoother.runtime.store import Column, large_array
+from smoother.runtime.store import GatheredRows, large_array
 signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
 resource.setrlimit(resource.RLIMIT_FSIZE, (1 << 22, 1 << 22))
 for make in (
     lambda: large_array((1_000_000,), 0.0),
     lambda: large_array((1_000_000,)),
-    lambda: Column().append(np.zeros(1_000_000)),
+    lambda: GatheredRows().append(np.zeros(1_000_000)),
 ):
     try:
         make()
@@ -100,6 +100,6 @@ def test_without_fallocate_files_are_written(monkeypatch: pytest.MonkeyPatch):
 
 def test_folder_that_cannot_be_used_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path / "missing"))
-    for make in (lambda: large_array(LARGE), lambda: Column((3,)).append(np.zeros(LARGE))):
+    for make in (lambda: large_array(LARGE), lambda: GatheredRows((3,)).append(np.zeros(LARGE))):
         with pytest.raises(UnoccludeError, match=r"No temporary files can be made in .*missing"):
             make()

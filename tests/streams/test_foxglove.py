@@ -20,7 +20,7 @@ from smoother.errors import UnoccludeError
 from smoother.io import write_recording
 from smoother.io.wire.schemas import message_class
 from smoother.measurements.visibility import Gap
-from smoother.streams.arrivals import Step
+from smoother.streams.arrivals import LiveStep
 from smoother.streams.foxglove import LiveMessages
 from smoother.streams.origin_gate import OriginGate, is_allowed
 from smoother.streams.replay import Replay
@@ -38,7 +38,7 @@ class Kept(list):
 
 
 @pytest.fixture
-def played(tmp_path) -> tuple[Replay, Step]:
+def played(tmp_path) -> tuple[Replay, LiveStep]:
     """A source, and the last step of it: its frames, a gap that ended, and an event."""
     write_recording(make(6.0), tmp_path / "original.mcap")
     source, kept = Replay(tmp_path / "original.mcap", speed=0.0), Kept()

@@ -58,7 +58,7 @@ def told_behind(notes: Sequence[str]) -> str:
     return f" {text[:1].upper()}{text[1:]}" if text else ""
 
 
-#: This many damages have a sentence of their own; so many names are listed.
+#: This many damages have a sentence of their own; this many names are listed.
 _MOST = 6
 #: Names in messages are cut to this length.
 _LONGEST_NAME = 80
@@ -95,7 +95,7 @@ def sentences(damage: Sequence[Damage], zero_ns: int | None) -> list[str]:
 
 
 def listed(counts: Mapping[str, int], of: Mapping[str, int] | None = None) -> str:
-    """Messages by topic, for a sentence; `of` so many where that is known."""
+    """Messages by topic, for a sentence; `of` is their total where it is known."""
     names = sorted(counts)
     texts = [
         f"{counts[name]} of {'' if of is None else f'{of[name]} of '}{plain_name(name)}"

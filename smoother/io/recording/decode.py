@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from ...array_types import FloatArray, IntArray
 from ...recording import JOINTS, CameraFrame, JointState
-from ...runtime.store import Column, batches, large_array, sampled
+from ...runtime.store import GatheredRows, batches, large_array, sampled
 from ..mcap.messages import Messages, Topic, ros_stamps
 from ..wire import cdr
 from ..wire import protobuf_decode as proto
@@ -55,7 +55,7 @@ class PlainDecoder:
     kind: str  # Of `_COLUMNS`
     grouper: Grouper  # Sorts its messages by layout
     frame_id: str = ""
-    _gathered: list[Column] = field(default_factory=list)
+    _gathered: list[GatheredRows] = field(default_factory=list)
 
     def feed(self, messages: Messages) -> None:
         """Take a batch of messages."""
@@ -68,7 +68,7 @@ class PlainDecoder:
             parts.append((index, stamp, log_ns - stamp, *columns))
         for column, values in enumerate(in_order(parts)):
             if column == len(self._gathered):
-                self._gathered.append(Column(values.shape[1:], values.dtype))
+                self._gathered.append(GatheredRows(values.shape[1:], values.dtype))
             self._gathered[column].append(values)
 
     def _column(self, block: Block, layout: MessageLayout, ros: str, name: str, letters: str) -> FloatArray:
@@ -142,9 +142,9 @@ class JointRows:
     """Joints in messages, gathered over a recording: a row is one joint of an arm in one message."""
 
     def __init__(self) -> None:
-        self._message, self._body = Column((), np.int64), Column((), np.int64)
-        self._codes = Column((3,), np.int8)  # side, joint, state
-        self._position = Column((3,))
+        self._message, self._body = GatheredRows((), np.int64), GatheredRows((), np.int64)
+        self._codes = GatheredRows((3,), np.int8)  # side, joint, state
+        self._position = GatheredRows((3,))
         self._arms: set[tuple[int, int]] = set()
 
     def add(
@@ -225,7 +225,11 @@ class JointDecoder:
     camera_frame: CameraFrame | None = None
 
     def __post_init__(self) -> None:
-        self._rows, self._stamps, self._logs = JointRows(), Column((), np.int64), Column((), np.int64)
+        self._rows, self._stamps, self._logs = (
+            JointRows(),
+            GatheredRows((), np.int64),
+            GatheredRows((), np.int64),
+        )
 
     def feed(self, messages: Messages) -> None:
         """Take a batch of messages."""

@@ -79,7 +79,7 @@ def stated_estimates(metadata: Mapping[str, Mapping[str, str]]) -> dict[str, Est
 
 
 def read_origin(path: str | os.PathLike[str]) -> tuple[str, str]:
-    """The version that wrote a result, and what the recording inside calls itself; "" where not stated."""
+    """The version that wrote a result, and the recording's title; "" where not stated."""
     container = Container(path).skimmed()
     version = ""
     for name, values in container.metadata.items():

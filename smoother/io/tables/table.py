@@ -86,7 +86,7 @@ def begins(*marks: bytes) -> Callable[[FileHead], bool]:
 
 
 def read_bytes(path: Path, most: int = -1) -> bytes:
-    """The bytes of a file, or so many of them."""
+    """The bytes of a file, or the first of them."""
     check_input(path, RecordingError)
     try:
         with path.open("rb") as stream:
@@ -486,7 +486,7 @@ def _end_notes(
     ]
 
 
-#: So many rows before show that a number is cut off, and so many where the whole table is refused for it.
+#: Rows before it that show that a number is cut off; the second where the whole table is refused for it.
 _FEWEST, _FEWEST_STRICT = 3, 20
 
 
