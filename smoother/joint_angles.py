@@ -49,26 +49,6 @@ def recovery_angles(recovery: Recovery) -> dict[str, FloatArray]:
     return arm_angles(recovery.joints, len(recovery), R_K_F, recovery.side, recovery.gravity_direction)
 
 
-def elbow_flexion_sigma(recovery: Recovery) -> FloatArray:  # -> (N,) deg
-    """Standard deviation of the elbow's flexion (N,), degrees; nan where it is not known."""
-    joints = recovery.joints
-    if not {"shoulder", "elbow", "wrist"} <= set(joints) or "shoulder" not in recovery.joint_covariance:
-        return np.full(len(recovery), np.nan)
-    upper, fore = joints["shoulder"] - joints["elbow"], joints["elbow"] - joints["wrist"]
-    along, across = unit(upper), unit(fore)
-    cosine = np.einsum("ni,ni->n", along, across)[:, None]
-    # the angle grows as either direction turns away from the other, in the plane of both
-    of_shoulder = -unit(across - cosine * along) / np.linalg.norm(upper, axis=1)[:, None]
-    of_fore = -unit(along - cosine * across) / np.linalg.norm(fore, axis=1)[:, None]
-    at_elbow = joints["elbow"] - recovery.position
-    # (position, rotation) of the IMU move elbow and shoulder's difference, and turn the forearm
-    by_turn = np.cross(fore, of_fore) - np.cross(at_elbow, of_shoulder)
-    by_pose = np.concatenate([-of_shoulder, by_turn], axis=1)
-    variance = np.einsum("ni,nij,nj->n", by_pose, recovery.pose_covariance, by_pose)
-    variance += np.einsum("ni,nij,nj->n", of_shoulder, recovery.joint_covariance["shoulder"], of_shoulder)
-    return np.degrees(np.sqrt(variance))
-
-
 def elbow_bend(recovery: Recovery) -> FloatArray | None:  # -> (N, 3) rad
     """The rotation that bends the straight arm, (N, 3), rad, in the IMU's axes {A}; its length is flexion."""
     joints = recovery.joints

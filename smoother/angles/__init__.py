@@ -3,6 +3,17 @@
 from __future__ import annotations
 
 from .definitions import JOINT_ANGLES, JointAngle
-from .table import AngleTable, JointAngles, joint_angles
+from .found import angles_by_joints, shoulder_angles
+from .mounting import ForearmMounting, forearm_mounting
+from .table import AngleTable, joint_angles
 
-__all__ = ["JOINT_ANGLES", "AngleTable", "JointAngle", "JointAngles", "joint_angles"]
+__all__ = [
+    "JOINT_ANGLES",
+    "AngleTable",
+    "ForearmMounting",
+    "JointAngle",
+    "angles_by_joints",
+    "forearm_mounting",
+    "joint_angles",
+    "shoulder_angles",
+]

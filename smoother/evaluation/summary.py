@@ -7,11 +7,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..angles import ForearmMounting, angles_by_joints
+from ..angles.definitions import ELBOW_FLEXION
 from ..array_types import BoolArray, FloatArray, IntArray
 from ..body import SEGMENTS
 from ..calibration import LeverArm
 from ..error_radius import error_radius, pooled_radius
-from ..joint_angles import elbow_flexion_sigma
 from ..measurements.visibility import Gap
 from ..result import Estimates, GapVerdict, Recovery
 
@@ -77,12 +78,13 @@ def gap_summaries(recovery: Recovery) -> list[GapSummary]:
         start = int(np.searchsorted(recovery.t_s, gap.start_s, "left"))
         stop = int(np.searchsorted(recovery.t_s, gap.end_s, "right"))
         inside = recovery.rows(slice(start, stop))
+        flexion = angles_by_joints(inside, ForearmMounting(None), [ELBOW_FLEXION.name])
         summaries.append(
             GapSummary(
                 gap,
                 _largest(inside.worst_sigma_m),
                 _largest(inside.sigma_deg),
-                _largest(elbow_flexion_sigma(inside)),
+                _largest(flexion[1][ELBOW_FLEXION.name]),
                 float(inside.answered.mean()) if len(inside) else 0.0,
                 verdict,
                 _largest(inside.error_95_m),

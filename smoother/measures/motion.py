@@ -8,11 +8,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from ..angles import shoulder_angles
 from ..array_types import BoolArray, FloatArray
 from ..joint_angles import defined, elbow_bend, recovery_angles, torso_axes
 from ..linalg import by_columns, interpolate, median_rate_hz, nearest, runs
 from ..result import Recovery
-from ..shoulder_angles import shoulder_angles, trunk_angles
 from .measure import Smoothing
 
 #: Samples further apart than this, in periods, do not belong to one run.
@@ -218,8 +218,10 @@ def _angles(recovery: Recovery) -> tuple[dict[str, FloatArray], dict[str, str]]:
     measured = {name: np.where(good[name], angles[name], np.nan) for name in angles}
     if recovery.upper is not None:  # the upper arm's own IMU shows its turning for a straight elbow, too
         own, _ = shoulder_angles(recovery)
-        to_trunk, _ = trunk_angles(recovery)
-        own = {name: values for name, values in (own | to_trunk).items() if np.isfinite(values).any()}
+        if recovery.trunk is not None:
+            to_trunk, _ = shoulder_angles(recovery, recovery.trunk)
+            own |= {f"{name}_trunk": values for name, values in to_trunk.items()}
+        own = {name: values for name, values in own.items() if np.isfinite(values).any()}
         for name, values in own.items():
             elevation = own[f"shoulder_elevation{'_trunk' if name.endswith('_trunk') else ''}"]
             with np.errstate(invalid="ignore"):

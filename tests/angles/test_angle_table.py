@@ -14,7 +14,7 @@ from made_results import recovery
 from scipy.spatial.transform import Rotation
 
 from smoother.angles import JOINT_ANGLES
-from smoother.angles.skeleton import UPPER_ARM_SHARE, direction_variance
+from smoother.angles.found import UPPER_ARM_SHARE, direction_variance
 from smoother.array_types import FloatArray
 from smoother.calibration import ArmCalibration, LeverArm, SegmentMounting
 from smoother.io.export.csv import export_csv
@@ -310,7 +310,7 @@ def test_known_angles(side: str) -> None:
 def test_sigma_is_that_of_drawn_errors(monkeypatch: pytest.MonkeyPatch) -> None:
     """Turns of both IMUs and of the forearm's roll, drawn 4000 times: a standard deviation to 2.3 %."""
     sigma_rad, count, rng = 0.02, 4000, np.random.default_rng(1)
-    monkeypatch.setattr("smoother.angles.forearm_mounting.CALIBRATED_DEG", 3.0)  # 15 are not quite linear
+    monkeypatch.setattr("smoother.angles.mounting.CALIBRATED_DEG", 3.0)  # 15 are not quite linear
     made = arm_with_hand(np.full(1, 40.0), np.full(1, 15.0), sigma_rad=sigma_rad)
     table = made.angles()
     many = made.rows(np.zeros(count, int))

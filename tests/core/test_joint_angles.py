@@ -10,12 +10,13 @@ from arms import make_recording, make_recovery
 from made_results import recovery as made_recovery
 from scipy.spatial.transform import Rotation
 
+from smoother.angles import ForearmMounting, angles_by_joints, shoulder_angles
+from smoother.angles.found import SHOULDER_NAMES
 from smoother.calibration import ArmCalibration, SegmentMounting
 from smoother.joint_angles import (
     ANGLES,
     arm_angles,
     defined,
-    elbow_flexion_sigma,
     forearm_axes,
     torso_axes,
     wrapped_deg,
@@ -23,7 +24,6 @@ from smoother.joint_angles import (
 from smoother.linalg import unit
 from smoother.result import Recovery
 from smoother.result.segment_motion import SegmentMotion
-from smoother.shoulder_angles import SHOULDER_ANGLES, shoulder_angles
 
 DOWN = np.array([0.0, -1.0, 0.0])  # a level Kinect: x to the camera's left, y up, z away from it
 RIGHT_OF_PERSON, UP, TO_CAMERA = np.eye(3)[0], np.eye(3)[1], -np.eye(3)[2]
@@ -191,7 +191,7 @@ def test_sigmas_are_the_spread_of_turned_arms() -> None:
     axes = (noise * R).as_matrix()
     angles, sigmas = shoulder_angles(recovery(axes[:, :, 1], axes[:, :, 2], sigma_rad=sigma))
     exact, _ = shoulder_angles(recovery(R.as_matrix()[None, :, 1], R.as_matrix()[None, :, 2]))
-    for name in SHOULDER_ANGLES:
+    for name in SHOULDER_NAMES:
         spread = np.sqrt(np.mean(wrapped_deg(angles[name] - exact[name][0]) ** 2))
         assert np.median(sigmas[name]) == pytest.approx(spread, rel=0.15)  # 600 samples: 3 % one sigma
 
@@ -249,13 +249,17 @@ def bent_arms(seed: int = 0) -> Recovery:
     )
 
 
+def flexion_sigma(made: Recovery) -> np.ndarray:
+    return angles_by_joints(made, ForearmMounting(None), ["elbow_flexion"])[1]["elbow_flexion"]
+
+
 def test_either_error_alone() -> None:
     """A shoulder off by s across the humerus, and a forearm turned by an angle about the elbow's axis."""
     made = bent_arms()
     upper = 0.30
     nothing, shoulder = np.zeros((COUNT, 6, 6)), np.tile(SHOULDER_M**2 * np.eye(3), (COUNT, 1, 1))
     off = replace(made, pose_covariance=nothing, joint_covariance={"shoulder": shoulder})
-    np.testing.assert_allclose(elbow_flexion_sigma(off), np.degrees(SHOULDER_M / upper), rtol=1e-6)
+    np.testing.assert_allclose(flexion_sigma(off), np.degrees(SHOULDER_M / upper), rtol=1e-6)
     turned = nothing.copy()
     turned[:, 3:, 3:] = TURN_RAD**2 * np.eye(3)
     about_the_elbow = replace(
@@ -264,7 +268,7 @@ def test_either_error_alone() -> None:
         pose_covariance=turned,
         joint_covariance={"shoulder": np.zeros((COUNT, 3, 3))},
     )
-    np.testing.assert_allclose(elbow_flexion_sigma(about_the_elbow), np.degrees(TURN_RAD), rtol=1e-6)
+    np.testing.assert_allclose(flexion_sigma(about_the_elbow), np.degrees(TURN_RAD), rtol=1e-6)
 
 
 @pytest.mark.parametrize("missing", ["shoulder", "elbow", "wrist", "sigma", "sample"])
@@ -277,4 +281,4 @@ def test_without_what_it_rests_on_it_is_not_known(missing: str) -> None:
         "sample": {"pose_covariance": pose},
     }.get(missing, {"joints": {name: at for name, at in made.joints.items() if name != missing}})
     unknown = [3] if missing == "sample" else list(range(COUNT))
-    assert np.flatnonzero(np.isnan(elbow_flexion_sigma(replace(made, **changes)))).tolist() == unknown
+    assert np.flatnonzero(np.isnan(flexion_sigma(replace(made, **changes)))).tolist() == unknown

@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from smoother.angles import shoulder_angles
 from smoother.io.recording.names import role, role_among
 from smoother.io.recording.streams import ImuSamples
 from smoother.joint_angles import arm_angles, wrapped_deg
 from smoother.linalg import interpolate
 from smoother.recording import JOINTS, ImuStream, Recording
 from smoother.result import Recovery
-from smoother.shoulder_angles import shoulder_angles
 from smoother.simulation import ArmSimulation, SimulatedArm, simulate_arm
 from smoother.smoothing import smooth
 

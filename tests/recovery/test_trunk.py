@@ -10,6 +10,7 @@ import pytest
 from made_results import recovery as made_recovery
 from scipy.spatial.transform import Rotation
 
+from smoother.angles import shoulder_angles
 from smoother.array_types import FloatArray
 from smoother.io import read_recovery, write_recovery
 from smoother.linalg import unit
@@ -19,7 +20,6 @@ from smoother.recovery.trunk import with_trunk
 from smoother.recovery.trunk_by_shoulders import LEAN_RAD, trunk_by_shoulders
 from smoother.result import Recovery
 from smoother.result.segment_motion import SegmentMotion
-from smoother.shoulder_angles import trunk_angles
 from smoother.simulation import ArmSimulation, SimulatedArm, simulate_arm
 
 
@@ -106,11 +106,11 @@ def test_sigma_holds(made: SimulatedArm, recovery: Recovery) -> None:
 
 def test_angles_of_the_shoulder_follow_the_trunk(made: SimulatedArm, recovery: Recovery) -> None:
     assert made.trunk_motion is not None and recovery.trunk is not None and recovery.upper is not None
-    angles, sigmas = trunk_angles(recovery)
+    angles, sigmas = shoulder_angles(recovery, recovery.trunk)
     true = made.trunk_motion.thorax(recovery.t_s)
     known = replace(recovery.trunk, quaternion=Rotation.from_matrix(true).as_quat(scalar_first=True))
-    truth, _ = trunk_angles(replace(recovery, trunk=known))
-    raised = (truth["shoulder_elevation_trunk"] > 25.0) & (truth["shoulder_elevation_trunk"] < 155.0)
+    truth, _ = shoulder_angles(recovery, known)
+    raised = (truth["shoulder_elevation"] > 25.0) & (truth["shoulder_elevation"] < 155.0)
     assert raised.mean() > 0.3
     for name, angle in angles.items():
         off = (angle - truth[name] + 180.0) % 360.0 - 180.0
@@ -122,7 +122,7 @@ def test_angles_of_the_shoulder_follow_the_trunk(made: SimulatedArm, recovery: R
     along = unit(humerus["shoulder"] - humerus["elbow"])
     to_room = np.degrees(np.arccos(np.clip(along @ up, -1, 1)))
     to_trunk = np.degrees(np.arccos(np.clip(np.einsum("ni,ni->n", along, true[:, :, 1]), -1, 1)))
-    off = angles["shoulder_elevation_trunk"]
+    off = angles["shoulder_elevation"]
     assert np.sqrt(np.nanmean((off - to_trunk) ** 2)) < 0.8 * np.sqrt(np.nanmean((off - to_room) ** 2))
 
 

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ...angles import JointAngles
+from ...angles import ForearmMounting, forearm_mounting, joint_angles
 from ...array_types import FloatArray, IntArray
 from ...linalg import median_rate_hz
 from ...measurements.visibility import Gap
@@ -41,7 +41,7 @@ def recovery_streams(
     """The messages of one recovery; the joints of the camera are those that it ever has, unless stated."""
     rates = [median_rate_hz(t) if len(t) > 1 else PICTURES_HZ for t in (recovery.t_s, recovery.arm.t_s)]
     step = max(round(rates[0] / rates[1]), 1) if np.isfinite(rates).all() and rates[1] > 0.0 else 1
-    each = _Streams(output, suffix, frame_id, shift, JointAngles(recovery), recovery.origin_ns)
+    each = _Streams(output, suffix, frame_id, shift, forearm_mounting(recovery), recovery.origin_ns)
     some = recovery.rows(slice(None, None, step))
     present = joints_there(recovery.arm.state) if camera_joints is None else list(camera_joints)
     return [
@@ -59,10 +59,16 @@ class _Streams:
     """The streams of one recovery; what each of them needs."""
 
     def __init__(
-        self, output: Output, suffix: str, frame_id: str, shift: int, angles: JointAngles, origin_ns: int
+        self,
+        output: Output,
+        suffix: str,
+        frame_id: str,
+        shift: int,
+        mounting: ForearmMounting,
+        origin_ns: int,
     ):
         self.output, self.suffix, self.frame_id, self.shift = output, suffix, frame_id, shift
-        self.angles, self.origin_ns = angles, origin_ns
+        self.mounting, self.origin_ns = mounting, origin_ns
         self.body = "forearm_imu" + suffix.replace("/", "_")
         self.name = f"arm{suffix.replace('/', '_')}"
 
@@ -198,12 +204,9 @@ class _Streams:
 
     def joint_states(self, r: Recovery) -> Iterator[OutputStream]:
         """The joint angles that are known at a sample, and behind them their sigmas, rad."""
-        parts, names = [], []
-        for batch in r.batches():
-            values, sigmas = self.angles.at(batch)
-            names = [*values, *(f"{name}_sigma" for name in sigmas)]
-            parts.append(np.column_stack([*values.values(), *sigmas.values()]))
-        table = np.radians(np.concatenate(parts)) if parts else np.empty((0, 0))
+        angles = joint_angles(r, self.mounting)
+        names = [*angles.values, *(f"{name}_sigma" for name in angles.sigmas)]
+        table = np.radians(np.column_stack([*angles.values.values(), *angles.sigmas.values()]))
         side = f"_{r.side}" if r.side else ""
         stamp = self._stamps(r.t_s)
         for pattern, rows in alike(np.isfinite(table)):  # samples with the same ones are written alike

@@ -1,0 +1,224 @@
+"""Elbow, shoulder, forearm and wrist from joints and IMUs, each angle with its sigma.
+
+Sigma is by first-order propagation: how the angles change with a small shift or turn of what they are
+computed from (`slopes`), times what that is off by. The shoulder's errors are treated as independent of the
+IMU's, as a recovery keeps no covariance between them; of what both add up to, a measured part counts
+(`UPPER_ARM_SHARE`). With an IMU on the upper arm the humerus turns with it, so that its rotation is there for
+a straight elbow as well: the axis of elbow flexion is then the mean over the recording, seen from the IMU
+(`ArmCalibration.R_U_B`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from ..array_types import FloatArray
+from ..body import HAND
+from ..calibration import LeverArm
+from ..joint_angles import arm_angles, forearm_axes, wrapped_deg
+from ..linalg import rotate_covariance, skew
+from ..result import Recovery
+from ..result.segment_motion import TrunkMotion
+from .definitions import (
+    ELBOW_FLEXION,
+    PRONATION,
+    SHOULDER,
+    SHOULDER_ELEVATION,
+    SHOULDER_PLANE,
+    WRIST,
+)
+from .mounting import ForearmMounting
+
+Angles = dict[str, FloatArray]
+#: Values and sigmas (N,), degrees, by the angles' names; nan where not known.
+Found = tuple[Angles, Angles]
+
+#: How far skin and strap turn the IMU on the forearm, rad per axis (2.3 degrees rms about all three on
+#: realistic simulated arms; real straps turn by 1 to 3).
+STRAP_RAD = np.radians(1.1)
+#: What an upper arm's direction is off by, as a part of the variance that shoulder and elbow state together.
+#: What all of a camera's joints are off by turns no arm, and slow noise is stated as white noise of the
+#: same long-run size; no covariance between joints is kept that would determine it. On simulated arms it is
+#: 0.28 (`azure`), 0.46 (`realistic`) and 0.5 (`white`).
+UPPER_ARM_SHARE = 0.5
+#: A forearm's length where the lever arms do not give it, m.
+FOREARM_M = 0.25
+#: An angle that may be anything is off by this at most, degrees.
+MOST_SIGMA_DEG = 180.0
+#: Step of the differences that slopes are, rad or m: errors of rounding and of the curvature are alike there.
+STEP = 1e-7
+#: A hand that points along the thumb's axis has no flexion (cosine).
+STEEP = 0.05
+#: The thorax's own axes: down, and where it faces (ISB).
+DOWN_T, FORWARD_T = np.array([0.0, -1.0, 0.0]), np.array([1.0, 0.0, 0.0])
+SHOULDER_NAMES = tuple(angle.name for angle in SHOULDER)
+NAMES = (ELBOW_FLEXION.name, *SHOULDER_NAMES, PRONATION.name)
+
+
+def slopes(angles_of: Callable[[FloatArray], FloatArray], at: FloatArray) -> FloatArray:
+    """Derivatives (m, N, 3) of angles (m, N), degrees, by a shift or turn (3,) that `angles_of` applies."""
+    return np.stack([wrapped_deg(angles_of(STEP * axis) - at) / STEP for axis in np.eye(3)], axis=2)
+
+
+def variances(slope: FloatArray, covariance: FloatArray) -> FloatArray:
+    """Variances (m, N) of angles by their slopes (m, N, k) and covariances (N, k, k)."""
+    return np.asarray(((slope[:, :, None] @ covariance)[:, :, 0] * slope).sum(axis=2))
+
+
+def _found(names: Sequence[str], values: FloatArray, variance: FloatArray) -> Found:
+    """By names; sigmas of half a turn at most, and none without a value."""
+    sigma = np.where(
+        np.isfinite(values), np.minimum(np.sqrt(np.maximum(variance, 0.0)), MOST_SIGMA_DEG), np.nan
+    )
+    return dict(zip(names, values, strict=True)), dict(zip(names, sigma, strict=True))
+
+
+def _nothing(names: Sequence[str], count: int) -> Found:
+    nothing = {name: np.full(count, np.nan) for name in names}
+    return nothing, dict(nothing)
+
+
+def angles_by_joints(
+    arm: Recovery,
+    mounting: ForearmMounting,
+    names: Sequence[str] = NAMES,
+    trunk: TrunkMotion | None = None,
+) -> Found:
+    """As the joints and the forearm's IMU have them, the thorax upright or as it was found."""
+    if not {"shoulder", "elbow"} <= set(arm.joints):
+        return _nothing(names, len(arm))
+    elbow = np.asarray(arm.joints["elbow"])
+    upper = np.asarray(arm.joints["shoulder"]) - elbow
+    fore = arm.joints["wrist"] - elbow if "wrist" in arm.joints else np.full_like(elbow, np.nan)
+    R_K_F = None if mounting.R_F_A is None else forearm_axes(np.asarray(arm.quaternion), mounting.R_F_A)
+    thorax = None if trunk is None else forearm_axes(np.asarray(trunk.quaternion), np.eye(3))
+
+    def moved(apart: FloatArray, turn: FloatArray) -> FloatArray:
+        turned = np.eye(3) + skew(turn)
+        bones = {"shoulder": upper + apart, "elbow": np.zeros_like(upper), "wrist": fore @ turned.T}
+        if thorax is None:
+            axes = None if R_K_F is None else turned @ R_K_F
+            angles = arm_angles(bones, len(upper), axes, arm.side, arm.gravity_direction)
+        else:
+            bones = {joint: np.einsum("nji,nj->ni", thorax, bone) for joint, bone in bones.items()}
+            angles = arm_angles(bones, len(upper), None, arm.side, DOWN_T, forward=FORWARD_T)
+        return np.stack([angles[name] for name in names])
+
+    none = np.zeros(3)
+    values = moved(none, none)
+    if "shoulder" not in arm.joint_covariance:
+        return _found(names, values, np.full_like(values, np.nan))
+    apart, turn = slopes(lambda by: moved(by, none), values), slopes(lambda by: moved(none, by), values)
+    # flexion keeps what is common to its bones: all that they state counts, and the strap turns neither
+    of_elbow = np.array([name == ELBOW_FLEXION.name for name in names])
+    share = np.where(of_elbow, 1.0, UPPER_ARM_SHARE)[:, None]
+    # The pose moves the elbow, whose error counts in part as the shoulder's does, and turns the forearm.
+    turned = np.cross(apart, elbow - arm.position)
+    by_pose = np.sqrt(share)[:, :, None] * np.concatenate([-apart, turned], axis=2)
+    by_pose[:, :, 3:] += turn
+    variance = variances(by_pose, np.asarray(arm.pose_covariance))
+    variance += share * variances(apart, np.asarray(arm.joint_covariance["shoulder"]))
+    variance += np.where(of_elbow, 0.0, direction_variance(arm))[:, None] * (turn**2).sum(axis=2)
+    if trunk is not None and thorax is not None:  # its turn is one of the whole arm the other way round
+        of_trunk = trunk.covariance + rotate_covariance(thorax, np.diag(trunk.mount_sigma_rad**2))
+        variance += variances(np.cross(upper, apart) + turn, of_trunk)
+    if PRONATION.name in names:
+        variance[names.index(PRONATION.name)] += mounting.roll_sigma_deg**2
+    if SHOULDER_ELEVATION.name in names:  # what it has of the error across it, by the sigma of the plane
+        row = names.index(SHOULDER_ELEVATION.name)
+        sine = np.maximum(np.abs(np.sin(np.radians(values[row]))), 1e-9)
+        across = np.minimum(np.radians(np.sqrt(variance[names.index(SHOULDER_PLANE.name)])) * sine, 1.0)
+        variance[row] += np.degrees(np.minimum(0.5 * across**2 / sine, across)) ** 2
+    return _found(names, values, variance)
+
+
+def direction_variance(arm: Recovery) -> float:
+    """How far the forearm's direction may be off in the IMU's axes, rad^2 per axis."""
+    levers = {} if arm.calibration is None else arm.calibration.lever_arms
+    if "elbow" not in levers or "wrist" not in levers:
+        return float(STRAP_RAD**2)
+    elbow, wrist = levers["elbow"], levers["wrist"]
+    own = [float(np.mean(lever.sigma_m**2)) for lever in (elbow, wrist)]
+    common = min((arm.estimates.joint_bias_sigma_m or 0.0) ** 2, *own)
+    length = float(np.linalg.norm(wrist.position_m - elbow.position_m)) or FOREARM_M
+    return float((sum(own) - 2.0 * common) / length**2 + STRAP_RAD**2)
+
+
+def shoulder_angles(arm: Recovery, trunk: TrunkMotion | None = None) -> Found:
+    """The shoulder's angles by an IMU on the upper arm, the thorax upright or as it was found."""
+    upper, calibration = arm.upper, arm.calibration
+    down, forward = (arm.gravity_direction, None) if trunk is None else (DOWN_T, FORWARD_T)
+    if upper is None or calibration is None or calibration.R_U_B is None or not np.isfinite(down).all():
+        return _nothing(SHOULDER_NAMES, len(arm))
+    R_K_U = forearm_axes(np.asarray(upper.quaternion), calibration.R_U_B)
+    covariance = upper.pose_covariance[:, 3:, 3:] + rotate_covariance(
+        R_K_U, np.diag(upper.mount_sigma_rad**2)
+    )
+    thorax = None
+    if trunk is not None:
+        thorax = forearm_axes(np.asarray(trunk.quaternion), np.eye(3))
+        covariance = covariance + trunk.covariance
+        covariance = covariance + rotate_covariance(thorax, np.diag(trunk.mount_sigma_rad**2))
+
+    def turned(by: FloatArray) -> FloatArray:
+        axes = (np.eye(3) + skew(by)) @ R_K_U
+        if thorax is not None:
+            axes = np.swapaxes(thorax, 1, 2) @ axes
+        up, lateral = axes[:, :, 1], axes[:, :, 2]
+        joints = {"shoulder": up, "elbow": np.zeros_like(up), "wrist": -up}
+        angles = arm_angles(joints, len(up), None, arm.side, down, forward=forward, flexion_axis=lateral)
+        return np.stack([angles[name] for name in SHOULDER_NAMES])
+
+    values = turned(np.zeros(3))
+    return _found(SHOULDER_NAMES, values, variances(slopes(turned, values), covariance))
+
+
+def wrist_angles(samples: Recovery, mounting: ForearmMounting) -> Found:
+    """Flexion and deviation of the wrist: where an IMU on the hand points, seen from the forearm."""
+    names = [angle.name for angle in WRIST]
+    motion, calibration = samples.segments.get(HAND.name), samples.calibration
+    if motion is None or calibration is None or mounting.R_F_A is None:
+        return _nothing(names, len(samples))
+    mounted = calibration.mountings[HAND.name]
+    along = mounted.lever_arms["hand"].position_m - mounted.lever_arms["wrist"].position_m
+    length_m = float(np.linalg.norm(along))
+    R_K_H = forearm_axes(np.asarray(motion.quaternion), np.eye(3))
+    R_K_F = forearm_axes(np.asarray(samples.quaternion), mounting.R_F_A)
+    d_K = R_K_H @ (along / length_m)
+    thumb = -1.0 if samples.side == "left" else 1.0
+
+    def moved(by: FloatArray) -> FloatArray:
+        x, y, z = np.einsum("nji,nj->in", R_K_F, d_K + by)
+        level = np.hypot(x, y)
+        angles = np.degrees([np.arctan2(-x, y), thumb * np.arctan2(z, level)])
+        return np.where(level > STEEP, angles, np.nan)
+
+    # turns of the hand and of the forearm in {K} move the direction against each other
+    turns = rotate_covariance(R_K_F, _forearm_covariance(samples, mounting))
+    for poses in (motion.pose_covariance, samples.pose_covariance):
+        turns = turns + np.asarray(poses)[:, 3:, 3:]
+    between = between_joints(mounted.lever_arms["wrist"], mounted.lever_arms["hand"], samples)
+    between = np.diag((between + 2.0 * mounted.tissue_m**2) / length_m**2)  # tissue_m is of either joint
+    covariance = rotate_covariance(skew(d_K), turns) + rotate_covariance(R_K_H, between)
+    values = moved(np.zeros(3))
+    return _found(names, values, variances(slopes(moved, values), covariance))
+
+
+def between_joints(first: LeverArm, second: LeverArm, samples: Recovery) -> FloatArray:
+    """Variance (3,), m^2, of the vector between two joints: an error that all joints share is in it once."""
+    bias_m = samples.estimates.joint_bias_sigma_m
+    common = bias_m**2 if bias_m is not None and np.isfinite(bias_m) else 0.0
+    either = first.sigma_m**2 + second.sigma_m**2
+    return np.asarray(np.maximum(either - common, 0.5 * either))
+
+
+def _forearm_covariance(samples: Recovery, mounting: ForearmMounting) -> FloatArray:
+    """How far the forearm's axes are turned, (3, 3) rad^2 in {F}: about y by the roll, across by levers."""
+    tilt_rad, calibration = 0.0, samples.calibration
+    if calibration is not None and calibration.forearm_direction is not None:
+        elbow, wrist = (calibration.lever_arms[joint] for joint in ("elbow", "wrist"))
+        length_m = float(np.linalg.norm(wrist.position_m - elbow.position_m))
+        tilt_rad = float(np.sqrt(between_joints(elbow, wrist, samples).max())) / length_m
+    return np.asarray(np.diag([tilt_rad, np.radians(mounting.roll_sigma_deg), tilt_rad]) ** 2)
