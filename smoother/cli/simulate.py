@@ -30,9 +30,9 @@ if TYPE_CHECKING:
     from ..array_types import FloatArray
     from ..recording import ImuStream
     from ..simulation import MarkerCapture
+    from ..simulation.config import RestPoses, StrapImages, TurningMagnetometer
     from ..simulation.panel import SimulatedPanel
     from ..simulation.rig import ClockSession
-    from ..simulation.settings import RestPoses, StrapImages, TurningMagnetometer
 
 
 Preset = Annotated[
@@ -173,7 +173,12 @@ def arm(
     outputs = [output, calibration_out, *markers, json_file]
     check_outputs(force, outputs)
     both = simulate_both_arms(config, seed) if arms == "both" else (simulate_arm(config, seed),)
-    simulated, recording = both[0], both[0].recording
+    simulated, recording, captured = both[0], both[0].recording, None
+    if mocap:
+        try:
+            captured = capture(simulated, mocap_config, seed)
+        except ValueError as error:
+            raise typer.BadParameter(str(error)) from error
     write_recording([one.recording for one in both], output, force=force)
     figures = {"seed": seed, "preset": preset, "config": config.model_dump(mode="json")}
     rows: list[tuple[str, object]] = [
@@ -188,8 +193,7 @@ def arm(
         which = f", {one.recording.side} arm" if len(both) > 1 else ""
         rows.append((f"occluded frames{which}", int(one.occluded.sum())))
     extrinsics = None
-    if markers and calibration_out is not None:
-        captured = capture(simulated, mocap_config, seed)
+    if captured is not None and calibration_out is not None:
         write_mocap(captured, markers, calibration_out, force)
         extrinsics = captured.extrinsics
         found = {"offset_s": captured.offset_s, "skew_ppm": captured.skew_ppm} | extrinsics
@@ -300,7 +304,7 @@ def _for_calibration(kind: str, make: Callable[[Any, int, Path, bool], Made]) ->
         json_file: o.Json = None,
         force: o.Force = False,
     ) -> None:
-        import smoother.simulation.settings as kinds
+        import smoother.simulation.config as kinds
 
         (config,) = configured(settings, getattr(kinds, kind))
         truth_file = output.with_name(f"{output.stem}_truth.toml")
@@ -522,8 +526,8 @@ def clock(
     """
     from ..io.rig.clock import MOTION, SOUND, TIMES, write_clock_folder
     from ..io.rig.panel import check_folder
+    from ..simulation.config import ClockSources
     from ..simulation.rig import simulate_clock_session
-    from ..simulation.settings import ClockSources
 
     (config,) = configured(settings, ClockSources)
     check_folder(output, force)
@@ -552,7 +556,7 @@ def true_links(session: ClockSession) -> list[dict[str, Any]]:
 
     links = []
     for first, second in ((CAMERA, BASE), (CAMERA, IMU), (BASE, IMU)):
-        at_zero, later = (session.offset_s(first, second, at_s) for at_s in (0.0, 1000.0))
+        at_zero, later = (session.clocks.offset_between_s(first, second, at_s) for at_s in (0.0, 1000.0))
         skew_ppm = 1e6 * (later - at_zero) / 1000.0 + 0.0
         link = {"from": first, "to": second, "at_s": 0.0, "offset_s": at_zero, "skew_ppm": skew_ppm}
         links.append(link)

@@ -13,22 +13,7 @@ from ..array_types import BoolArray, FloatArray
 from ..body import SEGMENTS
 from ..calibration import ArmCalibration, Length, LeverArm, SegmentMounting
 from ..recording import Camera, CameraFrame, ImuStream, Recording, TrunkSensors, Truth
-from .camera import (
-    add_cameras,
-    add_false_tracks,
-    add_noise,
-    add_outliers,
-    degrade_before_trunk,
-    deliver,
-    depth_free,
-    exposures,
-    film,
-    is_rgb,
-    lose_forearm,
-    occlusions,
-    photograph,
-    with_pixels,
-)
+from .camera import add_cameras, add_noise, deliver, exposures, film, is_rgb, occlusions, shoot
 from .config import ArmSimulation
 from .inertial import (
     Pose,
@@ -140,7 +125,6 @@ def record_arm(
 ) -> SimulatedArm:
     """What camera and IMUs make of an arm that performs something."""
     imu_rng, noise_rng, gap_rng, stamp_rng, wobble_rng, upper_rng, upper_wobble_rng = streams
-    flat = is_rgb(config, first=True)
     wobble = draw_wobble(performance, config.wobble_deg, wobble_rng)
     trunk_rng, hand_rng = upper_rng.spawn(2)  # leaves what `upper_rng` draws as it is
     turn = TrunkTurn(performance, config.trunk_turn_deg, trunk_rng)
@@ -181,27 +165,24 @@ def record_arm(
         wear("hand", motion.hand, mount, hand_wobble, hand_rng)
 
     times = exposures(performance.duration_s, config.frame_rate_hz, stamp_rng)
-    strap = {"strap": motion.imu_pose(times)[1]} if config.strap else {}
-    footage = film(times, motion.joints(times) | strap)
-    true = footage.position.copy()
-    parameters |= add_noise(footage, depth_free(config) if flat else config, noise_rng)
     hidden = occlusions(motion, times, config, gap_rng)
     if config.protocol == "random" and not config.still_all:
         hidden |= times >= performance.duration_s - config.end_gap_s
     before_belly = np.zeros(len(times), dtype=bool)
     for begin, end in performance.belly_s:
         before_belly |= (times >= begin) & (times < end) & ~hidden
-    degrade_before_trunk(footage, before_belly, true, config, gap_rng)
-    lose_forearm(footage, hidden, true, config, gap_rng)
-    parameters |= add_false_tracks(
-        footage, hidden, film(times, motion.other_arm(times)).position, config, gap_rng
-    )
-    parameters["outliers"] = int(add_outliers(footage, config, noise_rng).sum())
     same_stamps = deepcopy(stamp_rng)
-    if flat:
-        photograph(footage, config, noise_rng)
-    tracks, delivered = deliver(footage, "simulated", config, stamp_rng)
-    tracks = with_pixels(tracks) if flat else tracks
+    tracks, delivered, drawn = shoot(
+        config,
+        times,
+        motion.joints(times) | ({"strap": motion.imu_pose(times)[1]} if config.strap else {}),
+        hidden,
+        (noise_rng, gap_rng, stamp_rng),
+        flat=is_rgb(config, first=True),
+        belly=before_belly,
+        other=film(times, motion.other_arm(times)).position,
+    )
+    parameters |= drawn
     trunk_motion, trunk = None, None
     if "trunk" in config.imus:
         trunk_motion = TrunkImuMotion(stage.R_K_T, stage.origin_K, turn, draw_trunk_axes(trunk_rng))

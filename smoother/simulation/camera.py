@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -116,7 +117,7 @@ def deliver(
 
 
 _FOREARM = [JOINTS.index(joint) for joint in FOREARM_JOINTS]
-_ELBOW, _SHOULDER = JOINTS.index("elbow"), JOINTS.index("shoulder")
+_SHOULDER = JOINTS.index("shoulder")
 
 
 def debounce(hidden: BoolArray, rate_hz: float) -> BoolArray:
@@ -162,40 +163,28 @@ def lose_forearm(
     for gap, frames in zip(runs(hidden), lag, strict=False):
         # The lag never eats a gap up: a third of it is the most.
         lost[gap.start : gap.start + min(int(frames), (gap.stop - gap.start) // 3), 0] = False
-    _set_state(footage, lost, true, JointState[config.occluded_state.upper()], config, rng)
+    _set_state(footage, lost, true, config.occluded_state, config, rng)
     blind = hidden & (rng.uniform(size=len(hidden)) < config.shoulder_lost)
     footage.state[blind, _SHOULDER] = JointState.NOT_TRACKED
-
-
-def degrade_before_trunk(
-    footage: Footage,
-    before_belly: BoolArray,
-    true: FloatArray,
-    config: ArmSimulation,
-    rng: np.random.Generator,
-) -> None:
-    """Apply the configured state in the frames (F,) with the forearm before the belly."""
-    lost = np.repeat(before_belly[:, None], len(_FOREARM), axis=1)
-    _set_state(footage, lost, true, JointState[config.belly.upper()], config, rng)
 
 
 def _set_state(
     footage: Footage,
     lost: BoolArray,
     true: FloatArray,
-    state: JointState,
+    state: str,
     config: ArmSimulation,
     rng: np.random.Generator,
 ) -> None:
     """Set the state of forearm joints where `lost` (F, 4); an inferred joint gets a wandering wrong guess."""
-    if state is JointState.TRACKED:
+    if state == "tracked":
         return
     guess = true[:, _FOREARM] + correlated_noise(
         len(lost), 3 * len(_FOREARM), config.inferred_error_m, 0.5, 1 / config.frame_rate_hz, rng
     ).reshape(len(lost), len(_FOREARM), 3)
     for column, joint in enumerate(_FOREARM):
         where = lost[:, column] & (footage.state[:, joint] != JointState.NOT_TRACKED)
-        footage.state[where, joint] = state
+        footage.state[where, joint] = JointState[state.upper()]
         footage.position[where, joint] = guess[where, column]
 
 
@@ -222,7 +211,7 @@ def add_false_tracks(
     return deceptions
 
 
-#: Pixels of the image, and the focal length.
+#: Pixels of an image without depth, and the focal length.
 WIDTH, HEIGHT, FOCAL_PX = 1280, 720, 920.0
 #: How well the place of a calibrated camera is known, degrees and m per axis.
 CALIBRATED_DEG, CALIBRATED_M = 0.2, 0.005
@@ -231,12 +220,6 @@ CALIBRATED_DEG, CALIBRATED_M = 0.2, 0.005
 def is_rgb(config: ArmSimulation, first: bool) -> bool:
     """Whether the first camera, or the further ones, see no depth."""
     return config.rgb == "all" or config.rgb == ("first" if first else "further")
-
-
-def depth_free(config: ArmSimulation) -> ArmSimulation:
-    """The errors of a camera without depth: the joints' constant ones alone, in space."""
-    nothing = {"noise_m": 0.0, "noise_depth_m": 0.0, "noise_correlated_m": 0.0, "joint_slow_m": ()}
-    return config.model_copy(update=nothing)
 
 
 def optical_from(frame: CameraFrame) -> FloatArray:
@@ -264,16 +247,43 @@ def photograph(footage: Footage, config: ArmSimulation, rng: np.random.Generator
     footage.position = np.concatenate([pixels / FOCAL_PX, forwards[..., None]], axis=2)
 
 
-def with_pixels(tracks: JointTracks) -> JointTracks:
-    """The tracks of a photographed footage."""
-    return replace(tracks, pixel_rad=1.0 / FOCAL_PX, focal_share=FOCAL_CALIBRATED)
+def shoot(
+    config: ArmSimulation,
+    t_s: FloatArray,
+    joints: dict[str, FloatArray],
+    hidden: BoolArray,
+    rngs: tuple[np.random.Generator, np.random.Generator, np.random.Generator],
+    name: str = "simulated",
+    flat: bool = False,
+    belly: BoolArray | None = None,
+    other: FloatArray | None = None,
+    spoil: Callable[[FloatArray], FloatArray] = lambda position: position,
+) -> tuple[JointTracks, BoolArray, dict[str, Any]]:
+    """What a camera states of joints, by frame (F, 3): the tracks, which frames remain (F,), what was drawn.
 
-
-def calibrated(R_K_C: FloatArray, p_K_C_m: FloatArray, rng: np.random.Generator) -> CameraPose:
-    """A camera's place by a calibration, with its errors."""
-    sigma_rad = float(np.radians(CALIBRATED_DEG))
-    turn = matrix_of(sigma_rad * rng.normal(size=3))
-    return CameraPose(R_K_C @ turn, p_K_C_m + CALIBRATED_M * rng.normal(size=3), sigma_rad, CALIBRATED_M)
+    `rngs` are of the noise, the gaps and the stamps; `flat`: without depth; `belly` (F,): frames with the
+    forearm before the belly; `other`: joints (F, 5, 3) of the other arm, for occlusions that look tracked.
+    """
+    noise_rng, gap_rng, stamp_rng = rngs
+    footage = film(t_s, joints)
+    true = footage.position.copy()
+    # without depth: the joints' constant errors alone, in space
+    nothing = {"noise_m": 0.0, "noise_depth_m": 0.0, "noise_correlated_m": 0.0, "joint_slow_m": ()}
+    drawn = add_noise(footage, config.model_copy(update=nothing) if flat else config, noise_rng)
+    if belly is not None:
+        lost = np.repeat(belly[:, None], len(_FOREARM), axis=1)
+        _set_state(footage, lost, true, config.belly, config, gap_rng)
+    lose_forearm(footage, hidden, true, config, gap_rng)
+    if other is not None:
+        drawn |= add_false_tracks(footage, hidden, other, config, gap_rng)
+    drawn["outliers"] = int(add_outliers(footage, config, noise_rng).sum())
+    footage.position = spoil(footage.position)
+    if flat:
+        photograph(footage, config, noise_rng)
+    tracks, delivered = deliver(footage, name, config, stamp_rng)
+    if flat:
+        tracks = replace(tracks, pixel_rad=1.0 / FOCAL_PX, focal_share=FOCAL_CALIBRATED)
+    return tracks, delivered, drawn
 
 
 #: A further camera's latency differs from the first one's by up to this, s.
@@ -282,18 +292,6 @@ LATENCY_S = 0.010
 ANGLE_DEG, HEIGHT_M = 2.0, 0.15
 #: A camera that is knocked against: turned and pushed by this, degrees and m.
 KNOCK_DEG, KNOCK_M = 8.0, 0.15
-
-
-def stage_at(
-    stage: Stage, angle_deg: float, rng: np.random.Generator
-) -> tuple[Stage, FloatArray, FloatArray]:  # stage, R_K_C (3, 3), p_K_C_m (3,) m
-    """The person as seen by a camera placed elsewhere around them."""
-    up = -unit(stage.gravity)
-    about = Rotation.from_rotvec(np.radians(angle_deg + ANGLE_DEG * rng.normal()) * up)
-    tilt = tilt_rotation(rng.uniform(0, 5), rng.uniform(-np.pi, np.pi), up)
-    R = (about * tilt).as_matrix()
-    p = stage.origin_K + about.apply(-stage.origin_K) + HEIGHT_M * rng.normal() * up
-    return Stage(R.T @ stage.R_K_T, R.T @ (stage.origin_K - p)), R, p
 
 
 def add_cameras(
@@ -311,9 +309,9 @@ def add_cameras(
         for gap in runs(hidden)
         if rng.spawn(1)[0].uniform() < config.camera_blind
     ]
-    for number, angle_deg in enumerate(config.cameras, start=2):
-        fault = config.camera_fault if number == len(config.cameras) + 1 else "none"
-        camera, drawn = _further(config, f"camera_{number}", number - 1, angle_deg, fault, motion, blind, rng)
+    for number, angle_deg in enumerate(config.cameras, start=1):
+        fault = config.camera_fault if number == len(config.cameras) else "none"
+        camera, drawn = _further(config, number, angle_deg, fault, motion, blind, rng)
         cameras.append(camera)
         parameters[camera.name] = drawn
     return tuple(cameras), parameters
@@ -321,7 +319,6 @@ def add_cameras(
 
 def _further(
     config: ArmSimulation,
-    name: str,
     number: int,
     angle_deg: float,
     fault: str,
@@ -329,46 +326,61 @@ def _further(
     blind: list[tuple[float, float]],
     rng: np.random.Generator,
 ) -> tuple[Camera, dict[str, Any]]:
+    """A camera that is placed elsewhere around the person, or before another one."""
     place_rng, noise_rng, gap_rng, stamp_rng = rng.spawn(4)
-    own, first = motion, motion.stage
+    first, own = motion.stage, motion
+    duration_s, origin = motion.performance.duration_s, first.origin_K
     if fault == "other_person":
         other = perform(config, place_rng.spawn(1)[0])
-        aside = first.R_K_T @ np.array([0.9, 0.0, 0.2])
-        own = replace(motion, performance=other, stage=replace(first, origin_K=first.origin_K + aside))
-    stage, R, p = stage_at(first, angle_deg, place_rng)
-    if fault == "other_person":
-        stage = replace(stage, origin_K=R.T @ (own.stage.origin_K - p))
-    own = replace(own, stage=stage)
-    duration_s = motion.performance.duration_s
+        knots = min(len(other.t_s), len(motion.performance.t_s))  # they may take longer, or not so long
+        own = replace(
+            motion,
+            performance=replace(
+                other, t_s=other.t_s[:knots], posture=other.posture[:knots], sway=other.sway[:knots]
+            ),
+            wobble=motion.wobble[:knots],
+            wrist=None if motion.wrist is None else motion.wrist[:knots],
+        )
+        duration_s = min(duration_s, other.duration_s)
+        origin = origin + first.R_K_T @ np.array([0.9, 0.0, 0.2])
+    up = -unit(first.gravity)
+    about = Rotation.from_rotvec(np.radians(angle_deg + ANGLE_DEG * place_rng.normal()) * up)
+    tilt = tilt_rotation(place_rng.uniform(0, 5), place_rng.uniform(-np.pi, np.pi), up)
+    R = (about * tilt).as_matrix()
+    p = first.origin_K + about.apply(-first.origin_K) + HEIGHT_M * place_rng.normal() * up
+    own = replace(own, stage=Stage(R.T @ first.R_K_T, R.T @ (origin - p)))
     times = exposures(duration_s, config.frame_rate_hz, stamp_rng)
-    footage = film(times, own.joints(times))
-    true = footage.position.copy()
-    flat = is_rgb(config, first=False)
-    drawn = add_noise(footage, depth_free(config) if flat else config, noise_rng)
     hidden = occlusions(own, times, config, gap_rng)
     if config.protocol == "random" and not config.still_all:
         for begin, end in blind:
             hidden |= (times >= begin) & (times <= end)
-    lose_forearm(footage, hidden, true, config, gap_rng)
-    add_outliers(footage, config, noise_rng)
-    if fault == "mirrored":
-        footage.position[:, :, 0] *= -1.0
-    elif fault == "moved":
-        later = times > 0.5 * duration_s
-        knock = Rotation.from_rotvec(np.radians(KNOCK_DEG) * unit(place_rng.normal(size=3)))
-        push = KNOCK_M * unit(place_rng.normal(size=3))
-        footage.position[later] = footage.position[later] @ knock.as_matrix().T + push
-    if flat:
-        photograph(footage, config, noise_rng)
-        R = R @ optical_from(config.camera_frame).T
+
+    knock, push, since_s = np.eye(3), np.zeros(3), np.inf
+    if fault == "moved":
+        turn = np.radians(KNOCK_DEG) * unit(place_rng.normal(size=3))
+        knock, push = Rotation.from_rotvec(turn).as_matrix(), KNOCK_M * unit(place_rng.normal(size=3))
+        since_s = 0.5 * duration_s
+
+    def spoil(position: FloatArray) -> FloatArray:
+        position[:, :, 0] *= -1.0 if fault == "mirrored" else 1.0
+        position[times > since_s] = position[times > since_s] @ knock.T + push
+        return position
+
+    flat, name = is_rgb(config, first=False), f"camera_{number + 1}"
     latency_s = config.latency_s + place_rng.uniform(-LATENCY_S, LATENCY_S)
+    settings = config.model_copy(update={"latency_s": latency_s})
+    tracks, _, drawn = shoot(
+        settings, times, own.joints(times), hidden, (noise_rng, gap_rng, stamp_rng), name, flat, spoil=spoil
+    )
     ahead_s = number * config.camera_clock_s
-    tracks, _ = deliver(footage, name, config.model_copy(update={"latency_s": latency_s}), stamp_rng)
     tracks = replace(tracks, t_s=tracks.t_s + ahead_s + 1e-6 * config.camera_clock_ppm * tracks.t_s)
     frame, pose = config.camera_frame, None
     if flat:
-        tracks, frame = with_pixels(tracks), CameraFrame.OPTICAL
-        pose = calibrated(R, p, place_rng) if config.rgb == "all" else None
+        frame, R = CameraFrame.OPTICAL, R @ optical_from(config.camera_frame).T
+    if flat and config.rgb == "all":  # its place is known by a calibration, with its errors
+        sigma_rad = float(np.radians(CALIBRATED_DEG))
+        turned = R @ matrix_of(sigma_rad * place_rng.normal(size=3))
+        pose = CameraPose(turned, p + CALIBRATED_M * place_rng.normal(size=3), sigma_rad, CALIBRATED_M)
     return Camera(name, tracks, frame, pose=pose), drawn | {
         "R_K_C": R,
         "p_K_C_m": p,

@@ -46,6 +46,8 @@ PLATE_MARKERS = tuple(f"IMU{number}" for number in range(1, 9))
 _OPTICAL_FROM_KINECT = np.diag([-1.0, -1.0, 1.0])
 #: A marker disappears for about as long as this, s.
 _LOST_S = 0.4
+#: The capture has at least so much of the recording, s.
+LEAST_S = 2.0
 
 
 class MocapSimulation(Settings):
@@ -74,7 +76,7 @@ class MarkerCapture:
     R_C_E: FloatArray  # (3, 3)
     translation_m: FloatArray  # (3,) m
     offset_s: float  # t_imu = t_mocap (1 + skew) + offset
-    skew_ppm: float  # s and ppm: t_imu = t_mocap (1 + skew) + offset
+    skew_ppm: float
 
     @property
     def t_s(self) -> FloatArray:
@@ -114,14 +116,23 @@ def capture(simulated: SimulatedArm, config: MocapSimulation | None = None, seed
     offset_s = drawn if config.mocap_offset_s is None else config.mocap_offset_s
     rate = 1.0 + 1e-6 * config.mocap_skew_ppm
     end_s = float(recording.imu.t_s[-1])
-    count = max(int(np.ceil((end_s + after_s - offset_s) / rate * config.mocap_rate_hz)), 1)
+    if offset_s > end_s - LEAST_S:
+        raise ValueError(
+            f"a motion capture with mocap_offset_s={offset_s:g} begins when the recording of {end_s:.0f} s is"
+            f" over; choose at most {end_s - LEAST_S:.0f}, or a longer recording"
+        )
+    count = int(np.ceil((end_s + after_s - offset_s) / rate * config.mocap_rate_hz))
     t_imu = np.arange(count) / config.mocap_rate_hz * rate + offset_s
     # Beyond its ends the motion is not defined: the person stands still.
     moving = np.clip(t_imu, -0.8 * PAD_S, end_s + 0.8 * PAD_S)
     assert recording.camera_frame is not None
-    R_C_E, translation = _draw_extrinsics(simulated, recording.camera_frame, rng)
-
     R_K_C = optical_axes(recording.camera_frame)
+    up = unit(-R_K_C.T @ simulated.parameters["gravity"])
+    ahead = unit(np.array([0.0, 0.0, 1.0]) - up[2] * up)
+    level = np.column_stack([ahead, np.cross(up, ahead), up])
+    turn = Rotation.from_euler("z", rng.uniform(-np.pi, np.pi)).as_matrix()
+    camera_in_level = np.array([rng.uniform(-3, -1), rng.uniform(-1.5, 1.5), rng.uniform(0.9, 1.5)])
+    R_C_E, translation = level @ turn, level @ -camera_in_level
     in_camera = marker_positions(simulated.motion, moving, recording.side)
     position = (in_camera @ R_K_C - translation) @ R_C_E  # rows: R_C_E^T (R_K_C^T p - t)
     position += config.marker_noise_m * noise_rng.normal(size=position.shape)
@@ -155,18 +166,6 @@ def marker_positions(motion: ArmMotion, t_s: FloatArray, side: str) -> FloatArra
         positions += [joints[joint] + half * medial[joint], joints[joint] - half * medial[joint]]
     plate = imu[:, None, :] + np.einsum("nij,mj->nmi", R_K_A, PLATE_M)
     return np.concatenate([np.stack(positions, axis=1), plate], axis=1)
-
-
-def _draw_extrinsics(
-    simulated: SimulatedArm, frame: CameraFrame, rng: np.random.Generator
-) -> tuple[FloatArray, FloatArray]:
-    """`R_C_E` and the origin of {E} in the camera's optical axes, m."""
-    up = unit(-optical_axes(frame).T @ simulated.parameters["gravity"])
-    ahead = unit(np.array([0.0, 0.0, 1.0]) - up[2] * up)
-    level = np.column_stack([ahead, np.cross(up, ahead), up])
-    turn = Rotation.from_euler("z", rng.uniform(-np.pi, np.pi)).as_matrix()
-    camera_in_level = np.array([rng.uniform(-3, -1), rng.uniform(-1.5, 1.5), rng.uniform(0.9, 1.5)])
-    return level @ turn, level @ -camera_in_level
 
 
 def _lost(frames: int, markers: int, config: MocapSimulation, rng: np.random.Generator) -> BoolArray:

@@ -8,12 +8,12 @@ Real images are as a Kinect v2 makes them.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
-from typing import Any, Literal, Self
+from dataclasses import dataclass, replace
+from typing import Annotated, Any, Literal, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import model_validator
+from pydantic import AfterValidator, Field, model_validator
 from scipy.spatial.transform import Rotation
 
 from calib.intrinsics import Intrinsics
@@ -28,6 +28,16 @@ from .inertial import ideal_imu, measure
 from .motion import band_noise, ramp
 
 Point = tuple[float, float]
+
+
+def _rising(ends: Point) -> Point:
+    if ends[0] > ends[1]:
+        raise ValueError("must go from the smaller to the larger value")
+    return ends
+
+
+_Metres = Annotated[float, Field(ge=0.3, le=6)]
+_Tilt = Annotated[float, Field(ge=0, le=89)]
 
 
 class PanelSimulation(Settings):
@@ -48,11 +58,15 @@ class PanelSimulation(Settings):
     marker_height_m: float = size(0.0, "centre of a spherical marker above the panel, m", le=0.1)
     marker_diameter_m: float = setting(0.016, "of a marker, m", gt=0.002, le=0.06)
 
-    distance_m: Point = setting((1.2, 1.9), "panel's centre to camera, from and to, m")
-    tilt_deg: Point = setting(
+    distance_m: Annotated[tuple[_Metres, _Metres], AfterValidator(_rising)] = setting(
+        (1.2, 1.9), "panel's centre to camera, from and to, m"
+    )
+    tilt_deg: Annotated[tuple[_Tilt, _Tilt], AfterValidator(_rising)] = setting(
         (0.0, 25.0), "panel's normal against the ray to the camera, from and to, degrees"
     )
-    roll_deg: Point = setting((0.0, 360.0), "panel's x axis in the image, from and to, degrees")
+    roll_deg: Annotated[Point, AfterValidator(_rising)] = setting(
+        (0.0, 360.0), "panel's x axis in the image, from and to, degrees"
+    )
     hand: bool = setting(True, "a hand holds the panel, a person stands behind it")
     distractors: int = size(0, "bright spots beside the panel in each image", le=10)
 
@@ -105,17 +119,15 @@ class PanelSimulation(Settings):
             raise ValueError("extent must go from the lower to the upper corner")
         if not all(x0 <= x <= x1 and y0 <= y <= y1 for x, y in self.markers + self.extra_markers):
             raise ValueError("a marker lies outside the panel's extent")
-        for name in ("distance_m", "tilt_deg", "roll_deg"):
-            low, high = getattr(self, name)
-            if low > high:
-                raise ValueError(f"{name} must go from the smaller to the larger value")
-        if self.distance_m[0] < 0.3 or self.distance_m[1] > 6:
-            raise ValueError("distance_m must lie within 0.3 and 6")
-        if self.tilt_deg[0] < 0 or self.tilt_deg[1] > 89:
-            raise ValueError("tilt_deg must lie within 0 and 89")
         if any(not 0 <= index < len(self.markers) for index in self.hidden_markers):
             raise ValueError("hidden_markers names a marker that is not there")
         return self
+
+    @property
+    def corners(self) -> FloatArray:
+        """Corners of the panel, (4, 3) m in {P}, around its rim."""
+        (x0, y0), (x1, y1) = self.extent
+        return np.array([[x0, y0, 0], [x1, y0, 0], [x1, y1, 0], [x0, y1, 0]])
 
 
 #: The whole panel is at least this far inside the image, pixels.
@@ -126,21 +138,12 @@ FLOOR_M = -1.1
 _TRIES = 2000
 
 
-def panel_corners(config: PanelSimulation) -> FloatArray:
-    """Corners of the panel, (4, 3) m in {P}, around its rim."""
-    (x0, y0), (x1, y1) = config.extent
-    return np.array([[x0, y0, 0], [x1, y0, 0], [x1, y1, 0], [x0, y1, 0]])
-
-
 def place_panel(
-    config: PanelSimulation,
-    lens: Intrinsics,
-    R_W_K: FloatArray,
-    rng: np.random.Generator,  # R_W_K (3, 3)
+    config: PanelSimulation, lens: Intrinsics, R_W_K: FloatArray, rng: np.random.Generator
 ) -> tuple[FloatArray, FloatArray]:  # R_K_P (3, 3), p_K_P (3,) m
     """A pose of the panel above the floor in which the camera sees all of it."""
-    corners, rays = panel_corners(config), lens.ray_image()
-    middle = corners.mean(axis=0)
+    corners, rays = config.corners, lens.ray_image()
+    middle, last = corners.mean(axis=0), np.array([lens.width, lens.height]) - 1 - MARGIN_PX
     for _ in range(_TRIES):
         distance, tilt, roll = (
             rng.uniform(*r) for r in (config.distance_m, config.tilt_deg, config.roll_deg)
@@ -152,9 +155,7 @@ def place_panel(
         seen = corners @ R_K_P.T + p_K_P
         if seen[:, 2].min() > 0.2 and (seen @ R_W_K[2]).min() > FLOOR_M + 0.05:
             pixel = lens.pixels(seen)
-            if (pixel > MARGIN_PX).all() and (
-                pixel < np.array([lens.width, lens.height]) - 1 - MARGIN_PX
-            ).all():
+            if (pixel > MARGIN_PX).all() and (pixel < last).all():
                 return R_K_P, p_K_P
     raise ValueError(
         "the panel does not fit into the image at these distances and tilts; hold it farther away, or take a "
@@ -200,51 +201,68 @@ def place_imu(off_deg: float, rng: np.random.Generator) -> FloatArray:
     return np.asarray(Rotation.from_rotvec(np.radians(off_deg) * axis).as_matrix())
 
 
-def place_mocap(R_W_K: FloatArray, rng: np.random.Generator) -> tuple[FloatArray, FloatArray]:
-    """R_K_E (3, 3) and the mocap's origin in {K} (3,), m: on the floor, z up to a degree, any heading."""
-    R_W_E = Rotation.from_rotvec(np.radians([rng.normal(0, 0.5), rng.normal(0, 0.5), 0]))
-    R_W_E = Rotation.from_euler("z", rng.uniform(0, 2 * np.pi)) * R_W_E
-    p_W = R_W_K @ np.array([rng.uniform(-1, 1), 0, rng.uniform(1, 3)])
-    p_W[2] = FLOOR_M
-    return R_W_K.T @ R_W_E.as_matrix(), R_W_K.T @ p_W
-
-
+#: Diffuse reflectance by what a surface is of.
 _ALBEDO = {"board": 0.55, "marker": 0.0, "hand": 0.7, "clothes": 0.35, "wall": 0.5, "floor": 0.3}
 _BOARD_M = 0.006  # thickness
 _WALL_M = 3.2
 #: A hand keeps this far from every marker, m.
 _HAND_FROM_MARKER_M = 0.09
+#: A white surface at 1.5 m shows this fraction of the infrared image's full scale.
+_DIFFUSE = 0.1
+_REFERENCE_M = 1.5
 
 
-@dataclass(frozen=True)
-class Hits:
+class Hits(NamedTuple):
     """What rays met."""
 
     z: FloatArray  # (N,) m: depth along the optical axis; inf where there is nothing
     surface: NDArray[np.int64]  # (N,): number of the mesh; -1 where there is nothing
     cosine: FloatArray  # (N,): between the surface's normal and the ray
-    albedo: FloatArray  # (N,): diffuse reflectance
     marker: BoolArray  # (N,): True on a retroreflector
+    infrared: FloatArray  # (N,) full scales; the lamp sits at the camera
 
 
-@dataclass
 class PanelScene:
-    """A panel in a room, to cast rays at from the camera's centre."""
+    """A panel in a room, with who holds it, to cast rays at from the camera's centre."""
 
-    config: PanelSimulation
-    R_K_P: FloatArray
-    p_K_P: FloatArray
-    _caster: Any = None
-    _kinds: list[str] = field(default_factory=list)
+    def __init__(
+        self,
+        config: PanelSimulation,
+        R_K_P: FloatArray,
+        p_K_P: FloatArray,
+        R_K_W: FloatArray,
+        rng: np.random.Generator,
+    ) -> None:
+        self.config, self.R_K_P, self.p_K_P = config, R_K_P, p_K_P
+        self.shown = [m for i, m in enumerate(config.markers) if i not in config.hidden_markers]
+        self.spots = np.array([*config.markers, *config.extra_markers])
+        self._caster, self._kinds = load_open3d().t.geometry.RaycastingScene(), list[str]()
+        (x0, y0), (x1, y1) = config.extent
+        box = load_open3d().geometry.TriangleMesh.create_box(x1 - x0, y1 - y0, _BOARD_M)
+        self.add("board", box.translate([x0, y0, -_BOARD_M]), on_panel=True)
+        for marker in self.shown if config.marker_shape == "sphere" else ():
+            centre = np.append(marker, config.marker_height_m)
+            self.add("marker", _sphere(config.marker_diameter_m / 2, centre, 40), on_panel=True)
+        self.add("floor", _plane(R_K_W @ [0, 0, 1.0], R_K_W @ [0, 0, FLOOR_M]))
+        towards = R_K_W.T @ [0, 0, 1.0]
+        wall = R_K_W @ np.array([towards[0], towards[1], 0.0])
+        self.add("wall", _plane(-unit(wall), np.array([0, 0, _WALL_M])))
+        if config.hand:
+            self._add_person(R_K_W, rng)
 
-    def __post_init__(self) -> None:
-        self._caster = load_open3d().t.geometry.RaycastingScene()
-
-    def add(self, kind: str, mesh: Any) -> None:
-        """Add a mesh in {K}; `kind` is a key of the table of reflectances."""
+    def add(self, kind: str, mesh: Any, on_panel: bool = False) -> None:
+        """Add a mesh in {K}, or in {P}; `kind` is a key of the table of reflectances."""
+        if on_panel:
+            T_K_P = np.eye(4)
+            T_K_P[:3, :3], T_K_P[:3, 3] = self.R_K_P, self.p_K_P
+            mesh = mesh.transform(T_K_P)
         vertices = np.asarray(mesh.vertices, np.float32)
         self._caster.add_triangles(vertices, np.asarray(mesh.triangles, np.uint32))
         self._kinds.append(kind)
+
+    def corners(self) -> FloatArray:
+        """Corners of the panel, (4, 3) m in {K}."""
+        return np.asarray(self.config.corners @ self.R_K_P.T + self.p_K_P)
 
     def cast(self, rays: FloatArray) -> Hits:
         """Cast rays (N, 2), x and y where z is 1, and return what they meet."""
@@ -254,8 +272,7 @@ class PanelScene:
         answer = self._caster.cast_rays(load_open3d().core.Tensor(directions))
         z = answer["t_hit"].numpy().astype(float)
         surface = answer["geometry_ids"].numpy().astype(np.int64)
-        nothing = ~np.isfinite(z)
-        surface[nothing] = -1
+        surface[~np.isfinite(z)] = -1
         normal = answer["primitive_normals"].numpy().astype(float)
         along = directions[:, 3:].astype(float)
         cosine = np.abs((normal * along).sum(axis=1)) / np.linalg.norm(along, axis=1)
@@ -263,128 +280,104 @@ class PanelScene:
         marker = np.array([*(kind == "marker" for kind in self._kinds), False])[surface]
         board = surface == self._kinds.index("board")
         marker[board] |= self._on_a_disc(rays[board], z[board])
-        return Hits(z, surface, cosine, albedo, marker)
+        secant2 = 1 + (rays**2).sum(axis=1)
+        fading = (_REFERENCE_M / np.where(np.isfinite(z), z, np.inf)) ** 2 / secant2
+        vignette, diffuse = 1 / secant2, _DIFFUSE * albedo * cosine
+        infrared = fading * vignette * np.where(marker, self.config.marker_gain, diffuse)
+        return Hits(z, surface, cosine, marker, infrared)
 
     def _on_a_disc(self, rays: FloatArray, z: FloatArray) -> BoolArray:
         """Which hits on the board are on a flat marker: exact circles, not triangles."""
-        discs = _shown(self.config) if self.config.marker_shape == "disc" else []
-        spots = [*(self.config.markers[i] for i in discs), *self.config.extra_markers]
+        discs = self.shown if self.config.marker_shape == "disc" else []
         on_board = (np.column_stack([rays * z[:, None], z]) - self.p_K_P) @ self.R_K_P
         on_a_disc = np.zeros(len(z), bool)
-        for spot in spots:
+        for spot in (*discs, *self.config.extra_markers):
             away = on_board[:, :2] - spot
             on_a_disc |= (away**2).sum(axis=1) <= (self.config.marker_diameter_m / 2) ** 2
         return on_a_disc & (np.abs(on_board[:, 2]) < 1e-4)
 
+    def _add_person(self, R_K_W: FloatArray, rng: np.random.Generator) -> None:
+        """A hand on the rim, away from the markers; its arm, and a body behind the panel."""
+        rim, inward = self._grip(rng)
+        side = np.cross([0, 0, 1.0], inward)
+        for step in (-1.5, -0.5, 0.5, 1.5):
+            base = rim + 0.018 * step * side + [0, 0, 0.009]
+            self.add("hand", _rod(base - 0.03 * inward, base + 0.045 * inward, 0.008), on_panel=True)
+        palm = rim - 0.045 * inward - [0, 0, 0.01]
+        self.add("hand", _sphere(0.04, palm, 16), on_panel=True)
+        self.add("clothes", _rod(palm, palm - 0.25 * inward - [0, 0, 0.15], 0.035), on_panel=True)
+        # The body stands upright behind the panel.
+        corners = self.corners()
+        middle, up = corners.mean(axis=0), R_K_W @ [0, 0, 1.0]
+        back = unit(middle - up * (up @ middle))
+        chest = middle + back * (((corners - middle) @ back).max() + 0.17 + rng.uniform(0.08, 0.25))
+        self.add("clothes", _rod(chest - 0.9 * up, chest + 0.25 * up, 0.17))
+        self.add("hand", _sphere(0.11, chest + 0.42 * up, 20))
 
-def build_scene(
-    config: PanelSimulation,
-    R_K_P: FloatArray,
-    p_K_P: FloatArray,
-    R_K_W: FloatArray,
-    rng: np.random.Generator,
-) -> PanelScene:
-    """The panel, who holds it, and the room; without distractors."""
-    scene = PanelScene(config, R_K_P, p_K_P)
-    scene.add("board", _in_camera(scene, _board(config)))
-    if config.marker_shape == "sphere":
-        for index in _shown(config):
-            ball = _sphere(
-                config.marker_diameter_m / 2, np.append(config.markers[index], config.marker_height_m), 40
-            )
-            scene.add("marker", _in_camera(scene, ball))
-    scene.add("floor", _plane(R_K_W @ [0, 0, 1.0], R_K_W @ [0, 0, FLOOR_M]))
-    towards = R_K_W.T @ [0, 0, 1.0]
-    wall = R_K_W @ np.array([towards[0], towards[1], 0.0])
-    scene.add("wall", _plane(-unit(wall), np.array([0, 0, _WALL_M])))
-    if config.hand:
-        _add_person(scene, R_K_W, rng)
-    return scene
+    def _grip(self, rng: np.random.Generator) -> tuple[FloatArray, FloatArray]:
+        """A point on the rim far enough from the markers, and the way inwards; both (3,) in {P}."""
+        corners, best, farthest = self.config.corners, None, -1.0
+        for _ in range(50):
+            i = rng.integers(4)
+            edge = corners[(i + 1) % 4] - corners[i]
+            rim = corners[i] + rng.uniform(0.15, 0.85) * edge
+            inward = np.cross([0, 0, 1.0], unit(edge))
+            away = np.linalg.norm(self.spots - (rim + 0.02 * inward)[:2], axis=1).min()
+            if best is None or away > farthest:
+                best, farthest = (rim, inward), away
+            if away > _HAND_FROM_MARKER_M:
+                break
+        assert best is not None
+        return best
 
+    def distract(self, lens: Intrinsics, count: int, rng: np.random.Generator) -> None:
+        """Put bright balls beside the panel, wherever there is room in the image."""
+        import cv2
 
-def add_distractor(scene: PanelScene, ray: FloatArray, z: float) -> None:
-    """A small retroreflective ball on a ray (2,) at depth z, m; it looks as large and bright as a marker."""
-    scene.add("marker", _sphere(0.006 * max(z, 1.2), np.append(ray, 1.0) * z, 12))
-
-
-def _shown(config: PanelSimulation) -> list[int]:
-    return [i for i in range(len(config.markers)) if i not in config.hidden_markers]
-
-
-def _board(config: PanelSimulation) -> Any:
-    """A flat box whose front face is the plane z = 0 of {P}."""
-    x0, y0, _ = panel_corners(config)[0]
-    x1, y1, _ = panel_corners(config)[2]
-    box = load_open3d().geometry.TriangleMesh.create_box(x1 - x0, y1 - y0, _BOARD_M)
-    return box.translate([x0, y0, -_BOARD_M])
-
-
-def _add_person(scene: PanelScene, R_K_W: FloatArray, rng: np.random.Generator) -> None:
-    """A hand on the rim, away from the markers; its arm, and a body behind the panel."""
-    rim, inward = _grip(scene.config, rng)
-    side = np.cross([0, 0, 1.0], inward)
-    for step in (-1.5, -0.5, 0.5, 1.5):
-        base = rim + 0.018 * step * side + [0, 0, 0.009]
-        scene.add("hand", _in_camera(scene, _rod(base - 0.03 * inward, base + 0.045 * inward, 0.008)))
-    palm = rim - 0.045 * inward - [0, 0, 0.01]
-    scene.add("hand", _in_camera(scene, _sphere(0.04, palm, 16)))
-    elbow = palm - 0.25 * inward - [0, 0, 0.15]
-    scene.add("clothes", _in_camera(scene, _rod(palm, elbow, 0.035)))
-    # The body stands upright behind the panel.
-    corners = panel_corners(scene.config) @ scene.R_K_P.T + scene.p_K_P
-    middle, up = corners.mean(axis=0), R_K_W @ [0, 0, 1.0]
-    back = unit(middle - up * (up @ middle))
-    chest = middle + back * (((corners - middle) @ back).max() + 0.17 + rng.uniform(0.08, 0.25))
-    scene.add("clothes", _rod(chest - 0.9 * up, chest + 0.25 * up, 0.17))
-    scene.add("hand", _sphere(0.11, chest + 0.42 * up, 20))
+        outline = lens.pixels(self.corners()).astype(np.float32)
+        rays = lens.ray_image()
+        placed = 0
+        for _ in range(1000 * bool(count)):
+            row, column = rng.integers(10, lens.height - 10), rng.integers(10, lens.width - 10)
+            if cv2.pointPolygonTest(outline, (float(column), float(row)), True) > -_DISTRACTOR_FROM_PANEL_PX:
+                continue
+            z = float(self.cast(rays[row, column][None]).z[0])
+            if np.isfinite(z):
+                # as large and as bright as a marker
+                z = rng.uniform(1.0, min(z - 0.05, 2.0))
+                self.add("marker", _sphere(0.006 * max(z, 1.2), np.append(rays[row, column], 1.0) * z, 12))
+                placed += 1
+            if placed == count:
+                return
 
 
-def _grip(config: PanelSimulation, rng: np.random.Generator) -> tuple[FloatArray, FloatArray]:
-    """A point on the rim far enough from the markers, and the way inwards; both (3,) in {P}."""
-    corners = panel_corners(config)
-    spots = np.array([*config.markers, *config.extra_markers])
-    best, farthest = (corners[2], np.array([-1.0, 0, 0])), -1.0
-    for _ in range(50):
-        i = rng.integers(4)
-        edge = corners[(i + 1) % 4] - corners[i]
-        rim = corners[i] + rng.uniform(0.15, 0.85) * edge
-        inward = np.cross([0, 0, 1.0], unit(edge))
-        away = np.linalg.norm(spots - (rim + 0.02 * inward)[:2], axis=1).min()
-        if away > farthest:
-            best, farthest = (rim, inward), away
-        if away > _HAND_FROM_MARKER_M:
-            break
-    return best
-
-
-def _in_camera(scene: PanelScene, mesh: Any) -> Any:
-    """A mesh in {P} brought to {K}."""
-    T_K_P = np.eye(4)
-    T_K_P[:3, :3], T_K_P[:3, 3] = scene.R_K_P, scene.p_K_P
-    return mesh.transform(T_K_P)
+#: A distractor stays at least this far from the panel's outline, pixels.
+_DISTRACTOR_FROM_PANEL_PX = 15.0
 
 
 def _sphere(radius: float, centre: FloatArray, resolution: int) -> Any:
     return load_open3d().geometry.TriangleMesh.create_sphere(radius, resolution).translate(centre)
 
 
+def _across(z: FloatArray) -> FloatArray:
+    return unit(np.cross(z, [1.0, 0, 0] if abs(z[0]) < 0.7 else [0, 1.0, 0]))
+
+
 def _rod(start: FloatArray, stop: FloatArray, radius: float) -> Any:
     """A cylinder with round ends."""
-    o3d = load_open3d()
     along = stop - start
     length = float(np.linalg.norm(along))
     z = along / length
-    x = unit(np.cross(z, [1.0, 0, 0] if abs(z[0]) < 0.7 else [0, 1.0, 0]))
-    T = np.eye(4)
+    T, x = np.eye(4), _across(z)
     T[:3, :3], T[:3, 3] = np.column_stack([x, np.cross(z, x), z]), (start + stop) / 2
-    rod = o3d.geometry.TriangleMesh.create_cylinder(radius, length, resolution=24, split=1).transform(T)
-    return rod + _sphere(radius, start, 10) + _sphere(radius, stop, 10)
+    cylinder = load_open3d().geometry.TriangleMesh.create_cylinder(radius, length, resolution=24, split=1)
+    return cylinder.transform(T) + _sphere(radius, start, 10) + _sphere(radius, stop, 10)
 
 
 def _plane(normal: FloatArray, through: FloatArray, size: float = 30.0) -> Any:
     """Two triangles, wide enough to fill every image."""
     o3d = load_open3d()
-    x = unit(np.cross(normal, [1.0, 0, 0] if abs(normal[0]) < 0.7 else [0, 1.0, 0]))
+    x = _across(normal)
     y = np.cross(normal, x)
     corners = np.array([through + size * (a * x + b * y) for a, b in ((-1, -1), (1, -1), (1, 1), (-1, 1))])
     return o3d.geometry.TriangleMesh(
@@ -394,13 +387,9 @@ def _plane(normal: FloatArray, through: FloatArray, size: float = 30.0) -> Any:
 
 #: Rays per axis in a pixel where surfaces meet.
 FINE = 10
-#: A white surface at 1.5 m shows this fraction of the infrared image's full scale.
-_DIFFUSE = 0.1
-_REFERENCE_M = 1.5
 
 
-@dataclass(frozen=True)
-class IdealImages:
+class IdealImages(NamedTuple):
     """What a perfect sensor would measure; all of shape (height, width)."""
 
     z: FloatArray  # m: depth; inf where nothing reflects
@@ -414,12 +403,11 @@ def render(scene: PanelScene, lens: Intrinsics) -> IdealImages:
     """Cast a ray through every pixel, and many through those where surfaces meet."""
     rays = lens.ray_image()
     hits = scene.cast(rays.reshape(-1, 2))
-    z, infrared = hits.z.copy(), _shade(scene, rays.reshape(-1, 2), hits)
+    z, infrared = hits.z.copy(), hits.infrared
     spread, marker = np.zeros(len(z)), hits.marker.astype(float)
     mixed = np.flatnonzero(_mixed(scene, lens, hits))
-    inside = _fine_rays(rays, mixed)
-    fine = scene.cast(inside.reshape(-1, 2))
-    bright = _shade(scene, inside.reshape(-1, 2), fine).reshape(len(mixed), -1)
+    fine = scene.cast(_fine_rays(rays, mixed).reshape(-1, 2))
+    bright = fine.infrared.reshape(len(mixed), -1)
     infrared[mixed] = bright.mean(axis=1)
     marker[mixed] = fine.marker.reshape(len(mixed), -1).mean(axis=1)
     # What is brighter counts for more in the mixture; a marker's own glare is held down by the sensor.
@@ -428,17 +416,8 @@ def render(scene: PanelScene, lens: Intrinsics) -> IdealImages:
     mean = (weight * depth).sum(axis=1) / weight.sum(axis=1)
     z[mixed] = np.where(mean < 49, mean, np.inf)
     spread[mixed] = np.sqrt((weight * (depth - mean[:, None]) ** 2).sum(axis=1) / weight.sum(axis=1))
-    shape = (lens.height, lens.width)
-    return IdealImages(*(part.reshape(shape) for part in (z, spread, infrared, hits.cosine, marker)))
-
-
-def _shade(scene: PanelScene, rays: FloatArray, hits: Hits) -> FloatArray:
-    """Infrared brightness (N,) in full scales; the lamp sits at the camera."""
-    secant2 = 1 + (rays**2).sum(axis=1)
-    fading = (_REFERENCE_M / np.where(np.isfinite(hits.z), hits.z, np.inf)) ** 2 / secant2
-    vignette = 1 / secant2
-    diffuse = _DIFFUSE * hits.albedo * hits.cosine
-    return fading * vignette * np.where(hits.marker, scene.config.marker_gain, diffuse)
+    parts = (z, spread, infrared, hits.cosine, marker)
+    return IdealImages(*(part.reshape(lens.height, lens.width) for part in parts))
 
 
 def _mixed(scene: PanelScene, lens: Intrinsics, hits: Hits) -> BoolArray:
@@ -449,12 +428,10 @@ def _mixed(scene: PanelScene, lens: Intrinsics, hits: Hits) -> BoolArray:
     kinds = hits.surface.reshape(shape).astype(np.float32) + 1
     around = np.ones((3, 3), np.uint8)
     edges = cv2.dilate(kinds, around) != cv2.erode(kinds, around)
-    size = scene.config.marker_diameter_m
-    spots = np.array([*scene.config.markers, *scene.config.extra_markers])
-    centres = np.column_stack([spots, np.zeros(len(spots))]) @ scene.R_K_P.T + scene.p_K_P
+    centres = np.column_stack([scene.spots, np.zeros(len(scene.spots))]) @ scene.R_K_P.T + scene.p_K_P
     near = hits.marker.reshape(shape).astype(np.uint8)
     for (u, v), z in zip(lens.pixels(centres), centres[:, 2], strict=True):
-        reach = int(np.ceil(0.6 * size * max(lens.fx, lens.fy) / z)) + 2
+        reach = int(np.ceil(0.6 * scene.config.marker_diameter_m * max(lens.fx, lens.fy) / z)) + 2
         row, column = round(v), round(u)
         near[max(row - reach, 0) : row + reach + 1, max(column - reach, 0) : column + reach + 1] = 1
     return np.asarray((edges | (cv2.dilate(near, around) > 0)).ravel())
@@ -462,8 +439,7 @@ def _mixed(scene: PanelScene, lens: Intrinsics, hits: Hits) -> BoolArray:
 
 def _fine_rays(rays: FloatArray, pixels: np.ndarray) -> FloatArray:
     """Rays (n, FINE^2, 2) on a grid in each pixel, by the first derivatives of the lens' rays."""
-    width = rays.shape[1]
-    row, column = np.divmod(pixels, width)
+    row, column = np.divmod(pixels, rays.shape[1])
     by_row, by_column = np.gradient(rays, axis=0), np.gradient(rays, axis=1)
     offset = (np.arange(FINE) + 0.5) / FINE - 0.5
     v, u = (grid.ravel()[None, :, None] for grid in np.meshgrid(offset, offset, indexing="ij"))
@@ -480,51 +456,36 @@ _FADES_PX = 1.5  # of the depth error beside a marker
 _DARK = 0.0008  # noise of a dark pixel, full scales
 
 
-def infrared_image(
+def photograph(
     ideal: IdealImages, config: PanelSimulation, rng: np.random.Generator
-) -> NDArray[np.uint16]:
-    """The infrared image: blurred by the lens, clipped at full scale."""
-    light = _blurred(ideal.infrared, config.blur_px)
-    noise = rng.normal(size=light.shape)
+) -> tuple[NDArray[np.uint16] | FloatArray, NDArray[np.uint16]]:
+    """Depth, mm, 0 where there is none (float where it is not quantised), and infrared, clipped."""
+    import cv2
+
+    blurred = ideal.infrared
+    if config.blur_px > 0:
+        blurred = np.asarray(cv2.GaussianBlur(blurred, (0, 0), config.blur_px))
+    noise, light = rng.normal(size=blurred.shape), blurred
     if config.infrared_noise > 0:
         light = light + noise * (config.infrared_noise * np.minimum(light, 1.0) + _DARK)
-    return np.rint(np.clip(light, 0, 1) * FULL_SCALE).astype(np.uint16)
+    infrared = np.rint(np.clip(light, 0, 1) * FULL_SCALE).astype(np.uint16)
 
-
-def depth_image(
-    ideal: IdealImages, config: PanelSimulation, rng: np.random.Generator
-) -> NDArray[np.uint16] | FloatArray:
-    """The depth image, mm, 0 where there is none (float where the simulation does not quantise)."""
     noise, luck = rng.normal(size=ideal.z.shape), rng.random(ideal.z.shape)
     seen = np.isfinite(ideal.z)
     z = np.where(seen, ideal.z, 0.0)
     sigma = config.depth_noise_m * (z / _REFERENCE_M) ** 2 / np.maximum(ideal.cosine, 0.15)
-    rim = ideal.spread > _RIM_M
-    valid = seen & ~(rim & (luck > config.flying))
-    glare = _blurred(ideal.infrared, config.blur_px)
-    no_depth, beside = _around_markers(glare, ideal.marker)
+    valid = seen & ~((ideal.spread > _RIM_M) & (luck > config.flying))
+    # pixels without depth, and how near (1 to 0) the others are to a marker
+    no_depth = (blurred >= 1.0) | (ideal.marker > 0.02)
+    away = cv2.distanceTransform((~no_depth).astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
+    beside = np.where(no_depth, 0.0, np.exp(-(away - 1.0) / _FADES_PX))
     if config.halo_m > 0:
         z = z + config.halo_m * beside
         no_depth |= (beside > 0.6) & (luck < 0.5)
     z = z + sigma * noise + config.depth_offset_m
     valid &= ~no_depth & (z > RANGE_M[0]) & (z < RANGE_M[1])
-    millimetres = np.where(valid, z * 1000, 0.0)
-    return np.rint(millimetres).astype(np.uint16) if config.quantised else millimetres
-
-
-def _around_markers(glare: FloatArray, marker: FloatArray) -> tuple[NDArray[np.bool_], FloatArray]:
-    """Pixels without depth, and how near (1 to 0) the others are to a marker."""
-    import cv2
-
-    no_depth = (glare >= 1.0) | (marker > 0.02)
-    away = cv2.distanceTransform((~no_depth).astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
-    return no_depth, np.where(no_depth, 0.0, np.exp(-(away - 1.0) / _FADES_PX))
-
-
-def _blurred(image: FloatArray, sigma_px: float) -> FloatArray:
-    import cv2
-
-    return np.asarray(cv2.GaussianBlur(image, (0, 0), sigma_px)) if sigma_px > 0 else image
+    depth = np.where(valid, z * 1000, 0.0)
+    return np.rint(depth).astype(np.uint16) if config.quantised else depth, infrared
 
 
 #: The earth's field in {W}, uT: 60 degrees below the horizon, x to the north.
@@ -539,14 +500,10 @@ class Held:
 
     R_W: FloatArray  # (n, 3, 3): orientation in each pose, body to world
     p_W: FloatArray  # (n, 3) m
-    hold_s: float  # Time in a pose, and from one to the next
-    move_s: float  # Time in a pose, and from one to the next
+    hold_s: float  # Time in a pose
+    move_s: float  # From one to the next
     sway_deg: float = 0.0  # Rms of the sway
     seed: int = 0  # Of the sway
-
-    def middle_s(self) -> FloatArray:
-        """Times (n,) in the middle of the holds."""
-        return (np.arange(len(self.R_W)) + 0.5) * self.hold_s + np.arange(len(self.R_W)) * self.move_s
 
     @property
     def duration_s(self) -> float:
@@ -555,11 +512,12 @@ class Held:
 
     def imu_pose(self, t_s: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Orientation (N, 3, 3) and position (N, 3) m in {W}: minimum jerk between the poses."""
-        poses = Rotation.from_matrix(self.R_W)
+        poses, count = Rotation.from_matrix(self.R_W), len(self.R_W)
         step = (poses[:-1].inv() * poses[1:]).as_rotvec()
+        middles = (np.arange(count) + 0.5) * self.hold_s + np.arange(count) * self.move_s
         R = np.tile(self.R_W[0], (len(t_s), 1, 1))
         p = np.tile(self.p_W[0], (len(t_s), 1))
-        for i, begin in enumerate(self.middle_s()[:-1] + self.hold_s / 2):
+        for i, begin in enumerate(middles[:-1] + self.hold_s / 2):
             now = t_s >= begin
             share = ramp(t_s[now], begin, self.move_s)[:, None]
             R[now] = (poses[i] * Rotation.from_rotvec(share * step[i])).as_matrix()
@@ -588,10 +546,6 @@ def imu_stream(
     return ImuStream(name, stream.t_s, stream.acc, stream.gyro, mag)
 
 
-#: A distractor stays at least this far from the panel's outline, pixels.
-_DISTRACTOR_FROM_PANEL_PX = 15.0
-
-
 @dataclass(frozen=True)
 class PanelPose:
     """What camera and mocap see of the panel in one pose, and where it truly is."""
@@ -603,10 +557,9 @@ class PanelPose:
     marker_names: tuple[str, ...]  # Of the mocap markers, in the order they come in
     markers: FloatArray  # (n, 3) m: in {E}, with the mocap's noise, shuffled
     marker_order: NDArray[np.int64]  # (n,): which marker of the panel's definition each of them is
-    R_K_P: FloatArray  # (3, 3) and (3,) m: the panel in the camera
-    p_K_P: FloatArray  # (3, 3) and (3,) m: the panel in the camera
-    # (n, 2) pixels: Exact pixels of the markers' centres, in the order of the definition
-    marker_pixels: FloatArray
+    R_K_P: FloatArray  # (3, 3): the panel in the camera
+    p_K_P: FloatArray  # (3,) m
+    marker_pixels: FloatArray  # (n, 2): exact pixels of the markers' centres, in the definition's order
     R_W_K: FloatArray  # (3, 3): the camera in the world, z up
 
 
@@ -616,54 +569,53 @@ class SimulatedPanel:
 
     config: PanelSimulation
     seed: int
-    lens: Intrinsics  # The camera's intrinsics
+    lens: Intrinsics
     poses: tuple[PanelPose, ...]
     imu_panel: ImuStream  # The IMU on the panel and the one on the camera, over the whole session
-    imu_base: ImuStream  # The IMU on the panel and the one on the camera, over the whole session
-    R_K_E: FloatArray  # (3, 3) and (3,) m: the answer of `calibrate panel`, camera from mocap
-    t_K_E: FloatArray  # (3, 3) and (3,) m: the answer of `calibrate panel`, camera from mocap
+    imu_base: ImuStream
+    R_K_E: FloatArray  # (3, 3): the answer of `calibrate panel`, camera from mocap
+    t_K_E: FloatArray  # (3,) m
     R_K_B: FloatArray  # (3, 3): the answer of `calibrate world`: camera from base IMU, panel from its IMU
-    R_P_I: FloatArray  # (3, 3): the answer of `calibrate world`: camera from base IMU, panel from its IMU
+    R_P_I: FloatArray
 
 
 def simulate_panel(config: PanelSimulation, seed: int = 0) -> SimulatedPanel:
     """Hold a panel before a depth camera, in as many poses as the settings say."""
     streams = np.random.SeedSequence(seed).spawn(config.poses + 2)
     rng = np.random.default_rng(streams[0])
-    lens = make_lens(config)
+    lens = Intrinsics(
+        config.width,
+        config.height,
+        fx=config.focal_px,
+        fy=config.focal_px * 1.0008,
+        cx=config.width / 2 + 2.3,  # some pixels off the middle
+        cy=config.height / 2 - 4.1,
+        distortion=config.distortion,
+    )
     R_W_K = place_camera(rng)
-    R_K_E, t_K_E = place_mocap(R_W_K, rng)
-    mocap_W = (R_W_K @ R_K_E, R_W_K @ t_K_E)
-    poses = []
+    # the mocap's origin on the floor, z up to a degree, any heading
+    R_W_E = Rotation.from_rotvec(np.radians([rng.normal(0, 0.5), rng.normal(0, 0.5), 0]))
+    R_W_E = Rotation.from_euler("z", rng.uniform(0, 2 * np.pi)) * R_W_E
+    origin_W = R_W_K @ np.array([rng.uniform(-1, 1), 0, rng.uniform(1, 3)])
+    origin_W[2] = FLOOR_M
+    R_K_E, t_K_E = R_W_K.T @ R_W_E.as_matrix(), R_W_K.T @ origin_W
+    mocap_W, poses = (R_W_K @ R_K_E, R_W_K @ t_K_E), []
     for number, stream in enumerate(streams[1:-1]):
         own = np.random.default_rng(stream)
         tilted = tilt_camera(R_W_K, config.camera_tilt_deg, own) if number else R_W_K
         poses.append(_pose(config, lens, number, tilted, mocap_W, own))
     rng = np.random.default_rng(streams[-1])
     R_K_B, R_P_I = place_base(rng), place_imu(config.imu_mounting_deg, rng)
-    panel, camera = _bodies(config, poses, seed)
+
+    # the panel, a point near its middle, and the camera from pose to pose
+    cameras, R_K_P = (np.array([getattr(pose, name) for pose in poses]) for name in ("R_W_K", "R_K_P"))
+    middle = config.corners.mean(axis=0) + np.array([0.05, 0.03, -0.01])
+    p_K = np.array([pose.R_K_P @ middle + pose.p_K_P for pose in poses])
+    p_W, times = np.einsum("nij,nj->ni", cameras, p_K), (config.hold_s, config.move_s)
+    panel = Held(cameras @ R_K_P, p_W, *times, config.sway_deg, seed)
     imu_panel = imu_stream("panel", panel, R_P_I, config, rng)
-    imu_base = imu_stream("base", camera, R_K_B, config, rng)
+    imu_base = imu_stream("base", Held(cameras, np.zeros((len(poses), 3)), *times), R_K_B, config, rng)
     return SimulatedPanel(config, seed, lens, tuple(poses), imu_panel, imu_base, R_K_E, t_K_E, R_K_B, R_P_I)
-
-
-def make_lens(config: PanelSimulation) -> Intrinsics:
-    """The camera's intrinsics: the principal point lies some pixels off the middle."""
-    return Intrinsics(
-        config.width,
-        config.height,
-        fx=config.focal_px,
-        fy=config.focal_px * 1.0008,
-        cx=config.width / 2 + 2.3,
-        cy=config.height / 2 - 4.1,
-        distortion=config.distortion,
-    )
-
-
-def marker_points(config: PanelSimulation) -> FloatArray:
-    """Centres of the markers (n, 3), m in {P}."""
-    height = config.marker_height_m if config.marker_shape == "sphere" else 0.0
-    return np.column_stack([config.markers, np.full(len(config.markers), height)])
 
 
 def _pose(
@@ -675,12 +627,11 @@ def _pose(
     rng: np.random.Generator,
 ) -> PanelPose:
     R_K_P, p_K_P = place_panel(config, lens, R_W_K, rng)
-    scene = build_scene(config, R_K_P, p_K_P, R_W_K.T, rng)
-    _distract(scene, lens, config.distractors, rng)
-    ideal = render(scene, lens)
-    infrared = infrared_image(ideal, config, rng)
-    depth = depth_image(ideal, config, rng)
-    true_K = marker_points(config) @ R_K_P.T + p_K_P
+    scene = PanelScene(config, R_K_P, p_K_P, R_W_K.T, rng)
+    scene.distract(lens, config.distractors, rng)
+    depth, infrared = photograph(render(scene, lens), config, rng)
+    height = config.marker_height_m if config.marker_shape == "sphere" else 0.0
+    true_K = np.column_stack([config.markers, np.full(len(config.markers), height)]) @ R_K_P.T + p_K_P
     order = rng.permutation(len(true_K))
     noise = config.mocap_noise_m * rng.normal(size=true_K.shape)
     R_W_E, t_W_E = mocap_W
@@ -689,34 +640,3 @@ def _pose(
     t_s = (number + 0.5) * config.hold_s + number * config.move_s
     pixels = lens.pixels(true_K)
     return PanelPose(t_s, depth, infrared, names, markers, order, R_K_P, p_K_P, pixels, R_W_K)
-
-
-def _bodies(config: PanelSimulation, poses: list[PanelPose], seed: int) -> tuple[Held, Held]:
-    """The panel (a point near its middle) and the camera, from pose to pose."""
-    R_W_K = np.array([pose.R_W_K for pose in poses])
-    R_K_P = np.array([pose.R_K_P for pose in poses])
-    middle = panel_corners(config).mean(axis=0) + np.array([0.05, 0.03, -0.01])
-    p_K = np.array([pose.R_K_P @ middle + pose.p_K_P for pose in poses])
-    p_W = np.einsum("nij,nj->ni", R_W_K, p_K)
-    times = (config.hold_s, config.move_s)
-    panel = Held(R_W_K @ R_K_P, p_W, *times, config.sway_deg, seed)
-    return panel, Held(R_W_K, np.zeros((len(poses), 3)), *times)
-
-
-def _distract(scene: PanelScene, lens: Intrinsics, count: int, rng: np.random.Generator) -> None:
-    """Put bright balls beside the panel, wherever there is room in the image."""
-    import cv2
-
-    outline = lens.pixels(panel_corners(scene.config) @ scene.R_K_P.T + scene.p_K_P).astype(np.float32)
-    rays = lens.ray_image()
-    placed = 0
-    for _ in range(1000 * bool(count)):
-        row, column = rng.integers(10, lens.height - 10), rng.integers(10, lens.width - 10)
-        if cv2.pointPolygonTest(outline, (float(column), float(row)), True) > -_DISTRACTOR_FROM_PANEL_PX:
-            continue
-        z = float(scene.cast(rays[row, column][None]).z[0])
-        if np.isfinite(z):
-            add_distractor(scene, rays[row, column], rng.uniform(1.0, min(z - 0.05, 2.0)))
-            placed += 1
-        if placed == count:
-            return

@@ -17,7 +17,7 @@ from scipy.spatial.transform import Rotation
 from ..array_types import FloatArray
 from ..linalg import unit
 from ..recording import CameraFrame, ImuStream, JointTracks
-from .camera import add_noise, add_outliers, debounce, deliver, exposures, film, lose_forearm
+from .camera import debounce, exposures, shoot
 from .config import ArmSimulation, Settings, setting, size
 from .inertial import Pose, ideal_imu, measure
 from .motion import (
@@ -136,14 +136,10 @@ def simulate_people(
     arms = []
     stamp_seed = int(stamp_rng.integers(2**31))
     for (body, side), motion in motions.items():
-        footage = film(times, motion.joints(times))
-        true = footage.position.copy()
-        add_noise(footage, arm, noise_rng)
         hidden = debounce(motion.hidden(times), arm.frame_rate_hz)
-        lose_forearm(footage, hidden, true, arm, noise_rng)
-        add_outliers(footage, arm, noise_rng)
         # one camera: all arms have the same frames
-        tracks, _ = deliver(footage, "/skeleton", arm, np.random.default_rng(stamp_seed))
+        rngs = (noise_rng, noise_rng, np.random.default_rng(stamp_seed))
+        tracks, *_ = shoot(arm, times, motion.joints(times), hidden, rngs, "/skeleton")
         arms.append((body, side, tracks))
     return SimulatedPeople(arms, worn, arm.camera_frame, f"simulated people, seed {seed}")
 

@@ -25,8 +25,9 @@ STEP_S = 0.3125e-3
 
 @dataclass(frozen=True)
 class Clocks:
-    """Nodes whose clocks read tau + offset + skew tau."""
+    """Clocks that read tau + offset + skew tau, by name."""
 
+    names: tuple[str, ...]
     offset_s: FloatArray  # (n,) s
     skew: FloatArray  # (n,)
 
@@ -34,15 +35,19 @@ class Clocks:
         """What a node's clock shows at a true time."""
         return float(tau + self.offset_s[node] + self.skew[node] * tau)
 
+    def offset_between_s(self, from_clock: str, to_clock: str, at_s: float) -> float:
+        """True offset, t_to = t_from + offset, at a time on the first clock."""
+        u, v = self.names.index(from_clock), self.names.index(to_clock)
+        tau = (at_s - self.offset_s[u]) / (1.0 + self.skew[u])
+        return float(self.offset_s[v] + (1.0 + self.skew[v]) * tau - at_s)
+
     def error_s(self, link: ClockLink) -> float:
-        """Error of a link between nodes called n0, n1, .. at the time that it is stated for."""
-        u, v = int(link.from_clock[1:]), int(link.to_clock[1:])
-        tau = (link.at_s - self.offset_s[u]) / (1 + self.skew[u])
-        return link.offset_s - (self.read(v, tau) - self.read(u, tau))
+        """Error of a link at the time that it is stated for."""
+        return link.offset_s - self.offset_between_s(link.from_clock, link.to_clock, link.at_s)
 
     def skew_error_ppm(self, link: ClockLink) -> float:
         """Error of a link's skew."""
-        u, v = int(link.from_clock[1:]), int(link.to_clock[1:])
+        u, v = self.names.index(link.from_clock), self.names.index(link.to_clock)
         return link.skew_ppm - 1e6 * ((1 + self.skew[v]) / (1 + self.skew[u]) - 1)
 
 
@@ -53,14 +58,14 @@ def broadcast(
     span_s: float = 900.0,
     missed: float = 0.2,
     late: float = 0.05,
-    start_s: float = 0.0,
     offset_s: Sequence[float] | None = None,
 ) -> tuple[Clocks, Receptions]:
     """Rounds of a broadcast that some nodes miss and some hear late; node n1 runs 390 ppm fast."""
     rng = np.random.default_rng(seed)
-    offset = np.concatenate([[0.0], rng.uniform(-5, 5, nodes - 1) + start_s])
+    offset = np.concatenate([[0.0], rng.uniform(-5, 5, nodes - 1)])
     skew = np.concatenate([[0.0, 390e-6], rng.uniform(-4e-4, 4e-4, nodes)])[:nodes]
-    clocks, rows = Clocks(offset if offset_s is None else np.array(offset_s), skew), []
+    names = tuple(f"n{node}" for node in range(nodes))
+    clocks, rows = Clocks(names, offset if offset_s is None else np.array(offset_s), skew), []
     for number, tau in enumerate(np.sort(rng.uniform(0, span_s, rounds)).tolist()):
         for node in range(nodes):
             if rng.random() < missed:
@@ -109,20 +114,7 @@ class ClockSession:
     event_time_s: float  # The beep's end on the base's clock, in the step of its stamps
     receptions: Receptions  # Broadcasts as the base and the IMU received them
     recording: Recording  # An arm in motion, frames on the camera's clock, samples on the IMU's
-    clocks: Clocks  # The truth: base, then IMU, against the camera's
-
-    def offset_s(self, from_clock: str, to_clock: str, at_s: float) -> float:
-        """True offset between two clocks by name, t_to = t_from + offset, at a time on the first."""
-        first, second = self._law(from_clock), self._law(to_clock)
-        true_s = (at_s - first[0]) / (1.0 + first[1])
-        return second[0] + (1.0 + second[1]) * true_s - at_s
-
-    def _law(self, clock: str) -> tuple[float, float]:
-        """Offset in s and skew of a clock against the true time."""
-        if clock == CAMERA:
-            return 0.0, 0.0
-        node = (BASE, IMU).index(clock)
-        return float(self.clocks.offset_s[node]), float(self.clocks.skew[node])
+    clocks: Clocks  # The truth: camera, base, IMU
 
 
 def simulate_clock_session(
@@ -147,9 +139,9 @@ def simulate_clock_session(
     shown = clocks.offset_s[1] + (1.0 + clocks.skew[1]) * imu.t_s  # as `Clocks.read`, of many times
     recording = replace(arm.recording, imu=replace(imu, name=f"/imu/{IMU}", t_s=shown), truth=None)
     event_s = np.rint(clocks.read(0, end_s) / STEP_S) * STEP_S
-    return ClockSession(
-        sound / np.abs(sound).max(), sound_rate_hz, float(event_s), receptions, recording, clocks
-    )
+    clocks = Clocks((CAMERA, BASE, IMU), np.append(0.0, clocks.offset_s), np.append(0.0, clocks.skew))
+    sound /= np.abs(sound).max()
+    return ClockSession(sound, sound_rate_hz, float(event_s), receptions, recording, clocks)
 
 
 #: Six sides, twelve edges and eight corners: the poses in order.

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from calib.intrinsics import Intrinsics, PlacedCamera
 
-from ..array_types import FloatArray
+from ..array_types import BoolArray, FloatArray
 from ..linalg import unit
 from .arm import SimulatedArm
 
@@ -26,7 +26,7 @@ class Arm:
     """A forearm (a capsule) with its strap, in {K}."""
 
     elbow: FloatArray  # (3,) m: ends of its core
-    wrist: FloatArray  # (3,) m: ends of its core
+    wrist: FloatArray
     radius: float = 0.035  # m: of the arm
     strap: float | None = 0.2  # m: distance of the strap's middle from the elbow along the arm
     strap_width: float = 0.03  # m: along the arm
@@ -45,19 +45,15 @@ class Arm:
         return unit(self.wrist - self.elbow)
 
 
-@dataclass(frozen=True)
-class StrapImageNoise:
-    """Errors of the images; the defaults are those of a good camera in a lit room."""
-
-    brightness: float = 4.0  # Sigma of a pixel's brightness
-    depth_m: float = 0.003  # Sigma of a depth at 2 m; grows with distance squared
-    blur_px: float = 0.7  # Sigma of the lens' blur
-    strap_holes: float = 0.7  # Share of the strap's pixels without depth
-    rng: np.random.Generator = field(default_factory=lambda: np.random.default_rng(0))
+#: Errors of the images of a good camera in a lit room: sigma of a pixel's brightness, of a depth at 2 m (it
+#: grows with distance squared), of the lens' blur in pixels; share of the strap's pixels without depth.
+BRIGHTNESS, DEPTH_M, BLUR_PX, STRAP_HOLES = 4.0, 0.003, 0.7, 0.7
+#: Distance along rays, inf where nothing is met, brightness, and where there is no depth, (n,) each.
+Met = tuple[FloatArray, FloatArray, BoolArray]
 
 
 def render(
-    arm: Arm, camera: PlacedCamera, noise: StrapImageNoise | None = None
+    arm: Arm, camera: PlacedCamera, rng: np.random.Generator | None = None
 ) -> tuple[NDArray[np.uint8], FloatArray]:  # grey (height, width), z (height, width) m
     """Images of the arm; depth fails on most of a black strap, and on a reflective marker and its rim."""
     import cv2
@@ -72,20 +68,17 @@ def render(
         z[closer], grey[closer], no_depth[closer] = reach[closer], shade[closer], blind[closer]
     shape = (camera.lens.height, camera.lens.width)
     grey, z, no_depth = grey.reshape(shape), z.reshape(shape), no_depth.reshape(shape)
-    if noise is not None:
-        if noise.blur_px > 0:
-            grey = cv2.GaussianBlur(grey, (0, 0), noise.blur_px)
-        grey = grey + noise.rng.normal(0, noise.brightness, shape)
-        z = z + noise.rng.normal(0, noise.depth_m, shape) * (z / 2.0) ** 2
+    if rng is not None:
+        grey = cv2.GaussianBlur(grey, (0, 0), BLUR_PX)
+        grey = grey + rng.normal(0, BRIGHTNESS, shape)
+        z = z + rng.normal(0, DEPTH_M, shape) * (z / 2.0) ** 2
         rim = cv2.dilate((grey >= 250).astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
-        no_depth = (no_depth & (noise.rng.random(shape) < noise.strap_holes)) | rim
+        no_depth = (no_depth & (rng.random(shape) < STRAP_HOLES)) | rim
         z = np.rint(1000 * z) / 1000  # depth images count millimetres
     return np.clip(grey, 0, 255).astype(np.uint8), np.where(no_depth, np.nan, z)
 
 
-def _capsule(
-    arm: Arm, origin: FloatArray, rays: FloatArray
-) -> tuple[FloatArray, FloatArray, NDArray[np.bool_]]:
+def _capsule(arm: Arm, origin: FloatArray, rays: FloatArray) -> Met:
     """Depth, brightness and blindness of the arm along rays (n, 3): a cylinder with round ends."""
     y, length = arm._y, float(np.linalg.norm(arm.wrist - arm.elbow))
     start = origin - arm.elbow
@@ -111,10 +104,10 @@ def _capsule(
     return reach, colour * (AMBIENT + (1 - AMBIENT) * np.clip(light, 0, 1)), blind & met
 
 
-def _ball(arm: Arm, origin: FloatArray, rays: FloatArray) -> tuple[FloatArray, FloatArray, NDArray[np.bool_]]:
+def _ball(arm: Arm, origin: FloatArray, rays: FloatArray) -> Met:
     """A reflective marker of 14 mm on the arm's near side."""
     if arm.marker is None or arm.strap is None:
-        return np.full(len(rays), np.inf), np.zeros(len(rays)), np.zeros(len(rays), dtype=bool)
+        return _nothing(rays)
     core = arm.strap_core - arm.marker * arm._y
     into = core - origin
     into = into - (into @ arm._y) * arm._y
@@ -123,18 +116,19 @@ def _ball(arm: Arm, origin: FloatArray, rays: FloatArray) -> tuple[FloatArray, F
     return reach, np.full(len(rays), MARKER), np.isfinite(reach)
 
 
-def _trunk(
-    arm: Arm, origin: FloatArray, rays: FloatArray
-) -> tuple[FloatArray, FloatArray, NDArray[np.bool_]]:
-    nothing = np.zeros(len(rays), dtype=bool)
+def _nothing(rays: FloatArray) -> Met:
+    return np.full(len(rays), np.inf), np.zeros(len(rays)), np.zeros(len(rays), dtype=bool)
+
+
+def _trunk(arm: Arm, origin: FloatArray, rays: FloatArray) -> Met:
     if arm.trunk is None:
-        return np.full(len(rays), np.inf), np.zeros(len(rays)), nothing
+        return _nothing(rays)
     centre, half = arm.trunk
     ray, off = rays / half, (origin - centre) / half
     reach = _first((ray**2).sum(axis=1), ray @ off, float(off @ off) - 1.0)
     # folds of the clothes: bands that a search for dark places may take for a strap
     height = (origin + np.where(np.isfinite(reach), reach, 0)[:, None] * rays)[:, 1]
-    return reach, CLOTHES * (1 + 0.3 * np.sin(2 * np.pi * height / 0.06)), nothing
+    return reach, CLOTHES * (1 + 0.3 * np.sin(2 * np.pi * height / 0.06)), np.zeros(len(rays), dtype=bool)
 
 
 def _first(a: FloatArray, b: FloatArray, c: float) -> FloatArray:
@@ -179,9 +173,8 @@ def strap_images(
         k = int(np.argmin(np.abs(truth.t_s - t)))
         elbow, wrist = truth.joints["elbow"][k], truth.joints["wrist"][k]
         arm = Arm(elbow, wrist, radius_m, measures["forearm_m"] - measures["strap_to_wrist_m"])
-        noise = StrapImageNoise(rng=rng)
-        grey, _ = render(arm, COLOUR, noise)
-        _, z = render(arm, DEPTH, noise)
+        grey, _ = render(arm, COLOUR, rng)
+        _, z = render(arm, DEPTH, rng)
         yield StrapView(t, grey, np.nan_to_num(np.rint(1000 * z)).astype(np.uint16))
 
 

@@ -27,7 +27,7 @@ from smoother.errors import CalibrationError
 from smoother.io import write_recording
 from smoother.simulation import ArmSimulation, simulate_arm
 from smoother.simulation.arm import SimulatedArm
-from smoother.simulation.strap import Arm, StrapImageNoise, render
+from smoother.simulation.strap import Arm, render
 
 ONE_PROCESS = Config.model_validate({"windows": {"processes": 1}})
 SEEDS = (1, 4)
@@ -188,9 +188,8 @@ def an_arm(seed: int) -> tuple[Arm, np.random.Generator]:
 
 def look(arm: Arm, rng: np.random.Generator, joint_sigma_m: float, colour: PlacedCamera = COLOUR):
     """Render and search, with joints as a camera places them."""
-    noise = StrapImageNoise(rng=rng)
-    grey, _ = render(arm, colour, noise)
-    _, z = render(arm, INFRARED, noise)
+    grey, _ = render(arm, colour, rng)
+    _, z = render(arm, INFRARED, rng)
     elbow, wrist = (end + rng.normal(0, joint_sigma_m, 3) for end in (arm.elbow, arm.wrist))
     return find_strap(
         grey,

@@ -299,14 +299,14 @@ def test_clock(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys) -> None:
     session = simulate_clock_session(5)
     assert len(links) == 3
     for link in links:
-        true = session.offset_s(link["from"], link["to"], link["at_s"])
+        true = session.clocks.offset_between_s(link["from"], link["to"], link["at_s"])
         assert abs(link["offset_s"] - true) < MOST_SIGMAS * link["sigma_s"], link
         assert link["sigma_s"] < 1e-3
     of_file = {
         (link["from"], link["to"]): link for link in truth_of(Path("session/truth.toml"))["clock"]["links"]
     }
     at_zero = of_file["base", "forearm_right"]
-    assert at_zero["offset_s"] == session.offset_s("base", "forearm_right", 0.0)
+    assert at_zero["offset_s"] == session.clocks.offset_between_s("base", "forearm_right", 0.0)
     assert at_zero["skew_ppm"] == pytest.approx(390.0, abs=0.01)
 
 

@@ -172,3 +172,11 @@ def test_wrong_settings_are_refused():
             ArmSimulation(**changes)
     with pytest.raises(ValueError):
         ArmSimulation.preset("perfect")
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+def test_another_person_may_take_longer_or_not_so_long(seed: int):
+    config = ArmSimulation.preset("white", repetitions=1, cameras=(60.0,), camera_fault="other_person")
+    (camera,) = simulate_arm(config, seed).recording.cameras
+    assert len(camera.arm) > 300
+    assert np.isfinite(camera.arm.joint("shoulder")).all()

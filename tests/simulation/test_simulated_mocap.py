@@ -87,3 +87,10 @@ def test_noise_and_lost_markers_are_as_asked():
     share = lost[..., 0].mean(axis=0)
     assert (share > 0).all()
     assert share.mean() == pytest.approx(0.18, abs=0.05)  # stretches may lie over each other
+
+
+def test_a_capture_that_begins_after_the_recording_is_refused():
+    arm = simulated()
+    with pytest.raises(ValueError, match="mocap_offset_s=300 begins when the recording of 8 s is over"):
+        capture(arm, MocapSimulation(mocap_offset_s=300.0))
+    assert len(capture(arm, MocapSimulation(mocap_offset_s=5.0)).position) > 300

@@ -17,7 +17,7 @@ from smoother.cli.run import run
 from smoother.io.mcap.container import Container
 from smoother.io.recording.read import open_recording
 from smoother.io.wire.schemas import message_class
-from smoother.simulation.panel import FIELD_W, PanelSimulation, SimulatedPanel, panel_corners, simulate_panel
+from smoother.simulation.panel import FIELD_W, PanelSimulation, SimulatedPanel, simulate_panel
 
 
 def board_depth(panel: SimulatedPanel, number: int = 0) -> np.ndarray:
@@ -32,7 +32,7 @@ def on_board(panel: SimulatedPanel, inset_px: int, number: int = 0) -> np.ndarra
     import cv2
 
     pose = panel.poses[number]
-    outline = panel.lens.pixels(panel_corners(panel.config) @ pose.R_K_P.T + pose.p_K_P)
+    outline = panel.lens.pixels(panel.config.corners @ pose.R_K_P.T + pose.p_K_P)
     mask = np.zeros(pose.depth.shape, np.uint8)
     cv2.fillConvexPoly(mask, np.rint(outline).astype(np.int32), 1)
     mask = cv2.erode(mask, np.ones((2 * inset_px + 1,) * 2, np.uint8))
