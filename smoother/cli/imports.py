@@ -343,8 +343,8 @@ def describe(
     Example: unocclude import describe sensor.csv > session/recording.toml
     """
     from ..io.registry import FileReader
-    from ..io.tables.columns import toml_of
     from ..io.tables.describe import describe_files, guessed_table
+    from ..io.tables.guess import toml_of
     from ..io.tables.recording_toml import read_templates
 
     check_outputs(force, [json_file], [path for path in paths if not path.is_dir()])

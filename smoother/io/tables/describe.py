@@ -18,7 +18,7 @@ from ...linalg import median_rate_hz
 from ...recording import JointState
 from ..files import files_meant, times_of
 from ..registry import FileReader, unknown_file
-from .columns import Guess, guess_of
+from .guess import Guess, guess_of
 from .imu import ImuTable
 from .skeletons import SkeletonTable
 from .table import (

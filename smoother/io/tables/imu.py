@@ -17,7 +17,7 @@ from ...measurements.timestamps import pauses
 from ...units import STANDARD_GRAVITY
 from .joints import words_of
 from .table import shown
-from .units import ACCELERATION, ANGULAR_VELOCITY, plain_unit
+from .units import ACCELERATION, ANGULAR_VELOCITY, gravity_unit, plain_unit
 
 Columns = tuple[int, int, int]
 
@@ -223,12 +223,6 @@ def usual_size(values: FloatArray) -> float:
     """Median length of vectors (n, 3); 0 where there are none."""
     size = np.linalg.norm(values, axis=1)
     return float(np.nanmedian(size)) if np.isfinite(size).any() else 0.0
-
-
-def gravity_unit(size: float, low: float = 0.7, high: float = 1.4) -> str:
-    """The unit in which a size is about gravity; "" where in none."""
-    sizes = {"m/s^2": STANDARD_GRAVITY, "g": 1.0, "mg": 1000.0}
-    return next((unit for unit, one in sizes.items() if low < size / one < high), "")
 
 
 def unit_of(

@@ -15,13 +15,12 @@ import numpy as np
 
 from ...array_types import FloatArray, IntArray
 from ...errors import RecordingError
-from .columns import Guess, ImuKeys, bare_vector, guess_sensor, imu_by_columns, sensors_named
+from .columns import ImuKeys, imu_by_columns
+from .guess import Guess, bare_vector, guess_sensor, sensors_named
 from .imu import UNUSED, Columns, ImuTable, unit_of, usual_size
 from .table import FileHead, Format, Table, read_table, shown
 from .times import seconds, time_column
 from .units import ACCELERATION, ANGULAR_VELOCITY, plain_unit, time_unit
-
-Fits = Callable[[Table], bool]
 
 
 @dataclass(frozen=True)
@@ -31,8 +30,8 @@ class Device:
     key: str  # As in `Format`, up to `recognised_by`
     title: str
     recognised_by: str
-    fits: Fits  # Whether a table's columns are of this device
-    lacks: str = ""  # What a table without both sensors is, and what to do
+    fits: Callable[[Table], bool]  # Whether a table's columns are of this device
+    lacks: str = ""  # What a table without both sensors is, and what to do; "" where the columns speak
     acc: tuple[str, ...] = ("acc",)  # Stems of the vectors' columns, the preferred one first
     gyro: tuple[str, ...] = ("gyr",)
     mag: tuple[str, ...] = ("mag",)
@@ -51,30 +50,39 @@ class Device:
     notes: Callable[[Table, str], list[str]] | None = None  # Sentences on what was chosen
     # Stem of columns of velocity over a sample and forms of a quaternion's, which stand in for rates
     increments: tuple[str, tuple[str, ...]] | None = None
+    read: Callable[[Table, Device], list[ImuTable]] | None = None  # Where the columns alone do not do
 
 
-def _read_device(path: Path, device: Device) -> list[ImuTable]:
+def imu_format(device: Device) -> Format:
+    """The format of a device's table."""
+
+    def recognises(head: FileHead) -> bool:
+        try:
+            return head.table is not None and device.fits(head.table)
+        except RecordingError:  # of cells that are no numbers
+            return False
+
+    read = partial(_read, device=device)
+    return Format(device.key, device.title, "imu", device.recognised_by, recognises, read)
+
+
+def _read(path: Path, device: Device) -> list[ImuTable]:
     """The sensors of a device's table, in the order of its columns."""
-    table = _fitting(path, device.title, device.fits)
-    prefixes = [""]
-    if device.sensor is not None:
-        matches = [device.sensor.fullmatch(label) for label in table.labels]
-        prefixes = list(dict.fromkeys(match.group(1) or "" for match in matches if match))
+    table = read_table(path, f"a table of {device.title}")
+    if not device.fits(table):
+        names = shown(", ".join(table.names) or "none", 150)
+        raise RecordingError(f"{path} is not of {device.title}; its columns are {names}.")
+    table.refuse_nameless(most=1)  # one more is a counter or a comment of some exporter
+    if device.read is not None or not device.lacks:
+        return (device.read or _read_named)(table, device)
+    matches = [device.sensor.fullmatch(label) for label in table.labels] if device.sensor else []
+    prefixes = dict.fromkeys(match.group(1) or "" for match in matches if match) if device.sensor else [""]
     found = [imu for prefix in prefixes if (imu := _sensor(table, device, prefix)) is not None]
     if not found:
         raise RecordingError(f"{path} ({device.title}) is {device.lacks}")
     for imu in found:
         imu.notes[:0] = table.notes
     return found
-
-
-def _fitting(path: Path, title: str, fits: Fits) -> Table:
-    table = read_table(path, f"a table of {title}")
-    if not fits(table):
-        names = shown(", ".join(table.names) or "none", 150)
-        raise RecordingError(f"{path} is not of {title}; its columns are {names}.")
-    table.refuse_nameless(most=1)  # one more is a counter or a comment of some exporter
-    return table
 
 
 def _sensor(table: Table, device: Device, prefix: str) -> ImuTable | None:
@@ -118,12 +126,12 @@ def _in_si(table: Table, kind: str, columns: Columns, usual: str = "") -> tuple[
     """Three columns in SI units (n, 3), and their unit."""
     known = ACCELERATION if kind == "acc" else ANGULAR_VELOCITY
     values, stated = table.vectors(columns), table.unit(columns[0])
-    unit, _ = unit_of(kind, values, stated, usual)
     if plain_unit(stated) and plain_unit(stated) not in known:
         raise RecordingError(
             f"{table.path} states the unit '{shown(stated, 40)}' of {shown(table.name(columns[0]), 60)};"
             f" export calibrated values in {next(iter(known))}."
         )
+    unit, _ = unit_of(kind, values, stated, usual)
     if not unit:
         raise RecordingError(
             f"{table.path} states no unit of acceleration, and reads {usual_size(values):.3g} as a rule, not"
@@ -142,6 +150,8 @@ def _counter(table: Table, column: int | None) -> IntArray | None:
 
 def _fill_from_increments(table: Table, device: Device, imu: ImuTable) -> bool:
     """Set both vectors from velocity (m/s) and rotation over a sample, if they are there."""
+    from scipy.spatial.transform import Rotation
+
     assert device.increments is not None
     stem, forms = device.increments
     velocity = table.axes(stem, signs=("123", "xyz"))
@@ -157,31 +167,23 @@ def _fill_from_increments(table: Table, device: Device, imu: ImuTable) -> bool:
         raise RecordingError(
             f"{table.path} has increments and no increasing times or rate; export it again with times."
         )
-    imu.acc = table.vectors(velocity) * rate
-    imu.gyro = _angular_velocity(table.vectors(rotation), rate)
-    names = f"{table.names[velocity[0]]} and {table.names[rotation[0]]}"
-    imu.units = f"{table.names[velocity[0]]} .. in m/s, {table.names[rotation[0]]} .."
+    turns = table.vectors(rotation)
+    there = np.isfinite(turns).all(axis=1) & turns.any(axis=1)
+    imu.acc, imu.gyro = table.vectors(velocity) * rate, np.full((len(turns), 3), np.nan)
+    imu.gyro[there] = Rotation.from_quat(turns[there], scalar_first=True).as_rotvec() * rate
+    first, quaternion = table.names[velocity[0]], table.names[rotation[0]]
+    imu.units = f"{first} .. in m/s, {quaternion} .."
     imu.notes.append(
-        f"The increments ({names} ..) were multiplied by the rate of {rate:.4g} Hz to"
+        f"The increments ({first} and {quaternion} ..) were multiplied by the rate of {rate:.4g} Hz to"
         " acceleration and angular velocity."
     )
     return True
 
 
-def _angular_velocity(rotation: FloatArray, rate_hz: float) -> FloatArray:  # (n, 4) -> (n, 3) rad/s
-    """Mean angular velocity over each sample, nan where there is none."""
-    from scipy.spatial.transform import Rotation
+# -------------------------------------------------------------------------------------- what devices are like
 
-    velocity = np.full((len(rotation), 3), np.nan)
-    there = np.isfinite(rotation).all(axis=1) & rotation.any(axis=1)
-    velocity[there] = Rotation.from_quat(rotation[there], scalar_first=True).as_rotvec() * rate_hz
-    return velocity
-
-
-# ------------------------------------------------------------------------------ Xsens MTw, MTi (MT Manager)
-
+#: Columns of MT Manager alone; ticks of its SampleTimeFine, s (Xsens MT low-level protocol: 10 kHz).
 _MT_ONLY = ("quat_q0", "mat[1][1]", "velinc_x", "oriinc_q0", "oriinc_w", "utc_nano")
-#: Ticks of SampleTimeFine, s (Xsens MT low-level protocol: 10 kHz).
 _TICK_S = 1e-4
 
 
@@ -193,8 +195,8 @@ def _is_mt(table: Table) -> bool:
     if table.find("counter", "packetcounter", "sampletimefine") is None:
         return False
     plain = table.find("counter") is not None and table.find("acc_x") is not None
-    own = table.find(*_MT_ONLY, "quat_w", "roll", "acc_x") is not None
-    return own and (_is_commented(table) or table.find(*_MT_ONLY) is not None or plain)
+    only = table.find(*_MT_ONLY) is not None
+    return only or (table.find("quat_w", "roll", "acc_x") is not None and (_is_commented(table) or plain))
 
 
 def _mt_times(table: Table, _: str, rate: float | None) -> FloatArray | None:
@@ -212,64 +214,15 @@ def _mt_times(table: Table, _: str, rate: float | None) -> FloatArray | None:
     return ticks * _TICK_S if there.mean() > 0.5 else None
 
 
-#: Layout: MTw user manual, table of ASCII exports; `Counter` wraps at 65535.
-_XSENS_MT = Device(
-    key="xsens-mt",
-    title="Xsens MT Manager export (MTw, MTi)",
-    recognised_by=(
-        "Counter or PacketCounter, and lines that begin with // or columns of MT Manager such as Mat[1][1]"
-    ),
-    fits=_is_mt,
-    lacks=(
-        "without raw sensors; export it again with calibrated data (acceleration and rate of turn: Acc_X ..,"
-        " Gyr_X ..)."
-    ),
-    times=_mt_times,
-    name=("deviceid", "device id"),
-    rate=("update rate", "sample rate", "samplerate", "updaterate"),
-    counter=("counter", "packetcounter"),
-    counter_wraps=2**16,
-    increments=("velinc", ("oriinc_{axis}", "oriinc_q{at}")),
-)
-
-# -------------------------------------------------------------------------------------- Xsens (Movella) DOT
-
-_DOT_FUSED = ("quat_w", "euler_x", "freeacc_x")
-
-
 def _is_dot(table: Table) -> bool:
     """Whether the columns are a DOT's, and not those of MT Manager: `//` above them, or some of its own."""
     if table.find("sampletimefine", "packetcounter") is None or _is_commented(table):
         return False
-    own = ("acc_x", "gyr_x", "dv[1]", "dv_x", "iv_x", *_DOT_FUSED)
+    own = ("acc_x", "gyr_x", "dv[1]", "dv_x", "iv_x", "quat_w", "euler_x", "freeacc_x")
     return table.find(*_MT_ONLY, "utc_year", "counter") is None and table.find(*own) is not None
 
 
-#: Layout: Xsens DOT user manual, sections 4.2 (outputs, `SampleTimeFine` in us).
-_XSENS_DOT = Device(
-    key="xsens-dot",
-    title="Xsens DOT export",
-    recognised_by=(
-        "the columns SampleTimeFine or PacketCounter beside Acc_X, dv[1], Quat_W, Euler_X or FreeAcc_X"
-    ),
-    fits=_is_dot,
-    lacks=(
-        "without raw acceleration and angular velocity (free acceleration is without gravity); record 'Custom"
-        " mode 5' or 'Rate quantities', which contain both."
-    ),
-    gyro_unit="deg/s",
-    time=("sampletimefine",),
-    time_unit="us",
-    name=("devicetag", "device tag"),
-    rate=("outputrate", "output rate"),
-    counter=("packetcounter",),
-    counter_wraps=2**32,
-    increments=("dv", ("dq_{axis}", "dq[{at}]")),
-)
-
-# ---------------------------------------------------------------------------------------- Shimmer Consensys
-
-_SHIMMER_COLUMN = re.compile(r"(.*?_)?(accel(?:_ln|_wr)?|gyro|mag)_[xyz]_(cal|raw|uncal)")
+_SHIMMER = re.compile(r"(.*?_)?(accel(?:_ln|_wr)?|gyro|mag)_[xyz]_(cal|raw|uncal)")
 #: Preferred first; the synchronised ones are on one clock for all sensors of a session.
 _SHIMMER_TIMES = (
     *("timestampsync_unix", "timestamp_unix", "timestampsync_formattedunix", "timestamp_formattedunix"),
@@ -293,45 +246,11 @@ def _shimmer_notes(table: Table, prefix: str) -> list[str]:
     return ["Its accelerometer is the low-noise one, which clips at 2 g; record the wide-range one."] * low
 
 
-_SHIMMER = Device(
-    key="shimmer",
-    title="Shimmer Consensys export",
-    recognised_by="columns such as Shimmer_952D_Accel_WR_X_CAL and Shimmer_952D_Gyro_X_CAL",
-    fits=lambda table: any(
-        match and match[2] != "mag" for match in map(_SHIMMER_COLUMN.fullmatch, table.labels)
-    ),
-    lacks=(
-        "without a calibrated accelerometer and gyroscope; record both sensors and export calibrated data"
-        " (the columns end in _CAL)."
-    ),
-    sensor=_SHIMMER_COLUMN,
-    acc=("{}accel_wr_{}_cal", "{}accel_ln_{}_cal", "{}accel_{}_cal"),
-    gyro=("{}gyro_{}_cal",),
-    mag=("{}mag_{}_cal",),
-    gyro_unit="deg/s",
-    times=_shimmer_times,
-    notes=_shimmer_notes,
-)
+def _is_shimmer(table: Table) -> bool:
+    return any(match and match[2] != "mag" for match in map(_SHIMMER.fullmatch, table.labels))
 
-# ----------------------------------------------------------------------- APDM Opal, x-IMU3 and NGIMU, NilsPod
 
-_APDM_COLUMN = re.compile(r"(.+/)(acceleration|angular velocity|magnetic field|orientation)/(x|y|z|scalar)")
-_APDM = Device(
-    key="apdm",
-    title="APDM Opal CSV",
-    recognised_by="columns such as Wrist/Acceleration/X and Wrist/Angular Velocity/X",
-    fits=lambda table: any(_APDM_COLUMN.fullmatch(label) for label in table.labels),
-    lacks=(
-        "without both acceleration and angular velocity of a sensor; export the raw data (CSV with"
-        " Acceleration and Angular Velocity)."
-    ),
-    sensor=_APDM_COLUMN,
-    acc=("{}acceleration/{}",),
-    gyro=("{}angular velocity/{}",),
-    mag=("{}magnetic field/{}",),
-    time=("time", "time (s)", "timestamp"),
-    rate=("sample rate",),
-)
+_APDM = re.compile(r"(.+/)(acceleration|angular velocity|magnetic field|orientation)/(x|y|z|scalar)")
 
 
 def _is_ximu(table: Table) -> bool:
@@ -341,23 +260,6 @@ def _is_ximu(table: Table) -> bool:
     return bool(units & {"deg/s", "g"}) and table.find("timestamp", "time", "packet number") is not None
 
 
-_XIMU = Device(
-    key="x-imu",
-    title="x-IMU3 or NGIMU CSV",
-    recognised_by="columns such as Timestamp (us) or Time (s), Gyroscope X (deg/s), Accelerometer X (g)",
-    fits=_is_ximu,
-    lacks=(
-        "without both gyroscope and accelerometer; export the inertial messages (Inertial.csv, sensors.csv)."
-    ),
-    acc=("accelerometer",),
-    gyro=("gyroscope",),
-    mag=("magnetometer",),
-    acc_unit="g",
-    gyro_unit="deg/s",
-    time=("timestamp", "time"),
-    time_unit="us",
-    counter=("packet number",),
-)
 _NILSPOD_TIMES = ("t", "utc", "utc_datetime", "local_datetime")
 
 
@@ -368,19 +270,6 @@ def _is_nilspod(table: Table) -> bool:
     times = (*_NILSPOD_TIMES, "n_samples", "sample_counter", *(("time", "") if own else ()))
     return bool(written) and table.find(*times) is not None
 
-
-_NILSPOD = Device(
-    key="nilspod",
-    title="NilsPod CSV",
-    recognised_by="the columns acc_x and gyr_x beside t, utc, baro or analog_0",
-    fits=_is_nilspod,
-    lacks="without both acc and gyr; export both sensors (factory or Ferraris-calibrated).",
-    acc_unit="",  # m/s^2, as NilsPodLib calibrates, or g, as some versions did
-    gyro_unit="deg/s",
-    time=(*_NILSPOD_TIMES, "time"),
-    rate=("sampling rate", "sampling_rate_hz"),
-    settles_unit=True,
-)
 
 # ---------------------------------------------------------------------------- SensorLog (iPhone, Apple Watch)
 
@@ -395,13 +284,12 @@ def _is_sensorlog(table: Table) -> bool:
     return any(table.axes(stem) is not None for stem in (_RAW, _USER, _GYRO, _RATE))
 
 
-def _read_sensorlog(path: Path, title: str) -> list[ImuTable]:
+def _read_sensorlog(table: Table, device: Device) -> list[ImuTable]:
     """Raw accelerometer and gyroscope, else Core Motion's; the sign of gravity is turned to specific force.
 
     Source of the sign: Apple, "Getting raw accelerometer events" and `CMDeviceMotion.gravity` (-1 on z, lying
     face up); specific force is the opposite, 1 g upwards.
     """
-    table = _fitting(path, title, _is_sensorlog)
     there = {
         stem: columns
         for stem in (_RAW, _USER, _GRAVITY, _GYRO, _RATE)
@@ -411,8 +299,8 @@ def _read_sensorlog(path: Path, title: str) -> list[ImuTable]:
     forces, turning = next((each for each in _LOGGED if there.keys() >= {*each[0], each[1]}), ((), ""))
     if not forces:
         raise RecordingError(
-            f"{path} is a {title} without both accelerometer and gyroscope; log 'Accelerometer' and"
-            " 'Gyroscope', or 'Device Motion' with user acceleration and gravity."
+            f"{table.path} is a {device.title} without both accelerometer and gyroscope; log 'Accelerometer'"
+            " and 'Gyroscope', or 'Device Motion' with user acceleration and gravity."
         )
     notes = ["iOS writes gravity, which points down; the signs were turned to specific force."]
     if len(forces) > 1:
@@ -425,7 +313,9 @@ def _read_sensorlog(path: Path, title: str) -> list[ImuTable]:
     times = (seconds(table, table.find(label)) for label in (stamp, *_LOGGED_TIMES))
     t_s = next((each for each in times if each is not None), None)
     if t_s is None:
-        raise RecordingError(f"{path} has no times; log them too (loggingTime, timestamp since reboot).")
+        raise RecordingError(
+            f"{table.path} has no times; log them too (loggingTime, timestamp since reboot)."
+        )
     acc = -np.sum([values for values, _ in parts], axis=0)
     units = f"{parts[0][1]}, {gyro_unit}"
     return [ImuTable("", t_s, acc, gyro, units=units, notes=[*table.notes, *notes])]
@@ -433,11 +323,9 @@ def _read_sensorlog(path: Path, title: str) -> list[ImuTable]:
 
 # ----------------------------------------------------------------- tables whose columns identify themselves
 
-_EPOCHS = ("epoch", "epoc")
 #: Columns of a table without header that are looked at: six are MetaBase's, some exporters write more.
 _WIDEST = 20
-_EPOCH_CELL = re.compile(r"1\d{12}(\.\d*)?")
-_TIME_CELL = re.compile(r"\d{4}-\d\d-\d\dT.*")
+_EPOCH_CELL, _TIME_CELL = re.compile(r"1\d{12}(\.\d*)?"), re.compile(r"\d{4}-\d\d-\d\dT.*")
 _KIND = ("sensor", "sensor_type", "sensortype", "sensorname", "sensor_name", "type", "name", "sensor id")
 #: Of the app Sensor Logger, whose columns are time, seconds_elapsed, z, y, x on both systems.
 _SENSOR_LOGGER = (
@@ -452,7 +340,7 @@ def _is_metamotion(table: Table) -> bool:
         marks = zip((_EPOCH_CELL, _TIME_CELL), (0, 1), strict=True)
         return 6 <= table.width <= _WIDEST and all(mark.fullmatch(table.texts(at)[0]) for mark, at in marks)
     elapsed = table.find("elapsed")
-    return table.find(*_EPOCHS) is not None and elapsed is not None and table.units[elapsed] == "s"
+    return table.find("epoch", "epoc") is not None and elapsed is not None and table.units[elapsed] == "s"
 
 
 _PHYPHOX = re.compile(
@@ -464,11 +352,8 @@ _PHYPHOX = re.compile(
 def _is_phyphox(table: Table) -> bool:
     """Whether the columns are phyphox's, whose units are always in the header."""
     time = table.find("time", "zeit", "zeitstempel", "temps", "tiempo", "tempo", "t")
-    units = {
-        plain_unit(unit)
-        for label, unit in zip(table.labels, table.units, strict=False)
-        if _PHYPHOX.fullmatch(label)
-    }
+    labelled = zip(table.labels, table.units, strict=False)
+    units = {plain_unit(unit) for label, unit in labelled if _PHYPHOX.fullmatch(label)}
     in_si = bool(units & {"m/s^2", "rad/s"}) and not units & {"g", "deg/s"}
     return in_si and time is not None and plain_unit(table.units[time]) == "s"
 
@@ -492,23 +377,23 @@ def _guess(table: Table, usual_gyro: str = "") -> Guess:
     return guess_sensor(table, usual_gyro) if table.labels or table.width == 4 else Guess()
 
 
-def read_named(path: Path, title: str, fits: Fits, usual_gyro: str = "") -> list[ImuTable]:
+def _read_named(table: Table, device: Device) -> list[ImuTable]:
     """One sensor, or the half of one; `import describe` prints the same guess to be edited."""
-    table = _fitting(path, title, fits)
     if not table.names and table.width >= 6:  # MetaMotion's
         table.labels = ("epoch", "", "", "x", "y", "z", *[""] * (table.width - 6))
     kinds = table.find(*_KIND)
     bare = bare_vector(table) if not sensors_named(table) else None
     if kinds is not None and bare is not None and (halves := _by_sensor(table, kinds, bare)):
         return halves
-    guess = _guess(table, usual_gyro)
+    guess = _guess(table, device.gyro_unit)
     if not guess.settled:
         raise RecordingError(
-            f"{path} is a {title}, of which something is not known:"
-            f" {' '.join(guess.unsure) or 'it names no sensor.'} `unocclude import describe {path}` prints a"
-            " recording.toml to complete."
+            f"{table.path} is a {device.title}, of which something is not known:"
+            f" {' '.join(guess.unsure) or 'it names no sensor.'} `unocclude import describe {table.path}`"
+            " prints a recording.toml to complete."
         )
-    imu = imu_by_columns(table, guess.columns, ImuKeys.model_validate({**guess.keys, "file": path.name}))
+    keys = ImuKeys.model_validate({**guess.keys, "file": table.path.name})
+    imu = imu_by_columns(table, guess.columns, keys)
     said = [f"{name} = {column}" for name, column in guess.columns.items()]
     units = [f"{value} ({guess.reasons.get(key, '')})" for key, value in guess.keys.items() if value != "iso"]
     imu.notes.insert(0, f"Its columns were taken as {', '.join(said)}; units: {', '.join(units) or 'none'}.")
@@ -517,8 +402,9 @@ def read_named(path: Path, title: str, fits: Fits, usual_gyro: str = "") -> list
     used = {str(column) for column in guess.columns.values()}
     if unused := [name for name in table.names if name and name not in used]:
         imu.notes.append(f"{UNUSED} columns {shown(', '.join(unused), 120)}.")
-    imu.notes += [each for each in guess.unsure if "There is no" not in each]
-    imu.gyro_unit_assumed = any("gyroscope's unit is guessed" in each for each in guess.unsure)
+    lacking = len({"ax", "gx"} - guess.columns.keys())  # the last sentences say so
+    imu.notes += guess.unsure[: len(guess.unsure) - lacking]
+    imu.gyro_unit_assumed = guess.gyro_unit_assumed
     return [imu]
 
 
@@ -545,64 +431,135 @@ def _by_sensor(table: Table, kinds: int, columns: Columns) -> list[ImuTable]:
 
 # ---------------------------------------------------------------------------------------------- the formats
 
-
-def _recogniser(fits: Fits) -> Callable[[FileHead], bool]:
-    def recognises(head: FileHead) -> bool:
-        try:
-            return head.table is not None and fits(head.table)
-        except RecordingError:  # of cells that are no numbers
-            return False
-
-    return recognises
-
-
-def imu_format(device: Device) -> Format:
-    """The format of a device's table."""
-    read = partial(_read_device, device=device)
-    return Format(device.key, device.title, "imu", device.recognised_by, _recogniser(device.fits), read)
-
-
-def _named(key: str, title: str, recognised_by: str, fits: Fits, usual_gyro: str = "") -> Format:
-    read = partial(read_named, title=title, fits=fits, usual_gyro=usual_gyro)
-    return Format(key, title, "imu", recognised_by, _recogniser(fits), read)
-
-
-_SENSORLOG_TITLE = "SensorLog CSV (iPhone, Apple Watch)"
 #: Of no device; only what no other format knows.
-NAMED_IMU = _named(
-    "imu-table",
-    "table of an IMU by its columns",
-    "columns named after an accelerometer or a gyroscope and x, y, z; or date, x, y, z",
-    _names_sensors,
+NAMED_IMU = imu_format(
+    Device(
+        "imu-table",
+        "table of an IMU by its columns",
+        "columns named after an accelerometer or a gyroscope and x, y, z; or date, x, y, z",
+        _names_sensors,
+        gyro_unit="",
+    )
 )
 #: Where two recognise a table, the upper one has it.
-IMU_FORMATS = (
-    *map(imu_format, (_XSENS_MT, _XSENS_DOT, _SHIMMER, _APDM, _XIMU, _NILSPOD)),
-    _named(
-        "metamotion",
-        "MetaMotion CSV (accelerometer or gyroscope)",
-        "epoch (ms), a time, elapsed (s) and x-axis (g) or x-axis (deg/s); without header, rows of these",
-        _is_metamotion,
-        "deg/s",
-    ),
-    Format(
-        "sensorlog",
-        _SENSORLOG_TITLE,
-        "imu",
-        "columns such as accelerometerAccelerationX(G), gyroRotationX(rad/s), motionRotationRateX(rad/s)",
-        _recogniser(_is_sensorlog),
-        partial(_read_sensorlog, title=_SENSORLOG_TITLE),
-    ),
-    _named(
-        "phyphox",
-        "phyphox CSV",
-        "Time (s) beside Acceleration x (m/s^2), Gyroscope x (rad/s), or X (m/s^2), X (rad/s)",
-        _is_phyphox,
-    ),
-    _named(
-        "android",
-        "plain sensor log (Android, Wear OS and the like)",
-        "a time (timestamp, time, seconds_elapsed ..) beside acc x, gyro x or plain x, y, z",
-        _is_log,
-    ),
+IMU_FORMATS = tuple(
+    imu_format(device)
+    for device in (
+        Device(  # MTw user manual, table of ASCII exports; `Counter` wraps at 65535
+            "xsens-mt",
+            "Xsens MT Manager export (MTw, MTi)",
+            "Counter or PacketCounter, and lines that begin with // or columns of MT Manager such as"
+            " Mat[1][1]",
+            _is_mt,
+            "without raw sensors; export it again with calibrated data (acceleration and rate of turn:"
+            " Acc_X .., Gyr_X ..).",
+            times=_mt_times,
+            name=("deviceid", "device id"),
+            rate=("update rate", "sample rate", "samplerate", "updaterate"),
+            counter=("counter", "packetcounter"),
+            counter_wraps=2**16,
+            increments=("velinc", ("oriinc_{axis}", "oriinc_q{at}")),
+        ),
+        Device(  # Xsens DOT user manual, sections 4.2 (outputs, `SampleTimeFine` in us)
+            "xsens-dot",
+            "Xsens DOT export",
+            "the columns SampleTimeFine or PacketCounter beside Acc_X, dv[1], Quat_W, Euler_X or FreeAcc_X",
+            _is_dot,
+            "without raw acceleration and angular velocity (free acceleration is without gravity); record"
+            " 'Custom mode 5' or 'Rate quantities', which contain both.",
+            gyro_unit="deg/s",
+            time=("sampletimefine",),
+            time_unit="us",
+            name=("devicetag", "device tag"),
+            rate=("outputrate", "output rate"),
+            counter=("packetcounter",),
+            counter_wraps=2**32,
+            increments=("dv", ("dq_{axis}", "dq[{at}]")),
+        ),
+        Device(
+            "shimmer",
+            "Shimmer Consensys export",
+            "columns such as Shimmer_952D_Accel_WR_X_CAL and Shimmer_952D_Gyro_X_CAL",
+            _is_shimmer,
+            "without a calibrated accelerometer and gyroscope; record both sensors and export calibrated data"
+            " (the columns end in _CAL).",
+            sensor=_SHIMMER,
+            acc=("{}accel_wr_{}_cal", "{}accel_ln_{}_cal", "{}accel_{}_cal"),
+            gyro=("{}gyro_{}_cal",),
+            mag=("{}mag_{}_cal",),
+            gyro_unit="deg/s",
+            times=_shimmer_times,
+            notes=_shimmer_notes,
+        ),
+        Device(
+            "apdm",
+            "APDM Opal CSV",
+            "columns such as Wrist/Acceleration/X and Wrist/Angular Velocity/X",
+            lambda table: any(_APDM.fullmatch(label) for label in table.labels),
+            "without both acceleration and angular velocity of a sensor; export the raw data (CSV with"
+            " Acceleration and Angular Velocity).",
+            sensor=_APDM,
+            acc=("{}acceleration/{}",),
+            gyro=("{}angular velocity/{}",),
+            mag=("{}magnetic field/{}",),
+            time=("time", "time (s)", "timestamp"),
+            rate=("sample rate",),
+        ),
+        Device(
+            "x-imu",
+            "x-IMU3 or NGIMU CSV",
+            "columns such as Timestamp (us) or Time (s), Gyroscope X (deg/s), Accelerometer X (g)",
+            _is_ximu,
+            "without both gyroscope and accelerometer; export the inertial messages (Inertial.csv,"
+            " sensors.csv).",
+            acc=("accelerometer",),
+            gyro=("gyroscope",),
+            mag=("magnetometer",),
+            acc_unit="g",
+            gyro_unit="deg/s",
+            time=("timestamp", "time"),
+            time_unit="us",
+            counter=("packet number",),
+        ),
+        Device(
+            "nilspod",
+            "NilsPod CSV",
+            "the columns acc_x and gyr_x beside t, utc, baro or analog_0",
+            _is_nilspod,
+            "without both acc and gyr; export both sensors (factory or Ferraris-calibrated).",
+            acc_unit="",  # m/s^2, as NilsPodLib calibrates, or g, as some versions did
+            gyro_unit="deg/s",
+            time=(*_NILSPOD_TIMES, "time"),
+            rate=("sampling rate", "sampling_rate_hz"),
+            settles_unit=True,
+        ),
+        Device(
+            "metamotion",
+            "MetaMotion CSV (accelerometer or gyroscope)",
+            "epoch (ms), a time, elapsed (s) and x-axis (g) or x-axis (deg/s); without header, rows of these",
+            _is_metamotion,
+            gyro_unit="deg/s",
+        ),
+        Device(
+            "sensorlog",
+            "SensorLog CSV (iPhone, Apple Watch)",
+            "columns such as accelerometerAccelerationX(G), gyroRotationX(rad/s), motionRotationRateX(rad/s)",
+            _is_sensorlog,
+            read=_read_sensorlog,
+        ),
+        Device(
+            "phyphox",
+            "phyphox CSV",
+            "Time (s) beside Acceleration x (m/s^2), Gyroscope x (rad/s), or X (m/s^2), X (rad/s)",
+            _is_phyphox,
+            gyro_unit="",
+        ),
+        Device(
+            "android",
+            "plain sensor log (Android, Wear OS and the like)",
+            "a time (timestamp, time, seconds_elapsed ..) beside acc x, gyro x or plain x, y, z",
+            _is_log,
+            gyro_unit="",
+        ),
+    )
 )

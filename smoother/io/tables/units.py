@@ -100,8 +100,6 @@ def split_unit(name: str) -> tuple[str, str]:
 
 #: Rates that a sensor may have, Hz: times are of the unit that gives one of these.
 SENSOR_RATES = (3.0, 2500.0)
-#: Sizes at rest, when no motion adds to them, by the unit that they are gravity in.
-_AT_REST = {"g": (0.7, 1.4), "mg": (700.0, 1400.0), "mm/s^2": (7000.0, 14000.0)}
 #: Frame rates of cameras, Hz.
 CAMERA_RATES = (4.0, 260.0)
 #: The years 1990 and 2100 since 1970, s.
@@ -149,6 +147,20 @@ def from_1970(times: FloatArray, unit: str) -> FloatArray:
     return times - start / SECONDS[unit] if start else times
 
 
+def in_seconds(times: FloatArray, unit: str) -> FloatArray:
+    """Times (n,) in a unit, or of dates ("iso", which are in s), in s."""
+    return times if unit == "iso" else from_1970(times, unit) * SECONDS[unit]
+
+
+#: What gravity reads at rest, by the unit.
+_GRAVITY = {"m/s^2": STANDARD_GRAVITY, "g": 1.0, "mg": 1000.0, "mm/s^2": 1000 * STANDARD_GRAVITY}
+
+
+def gravity_unit(size: float, low: float = 0.7, high: float = 1.4) -> str:
+    """The unit in which a size is about gravity; "" where in none."""
+    return next((unit for unit, one in _GRAVITY.items() if low < size / one < high), "")
+
+
 def unit_of_rest(size: float) -> str:
     """Unit in which a specific force of that size at rest is gravity, if it is another one than m/s^2."""
-    return next((unit for unit, (low, high) in _AT_REST.items() if low < size < high), "")
+    return gravity_unit(size).removeprefix("m/s^2")
