@@ -28,10 +28,10 @@ from .table import (
     Table,
     first_rows,
     is_workbook,
+    part_sizes,
     read_head,
     read_table,
     shown,
-    unpacked_size,
     workbook_text,
 )
 from .times import repaired_imu, repaired_skeleton
@@ -128,7 +128,7 @@ def describe_file(path: Path, reader: FileReader) -> DescribedFile:
 def _beginning(path: Path, head: FileHead) -> Iterator[tuple[Path, list[str]]]:
     """A file, or a copy of a long table's first rows: looking at it must not take memory with its length."""
     workbook = is_workbook(head.raw)
-    size = unpacked_size(path) if workbook and head.text else path.stat().st_size
+    size = sum(part_sizes(path).values()) if workbook and head.text else path.stat().st_size
     if size <= (_WORKBOOK if workbook else _BEGINNING) or head.table is None:
         yield path, []
         return

@@ -12,7 +12,7 @@ import zipfile
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from datetime import UTC, datetime, timedelta, timezone
+from datetime import datetime, timedelta, timezone
 from functools import cached_property, lru_cache
 from itertools import islice
 from pathlib import Path
@@ -48,8 +48,8 @@ _MISSING = r"^([-+]?(nan(\(.*\))?|inf(inity)?|1\.?#(ind|qnan|snan|inf).*)|#?n/?a
 #: More columns are no table of a sensor or a skeleton's; a longer line, characters, is no row of one.
 MOST_COLUMNS, LONGEST_LINE = 10_000, 1 << 20
 CUT = "The last line is cut off and was left out."
-#: Rows at the end of a text that show how numbers are written.
-_ROWS_BEFORE = 50
+#: A column with a larger share of cells that are not numbers is refused.
+_WRONG = 0.05
 
 
 @dataclass(frozen=True)
@@ -101,15 +101,14 @@ def read_bytes(path: Path, most: int = -1) -> bytes:
 
 def read_head(path: Path) -> FileHead:
     """Read a file's beginning."""
-    raw = read_bytes(path, HEAD_BYTES)
+    raw, trouble = read_bytes(path, HEAD_BYTES), ""
     if not raw:
         raise RecordingError(f"{path} is empty; export or copy it again.")
     if is_workbook(raw):
-        text, trouble = "", ""
         try:
             text = workbook_text(path, HEAD_ROWS)
         except RecordingError as error:  # other files of its folder can be of use
-            trouble = str(error)
+            text, trouble = "", str(error)
         return FileHead(path, raw, text, tuple(text.splitlines()), trouble)
     text = decode(raw)
     whole = text if len(raw) < HEAD_BYTES else text[: text.rfind("\n") + 1] or text
@@ -126,12 +125,9 @@ def decode(raw: bytes) -> str:
     """A file's bytes as text without byte-order mark, with plain minus signs; "" where they are not text."""
     encoding = marked_encoding(raw)
     if encoding is None and len(raw) >= 4:  # UTF-16 without a mark: every other byte of plain text is zero
-        even, odd = raw[0:400:2].count(0), raw[1:400:2].count(0)
-        half = len(raw[:400]) // 2
-        encoding = (
-            "utf-16-le" if odd > 0.8 * half and not even else
-            "utf-16-be" if even > 0.8 * half and not odd else None
-        )  # fmt: skip
+        zeros, half = [raw[start:400:2].count(0) for start in (0, 1)], len(raw[:400]) // 2
+        for own, name in ((1, "utf-16-le"), (0, "utf-16-be")):
+            encoding = name if zeros[own] > 0.8 * half and not zeros[1 - own] else encoding
     if encoding is None and b"\0" in raw:
         return ""
     try:
@@ -140,11 +136,9 @@ def decode(raw: bytes) -> str:
     except UnicodeDecodeError:
         text = raw.decode("cp1252", errors="replace")
     start = text[:4000]
-    control = sum(1 for character in start if ord(character) < 32 and character not in "\t\r\n\f")
-    if control > _CONTROL_SHARE * len(start):
+    if sum(ord(each) < 32 and each not in "\t\r\n\f" for each in start) > _CONTROL_SHARE * len(start):
         return ""
-    text = text.replace("\u2212", "-")
-    return _DASH.sub("-", text) if "\u2012" in text or "\u2013" in text else text
+    return _DASH.sub("-", text.replace("\u2212", "-"))
 
 
 def no_table(raw: bytes, text: str) -> str:
@@ -200,16 +194,15 @@ class Table:
         import pyarrow as pa
         from pyarrow import csv as arrow_csv
 
-        rows, self._line_numbers, notes = even_rows(list(self.lines), self)
+        rows, self._line_numbers, notes = _even_rows(list(self.lines), self)
         self.notes += notes
         self.lines = ()
         if not rows:
             raise RecordingError(f"{self.path} has no rows below its header; export it again.")
         mark = "\t" if self.separator == " " else self.separator
-        names = [str(at) for at in range(max(self.width, separators_in(rows[0], mark) + 1))]
+        names = [str(at) for at in range(max(self.width, _separators_in(rows[0], mark) + 1))]
         data = "\n".join(rows).encode("utf-8", errors="replace")
-        size = max(1 << 20, len(data) + 1)
-        types = dict.fromkeys(names, pa.string())
+        size, types = max(1 << 20, len(data) + 1), dict.fromkeys(names, pa.string())
         try:
             return arrow_csv.read_csv(
                 pa.BufferReader(data),
@@ -240,18 +233,17 @@ class Table:
 
     def stated(self, *subjects: str) -> str:
         """The preamble's value of a subject ("120Hz" behind "OutputRate:"), "" where it has none."""
-        for line in self.preamble:
-            plain = line.strip().lstrip("/#%").strip().strip('"')
-            for subject in subjects:
-                if plain.lower().startswith(subject):
-                    return plain[len(subject) :].strip(' :=,;\t"')
-        return ""
+        plain = (line.strip().lstrip("/#%").strip().strip('"') for line in self.preamble)
+        found = ((line, subject) for line in plain for subject in subjects)
+        values = (
+            line[len(each) :].strip(' :=,;\t"') for line, each in found if line.lower().startswith(each)
+        )
+        return next(values, "")
 
     def stated_number(self, *subjects: str) -> float | None:
         """The number that the preamble states of a subject; None where it states none above zero."""
         number = re.match(r"\d+(?:[.,]\d+)?", self.stated(*subjects))
-        value = float(number.group().replace(",", ".")) if number else 0.0
-        return value if value > 0 else None
+        return (float(number.group().replace(",", ".")) or None) if number else None
 
     def unit(self, column: int) -> str:
         """Unit of a column as the file states it, "" where it does not."""
@@ -282,8 +274,7 @@ class Table:
             return self.numbers(column), False
         seconds = seconds_of_dates(cells)
         filled = np.array([not re.match(_MISSING, cell.lower()) for cell in cells])
-        wrong = np.flatnonzero(filled & ~np.isfinite(seconds))
-        self._refuse_many(column, wrong, int(np.count_nonzero(filled)), "time")
+        self._refuse_many(column, np.flatnonzero(filled & ~np.isfinite(seconds)), int(filled.sum()), "time")
         return seconds, True
 
     def is_numeric(self, column: int) -> bool:
@@ -303,8 +294,7 @@ class Table:
         """Refuse a header with fewer names than the rows have cells: whose are the names then?"""
         named = max((at + 1 for at, name in enumerate(self.names) if name), default=0)
         nameless = range(named, self.width) if self.names else range(0)
-        filled = sum(1 for column in nameless if any(self.texts(column)[:20]))
-        if filled > most:
+        if sum(any(self.texts(column)[:20]) for column in nameless) > most:
             raise RecordingError(
                 f"{self.path}: the header (line {self.header + 1}) names {named} columns, and the rows"
                 f" have {self.width}; export the file again, or describe it in a recording.toml."
@@ -325,40 +315,35 @@ class Table:
         try:
             numbers = pc.cast(text, pa.float64())
         except pa.ArrowException:
-            comma = pc.match_substring_regex(text, _WITH_COMMA)
+            comma = pc.match_substring_regex(text, r"^[+-]?\d*,\d+([eE][+-]?\d{1,3})?$")
             text = pc.if_else(comma, pc.replace_substring(text, ",", ".", max_replacements=1), text)
             text = pc.replace_substring_regex(text, r"(\d\.?)[dD]([+-]?\d)", r"\1e\2")  # Fortran's exponents
-            numbers = pc.cast(pc.if_else(pc.match_substring_regex(text, _PLAIN), text, nothing), pa.float64())
+            plain = pc.match_substring_regex(text, r"^[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d{1,3})?$")
+            numbers = pc.cast(pc.if_else(plain, text, nothing), pa.float64())
         values = np.array(numbers.to_numpy(zero_copy_only=False), dtype=float)
         filled = ~empty.to_numpy(zero_copy_only=False)
         wrong = np.flatnonzero(filled & ~np.isfinite(values))
         if len(wrong):
             values[wrong] = np.nan
-            self._refuse_many(column, wrong, int(np.count_nonzero(filled)), "number")
-            first = f"'{self._cell(column, int(wrong[0]))}' in line {self.line(int(wrong[0]))}"
+            first = self._refuse_many(column, wrong, int(filled.sum()), "number")
             self.notes.append(
                 f"Cells of {shown(self.name(column), 60)} that are no numbers, treated as missing:"
-                f" {len(wrong)} ({first})."
+                f" {len(wrong)} ('{first}' in line {self.line(int(wrong[0]))})."
             )
         return values
 
-    def _cell(self, column: int, row: int) -> str:
-        return shown(self.cells.column(column)[row].as_py(), 40)
-
-    def _refuse_many(self, column: int, wrong: np.ndarray, filled: int, what: str) -> None:
+    def _refuse_many(self, column: int, wrong: np.ndarray, filled: int, what: str) -> str:
+        """Refuse a column with too many wrong cells; the first of them."""
+        if not len(wrong):
+            return ""
+        first = shown(self.cells.column(column)[int(wrong[0])].as_py(), 40)
         if len(wrong) > (0 if self.strict else max(_WRONG * filled, 1)):
-            first = int(wrong[0])
             raise RecordingError(
-                f"{self.path}, line {self.line(first)}: '{self._cell(column, first)}' in"
-                f" {shown(self.name(column), 60)} is not a {what}, like {len(wrong):,} of its {filled:,}"
-                " cells, too many to leave out; correct the cells, or export the file again."
+                f"{self.path}, line {self.line(int(wrong[0]))}: '{first}' in {shown(self.name(column), 60)} is"
+                f" not a {what}, like {len(wrong):,} of its {filled:,} cells, too many to leave out; correct"
+                " the cells, or export the file again."
             )
-
-
-#: A column with a larger share of cells that are not numbers is refused.
-_WRONG = 0.05
-_PLAIN = r"^[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d{1,3})?$"
-_WITH_COMMA = r"^[+-]?\d*,\d+([eE][+-]?\d{1,3})?$"
+        return first
 
 
 def file_text(path: Path) -> str:
@@ -397,47 +382,66 @@ def table_of(
 ) -> Table:
     """The table in a text."""
     lines = text.replace("\r\n", "\n").replace("\r", "\n").split("\n")
-    check_lines(path, lines)
+    _check_lines(path, lines)
     if skip and not any(line.strip() for line in lines[skip:]):
         raise RecordingError(f"{path} has no rows below the first {skip}; correct skip_rows.")
     table = layout_of(lines, path, separator, skip)
     if table is None:
         seen = shown(" | ".join(line for line in lines[:4] if line.strip()))
-        begins = f"; it begins: {seen}" if quote else "; name the right file."
-        raise RecordingError(f"{path} should be {expected}, but no rows of numbers were found{begins}")
+        seen = f"; it begins: {seen}" if quote else "; name the right file."
+        raise RecordingError(f"{path} should be {expected}, but no rows of numbers were found{seen}")
     table.strict = strict
     len(table)  # reads the cells, and drops the lines
     return table
 
 
+def _check_lines(path: Path, lines: Sequence[str]) -> None:
+    """Refuse lines that no table has, before they are parted: a million columns would take all memory."""
+    longest = max(map(len, lines), default=0)
+    if longest > LONGEST_LINE:
+        raise RecordingError(
+            f"{path} has a line of {longest:,} characters ({LONGEST_LINE:,} are read); export a row per line."
+        )
+    for line in lines if longest > MOST_COLUMNS else ():
+        columns = max(1 + max(line.count(mark) for mark in SEPARATORS[:-1]), len(line.split()))
+        if columns > MOST_COLUMNS:
+            raise RecordingError(
+                f"{path} has a row of {columns:,} columns (read are {MOST_COLUMNS:,}); export those needed."
+            )
+
+
+# ------------------------------------------------------------------------------------------------- its rows
+
 _QUOTED = re.compile(r'"[^"]*"')
+#: Rows before the last one that show that its number is cut off; of a table that is refused for it; looked at.
+_FEWEST, _FEWEST_STRICT, _ROWS_BEFORE = 3, 20, 50
 
 
-def even_rows(lines: list[str], table: Table) -> tuple[list[str], Sequence[int], list[str]]:
+def _even_rows(lines: list[str], table: Table) -> tuple[list[str], Sequence[int], list[str]]:
     """Rows with equally many cells, the lines they stand in, and what was done."""
-    whole_end = not lines[-1].strip()
-    first, width = table.first_row, table.width
-    end = len(lines)
-    while end > first and not lines[end - 1].strip():
-        end -= 1
+    first, width, mark = table.first_row, table.width, table.separator
+    end = next((at for at in range(len(lines), first, -1) if lines[at - 1].strip()), first)
     rows = lines[first:end]
-    mark = table.separator
     if mark == " ":
         mark, rows = "\t", ["\t".join(row.replace('"', "").split()) for row in rows]
     else:
         rows = [row.replace(f'{mark} "', f'{mark}"') if '"' in row else row for row in rows]
-    counts = [separators_in(row, mark) for row in rows]
+    counts = [_separators_in(row, mark) for row in rows]
     usual = Counter(counts).most_common(1)[0][0] if counts else 0
     header = lines[table.header].strip() if table.header >= 0 else None
-    notes = [] if whole_end else _end_notes(rows, counts, usual, mark, end, table.strict)
+    notes = (
+        [_end_note(rows, counts[-1] < usual, mark, end, table.strict)] if rows and lines[-1].strip() else []
+    )
     if notes == [CUT]:
         rows, counts = rows[:-1], counts[:-1]
     # Separators behind the last column make empty columns, which do no harm.
     is_wide = usual == width - 1 if table.strict else usual >= width - 1
     if is_wide and counts.count(usual) == len(rows) and header not in rows:
         return rows, range(first, first + len(rows)), notes
-    even, indices, short, long, repeated = [], [], 0, 0, 0
-    for at, (row, count) in enumerate(zip(rows, counts, strict=True)):
+    even: list[str] = []
+    indices: list[int] = []
+    short = long = repeated = 0
+    for line, (row, count) in enumerate(zip(rows, counts, strict=True), first):
         if not row.strip(mark + " "):
             continue
         if row.strip() == header or (header and row.startswith(header[:40]) and row.strip()[:1].isalpha()):
@@ -447,7 +451,7 @@ def even_rows(lines: list[str], table: Table) -> tuple[list[str], Sequence[int],
         unclear = count < width - 1 and table.separator == " "
         if table.strict and (unclear or any(split_line(row, mark)[width:])):
             raise RecordingError(
-                f"{table.path}, line {first + at + 1}: {count + 1} cells where there are {width}; correct it."
+                f"{table.path}, line {line + 1}: {count + 1} cells where there are {width}; correct it."
             )
         if count < width - 1:
             short += count < usual
@@ -459,7 +463,7 @@ def even_rows(lines: list[str], table: Table) -> tuple[list[str], Sequence[int],
                 continue
             row = mark.join(cell.replace(mark, " ") for cell in cells[:width])
         even.append(row)
-        indices.append(first + at)
+        indices.append(line)
     said = (
         ("Repeated headers among the rows, left out", repeated),
         ("Rows shorter than the others, what is lacking treated as missing", short),
@@ -468,29 +472,19 @@ def even_rows(lines: list[str], table: Table) -> tuple[list[str], Sequence[int],
     return even, indices, notes + [f"{what}: {count}." for what, count in said if count]
 
 
-def _end_notes(
-    rows: list[str], counts: list[int], usual: int, mark: str, line: int, strict: bool
-) -> list[str]:
+def _end_note(rows: list[str], is_short: bool, mark: str, line: int, strict: bool) -> str:
     """What is to be said of a text that does not end with a line's end."""
-    if not rows:
-        return []
     # a number is cut off if it has fewer decimals than all before it, which have equally many
     cells = [row.rsplit(mark, 1)[-1].strip().strip('"') for row in rows[-_ROWS_BEFORE:]]
     *before, last = [cell.replace(",", ".").partition(".")[2] for cell in cells]
     decimals = {len(digits) for digits in before if digits.isdigit()}
     shows = len(before) >= (_FEWEST_STRICT if strict else _FEWEST) and len(decimals) == 1 and all(before)
-    if counts[-1] < usual or (shows and len(last) < min(decimals)):
-        return [CUT]
-    return [
-        f"The file ends without a line break; if it was cut off, what came behind line {line} is missing."
-    ]
+    if is_short or (shows and len(last) < min(decimals)):
+        return CUT
+    return f"The file ends without a line break; if it was cut off, what came behind line {line} is missing."
 
 
-#: Rows before it that show that a number is cut off; the second where the whole table is refused for it.
-_FEWEST, _FEWEST_STRICT = 3, 20
-
-
-def separators_in(row: str, mark: str) -> int:
+def _separators_in(row: str, mark: str) -> int:
     """How many separators a row has outside quotes."""
     return (_QUOTED.sub("", row) if '"' in row else row).count(mark)
 
@@ -499,31 +493,26 @@ def split_line(line: str, separator: str) -> list[str]:
     """The cells of one line, without blanks and quotes around them."""
     if separator == " ":
         return line.replace('"', "").split()
+    cells = line.split(separator)
     if '"' in line:
         try:
             cells = next(csv.reader([line], delimiter=separator, skipinitialspace=True), [])
         except csv.Error:
-            cells = line.split(separator)
-        return [cell.strip().strip('"').strip() for cell in cells]
-    return [cell.strip() for cell in line.split(separator)]
+            pass
+        cells = [cell.strip().strip('"') for cell in cells]
+    return [cell.strip() for cell in cells]
 
 
 # ------------------------------------------------------------------------------------ where in a text it is
 
-_NUMBER = re.compile(
-    r"[+-]?(\d+(\.\d*|,\d+)?|[.,]\d+)([eE][+-]?\d+)?|[+-]?nan|[+-]?inf(inity)?|null", re.IGNORECASE
-)
-_STAMP = re.compile(
-    r"\d{4}[-/.]\d\d?[-/.]\d\d?\b.*|\d\d?[-/.]\d\d?[-/.]\d{4}\b.*|\d\d?:\d\d(:\d\d([.,:_]\d+)?)?"
+_DATA = re.compile(
+    r"[+-]?(\d+(\.\d*|,\d+)?|[.,]\d+)(e[+-]?\d+)?|[+-]?nan|[+-]?inf(inity)?|null"
+    r"|\d{4}[-/.]\d\d?[-/.]\d\d?\b.*|\d\d?[-/.]\d\d?[-/.]\d{4}\b.*|\d\d?:\d\d(:\d\d([.,:_]\d+)?)?",
+    re.IGNORECASE,
 )
 #: This many lines may be between the names and the rows; cells of them that state no unit.
 _BELOW_NAMES, _NO_UNIT = 3, ("", "-", "--", "n/a", "none", "no_units", "nounits", "unitless")
 _SEP_LINE = re.compile(r'"?sep=.{0,3}"?', re.IGNORECASE)
-
-
-def is_data(cell: str) -> bool:
-    """Whether a cell is a number or a time."""
-    return bool(_NUMBER.fullmatch(cell) or _STAMP.fullmatch(cell))
 
 
 def plain_label(text: str) -> str:
@@ -541,29 +530,30 @@ def layout_of(
     separator = separator or _separator(sample)
     if separator is None or not sample:
         return None
+    rows = {at: split_line(start[at], separator) for at in places}
     width = Counter(len(split_line(line, separator)) for line in sample).most_common(1)[0][0]
-    found = _rows_of(start, places, sample, separator, width)
-    if skip is not None:
-        data, text = _count(split_line(start[places[0]], separator))
-        header, units_line, first = (places[0] if text > data else -1), -1, places[0]
+    if skip is None:
+        counts = [_count(split_line(line, separator)) for line in sample]
+        found = _rows_of(rows, counts, width)
+    else:
+        data, text = _count(rows[places[0]])
+        header, first = (places[0] if text > data else -1), places[0]
         if header >= 0:  # and lines of units and the like
-            below = (at for at in places[1 : 2 + _BELOW_NAMES] if _count(split_line(start[at], separator))[0])
+            below = (at for at in places[1 : 2 + _BELOW_NAMES] if _count(rows[at])[0])
             first = next(below, places[1] if len(places) > 2 + _BELOW_NAMES else len(start))
-        found = (header, units_line, first) if first < len(start) else None
+        found = (header, -1, first) if first < len(start) else None
     if found is None:
         return None
     header, units_line, first = found
-    written = _stripped(split_line(start[header], separator)) if header >= 0 else []
+    written = _stripped(rows[header]) if header >= 0 else []
     if written:
         written[0] = re.sub(r"^(#+|%+|//+)\s*", "", written[0])
         if separator == " " and not written[0]:  # "# t ax ay": the mark stood alone
             written = written[1:]
-    if not all(cell or separator != " " for cell in _stripped(split_line(start[first], separator))):
-        return None
-    data_width = len(_stripped(split_line(start[first], separator), len(written)))
+    data_width = len(_stripped(rows[first], len(written)))
     width = max(len(written), min(width, data_width) if written else width)
     names = tuple(written + [""] * (width - len(written))) if written else ()
-    under = split_line(start[units_line], separator) if units_line >= 0 else []
+    under = rows[units_line] if units_line >= 0 else []
     under = ["" if cell.lower() in _NO_UNIT else cell for cell in under] + [""] * (width - len(under))
     parts = [split_unit(name) for name in names]
     above = start[: max(header, 0) if names else first]
@@ -579,36 +569,6 @@ def layout_of(
         width,
         lines,
     )
-
-
-def _rows_of(
-    start: Sequence[str], places: list[int], sample: list[str], separator: str, width: int
-) -> tuple[int, int, int] | None:
-    """Indices of the header and the line of units (-1 where there is none), and of the first row."""
-    counts = [_count(split_line(line, separator)) for line in sample]
-    typical_data, typical_text = median(c[0] for c in counts), median(c[1] for c in counts)
-
-    def is_row(line: str) -> bool:
-        data, text = _count(split_line(line, separator))
-        return data > typical_data / 2 and text <= typical_text + max(1, width // 4)
-
-    # the first line of data that another follows, or that is the last one
-    pairs = zip(places, [*places[1:], None], strict=True)
-    found = (at for at, after in pairs if is_row(start[at]) and (after is None or is_row(start[after])))
-    if (first := next(found, None)) is None:
-        return None
-    # Rows in which most sensors have no value yet stand between the header and the first full row.
-    while first > 0 and len(cells := split_line(start[first - 1], separator)) >= width:
-        data, text = _count(cells)
-        if not data or text:
-            break
-        first -= 1
-    header, units_line = _header(start, first, separator, width)
-    cells = split_line(start[first], separator)
-    counted = [str(at) for at in range(len(cells) + 1)]
-    if header >= 0 and len(cells) >= 4 and cells in (counted[:-1], counted[1:]):  # it counts the columns
-        first = next((at for at in places if at > first), first)
-    return header, units_line, first
 
 
 def _separator(sample: list[str]) -> str | None:
@@ -628,21 +588,46 @@ def _separator(sample: list[str]) -> str | None:
 
 
 def _count(cells: list[str]) -> tuple[int, int]:
-    """Number of cells with data, and with other text."""
+    """Number of cells with data (a number or a time), and with other text."""
     filled = [cell for cell in cells if cell]
-    data = sum(map(is_data, filled))
+    data = sum(bool(_DATA.fullmatch(cell)) for cell in filled)
     return data, len(filled) - data
 
 
-def _header(lines: Sequence[str], first: int, separator: str, width: int) -> tuple[int, int]:
-    """Indices of the header and of the line of units; -1 where there is none."""
-    rows = ((at, split_line(lines[at], separator)) for at in range(first - 1, -1, -1))
-    above = list(islice(((at, cells) for at, cells in rows if any(cells)), 1 + _BELOW_NAMES))
+def _rows_of(
+    rows: dict[int, list[str]], counts: list[tuple[int, int]], width: int
+) -> tuple[int, int, int] | None:
+    """Indices of the header and the line of units (-1 where there is none), and of the first row."""
+    typical_data, typical_text = median(c[0] for c in counts), median(c[1] for c in counts)
+
+    def is_row(at: int) -> bool:
+        data, text = _count(rows[at])
+        return data > typical_data / 2 and text <= typical_text + max(1, width // 4)
+
+    # the first line of data that another follows, or that is the last one
+    places = list(rows)
+    pairs = zip(places, [*places[1:], None], strict=True)
+    first = next((at for at, after in pairs if is_row(at) and (after is None or is_row(after))), None)
+    if first is None:
+        return None
+    # Rows in which most sensors have no value yet stand between the header and the first full row.
+    while len(cells := rows.get(first - 1, [])) >= width and _count(cells)[0] and not _count(cells)[1]:
+        first -= 1
+    above = [(at, rows[at]) for at in places if at < first and any(rows[at])][: -2 - _BELOW_NAMES : -1]
+    header, units_line = _header(rows, above, width)
+    cells, counted = rows[first], [str(at) for at in range(len(rows[first]) + 1)]
+    if header >= 0 and len(cells) >= 4 and cells in (counted[:-1], counted[1:]):  # it counts the columns
+        first = next((at for at in places if at > first), first)
+    return header, units_line, first
+
+
+def _header(rows: dict[int, list[str]], above: list[tuple[int, list[str]]], width: int) -> tuple[int, int]:
+    """Indices of the header and of the line of units among the lines above; -1 where there is none."""
     headers = [at for at, cells in above if _is_header(cells, width) and not _is_units_line(cells)]
     units = -1
     for at, cells in above if len(above) > 1 else ():
         if _is_units_line(cells):
-            is_blank = units >= 0 and all(c.lower() in _NO_UNIT for c in split_line(lines[units], separator))
+            is_blank = units >= 0 and all(cell.lower() in _NO_UNIT for cell in rows[units])
             units = at if units < 0 or is_blank else units
         elif at not in headers or not (_repeats(cells) and at != headers[-1]):
             return (at if at in headers else -1), units
@@ -668,33 +653,16 @@ def _is_header(cells: list[str], width: int) -> bool:
 
 def _stripped(cells: list[str], least: int = 0) -> list[str]:
     """Without the empty cells behind the last one, but no fewer than that."""
-    end = len(cells)
-    while end > least and not cells[end - 1]:
-        end -= 1
-    return cells[:end]
-
-
-def check_lines(path: Path, lines: Sequence[str]) -> None:
-    """Refuse lines that no table has, before they are parted: a million columns would take all memory."""
-    longest = max(map(len, lines), default=0)
-    if longest > LONGEST_LINE:
-        raise RecordingError(
-            f"{path} has a line of {longest:,} characters ({LONGEST_LINE:,} are read); export a row per line."
-        )
-    for line in lines if longest > MOST_COLUMNS else ():
-        columns = max(1 + max(line.count(mark) for mark in SEPARATORS[:-1]), len(line.split()))
-        if columns > MOST_COLUMNS:
-            raise RecordingError(
-                f"{path} has a row of {columns:,} columns (read are {MOST_COLUMNS:,}); export those needed."
-            )
+    filled = [at + 1 for at, cell in enumerate(cells) if cell]
+    return cells[: max([least, *filled[-1:]])]
 
 
 # ---------------------------------------------------------------------------------------------------- dates
 
 _DATE = re.compile(
-    r"(?:(\d{4})[-/.](\d\d?)[-/.](\d\d?)|(\d\d?)([-/.])(\d\d?)[-/.](\d{4}))[ T_]+"
-    r"(\d\d?)[:.](\d\d)[:.](\d\d)(?:[.,:_](\d+))?\s*([AaPp][Mm])?\s*"
-    r"(?:Z|UTC|GMT)?\s*(?:([+-])(\d\d?):?(\d\d)?)?"
+    r"(?:(?P<y>\d{4})[-/.](?P<m>\d\d?)[-/.](?P<d>\d\d?)|(?P<a>\d\d?)(?P<mark>[-/.])(?P<b>\d\d?)[-/.](?P<Y>\d{4}))"
+    r"[ T_]+(?P<hour>\d\d?)[:.](?P<minute>\d\d)[:.](?P<second>\d\d)(?:[.,:_](?P<part>\d+))?"
+    r"\s*(?P<noon>[AaPp][Mm])?\s*(?:Z|UTC|GMT)?\s*(?:(?P<sign>[+-])(?P<zone>\d\d?):?(?P<minutes>\d\d)?)?"
 )
 #: To the way of writing that Arrow reads: from 2026/01/31, 10:11:12,5, and a blank before +0100.
 _PLAINER = (
@@ -732,22 +700,21 @@ def _seconds(cell: str) -> float:
     if of_day := _TIME_OF_DAY.fullmatch(cell):
         hours, minutes, seconds, fraction = of_day.groups()
         return int(hours) * 3600 + int(minutes) * 60 + int(seconds) + float(f"0.{fraction or 0}")
-    written = _DATE.fullmatch(cell)
-    if written is None:
+    if (written := _DATE.fullmatch(cell)) is None:
         return float("nan")
-    y, m, d, one, mark, two, year, hours, minutes, seconds, fraction, noon, sign, zone_h, zone_m = (
-        written.groups()
-    )
-    if y is None:
-        y, m, d = (year, one, two) if mark == "/" else (year, two, one)
-    hour = int(hours) % 12 + 12 * (noon.lower() == "pm") if noon else int(hours)
-    offset = timedelta(hours=int(zone_h), minutes=int(zone_m or 0)) if sign else timedelta()
+    of = written.groupdict()
+    date = of["y"], of["m"], of["d"]
+    if of["y"] is None:  # 01/31/2026 as in America, 31.01.2026 elsewhere
+        date = (of["Y"], of["a"], of["b"]) if of["mark"] == "/" else (of["Y"], of["b"], of["a"])
+    hour = int(of["hour"]) % 12 + 12 * (of["noon"].lower() == "pm") if of["noon"] else int(of["hour"])
+    zone = timedelta(hours=int(of["zone"] or 0), minutes=int(of["minutes"] or 0))
+    year, month, day = map(int, date)
     try:
-        zone = timezone(-offset if sign == "-" else offset) if sign else UTC
-        whole = datetime(int(y), int(m), int(d), hour, int(minutes), int(seconds), tzinfo=zone)
+        at = timezone(-zone if of["sign"] == "-" else zone)
+        whole = datetime(year, month, day, hour, int(of["minute"]), int(of["second"]), tzinfo=at)
     except ValueError:
         return float("nan")
-    return whole.timestamp() + float(f"0.{fraction or 0}")
+    return whole.timestamp() + float(f"0.{of['part'] or 0}")
 
 
 # ------------------------------------------------------------------------------------------------ workbooks
@@ -791,11 +758,10 @@ def _workbook_text(path: Path, rows: int | None, mtime_ns: int, size: int) -> st
                 sheet.reset_dimensions()  # some programs state the wrong ones
             heads = [islice(sheet.iter_rows(values_only=True), _LOOKED_AT) for sheet in sheets]
             numbers = [sum(isinstance(v, int | float) for row in rows for v in row) for rows in heads]
-            sheet = sheets[numbers.index(max(numbers))]
             lines = []
-            for row in islice(sheet.iter_rows(values_only=True), rows):
+            for row in islice(sheets[int(np.argmax(numbers))].iter_rows(values_only=True), rows):
                 lines.append("\t".join(_stripped([_cell(value) for value in row])))
-                check_lines(path, lines[-1:])
+                _check_lines(path, lines[-1:])
             return "\n".join(lines) + "\n"
         finally:
             book.close()
@@ -807,18 +773,14 @@ def _workbook_text(path: Path, rows: int | None, mtime_ns: int, size: int) -> st
         ) from error
 
 
-def unpacked_size(path: Path) -> int:
+def part_sizes(path: Path) -> dict[str, int]:
     """Bytes of a workbook's parts as its directory states them, which no part exceeds when it is read."""
-    return sum(_sizes(path).values())
-
-
-def _sizes(path: Path) -> dict[str, int]:
     with zipfile.ZipFile(path) as parts:
         return {part.filename.lstrip("/"): part.file_size for part in parts.infolist()}
 
 
 def _check_size(path: Path, packed: int) -> None:
-    sizes = _sizes(path)
+    sizes = part_sizes(path)
     texts = sum(size for name, size in sizes.items() if name.endswith("sharedStrings.xml"))
     loose = ("xl/worksheets/", "xl/media/", "xl/drawings/", "xl/charts/")
     others = sum(size for name, size in sizes.items() if not name.startswith(loose)) - texts
