@@ -11,6 +11,7 @@ import re
 import zipfile
 from collections import Counter
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from datetime import datetime, timedelta, timezone
 from functools import cached_property, lru_cache
@@ -234,11 +235,8 @@ class Table:
     def stated(self, *subjects: str) -> str:
         """The preamble's value of a subject ("120Hz" behind "OutputRate:"), "" where it has none."""
         plain = (line.strip().lstrip("/#%").strip().strip('"') for line in self.preamble)
-        found = ((line, subject) for line in plain for subject in subjects)
-        values = (
-            line[len(each) :].strip(' :=,;\t"') for line, each in found if line.lower().startswith(each)
-        )
-        return next(values, "")
+        found = ((line, each) for line in plain for each in subjects if line.lower().startswith(each))
+        return next((line[len(each) :].strip(' :=,;\t"') for line, each in found), "")
 
     def stated_number(self, *subjects: str) -> float | None:
         """The number that the preamble states of a subject; None where it states none above zero."""
@@ -339,8 +337,8 @@ class Table:
         first = shown(self.cells.column(column)[int(wrong[0])].as_py(), 40)
         if len(wrong) > (0 if self.strict else max(_WRONG * filled, 1)):
             raise RecordingError(
-                f"{self.path}, line {self.line(int(wrong[0]))}: '{first}' in {shown(self.name(column), 60)} is"
-                f" not a {what}, like {len(wrong):,} of its {filled:,} cells, too many to leave out; correct"
+                f"{self.path}, line {self.line(int(wrong[0]))}: '{first}' in {shown(self.name(column), 60)}"
+                f" is not a {what}, like {len(wrong):,} of its {filled:,} cells, too many to leave out; correct"
                 " the cells, or export the file again."
             )
         return first
@@ -413,7 +411,7 @@ def _check_lines(path: Path, lines: Sequence[str]) -> None:
 # ------------------------------------------------------------------------------------------------- its rows
 
 _QUOTED = re.compile(r'"[^"]*"')
-#: Rows before the last one that show that its number is cut off; of a table that is refused for it; looked at.
+#: Rows before the last one that show that its number is cut off; in a table that is refused; most.
 _FEWEST, _FEWEST_STRICT, _ROWS_BEFORE = 3, 20, 50
 
 
@@ -495,10 +493,8 @@ def split_line(line: str, separator: str) -> list[str]:
         return line.replace('"', "").split()
     cells = line.split(separator)
     if '"' in line:
-        try:
+        with suppress(csv.Error):
             cells = next(csv.reader([line], delimiter=separator, skipinitialspace=True), [])
-        except csv.Error:
-            pass
         cells = [cell.strip().strip('"') for cell in cells]
     return [cell.strip() for cell in cells]
 
