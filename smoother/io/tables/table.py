@@ -338,8 +338,8 @@ class Table:
         if len(wrong) > (0 if self.strict else max(_WRONG * filled, 1)):
             raise RecordingError(
                 f"{self.path}, line {self.line(int(wrong[0]))}: '{first}' in {shown(self.name(column), 60)}"
-                f" is not a {what}, like {len(wrong):,} of its {filled:,} cells, too many to leave out; correct"
-                " the cells, or export the file again."
+                f" is not a {what}, like {len(wrong):,} of its {filled:,} cells, too many to leave out;"
+                " correct the cells, or export the file again."
             )
         return first
 
@@ -427,9 +427,8 @@ def _even_rows(lines: list[str], table: Table) -> tuple[list[str], Sequence[int]
     counts = [_separators_in(row, mark) for row in rows]
     usual = Counter(counts).most_common(1)[0][0] if counts else 0
     header = lines[table.header].strip() if table.header >= 0 else None
-    notes = (
-        [_end_note(rows, counts[-1] < usual, mark, end, table.strict)] if rows and lines[-1].strip() else []
-    )
+    ends = rows and lines[-1].strip()
+    notes = [_end_note(rows, counts[-1] < usual, mark, end, table.strict)] if ends else []
     if notes == [CUT]:
         rows, counts = rows[:-1], counts[:-1]
     # Separators behind the last column make empty columns, which do no harm.
