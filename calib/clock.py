@@ -1,29 +1,34 @@
 """`calibrate clock`: a network of clocks, solved from what they heard together and from links; a recording's.
 
-Receptions (broadcasts, beeps), links, the solved network and what it says in words, and the prior that a
-calibration file has for a recording's clock.
+Receptions (broadcasts, beeps) and links, the solved network and what it says in words, a recording's clock
+from its motion alone, and the prior that a calibration file has for a recording's clock.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import combinations
+from itertools import combinations, pairwise
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
 from smoother.array_types import BoolArray, FloatArray, IntArray
+from smoother.calibration import ArmCalibration
+from smoother.config import Config
 from smoother.errors import CalibrationError
-from smoother.measurements.clock import Clock
+from smoother.linalg import scaled_inverse
+from smoother.measurements.clock import LARGEST_OFFSET_S, Clock
+from smoother.measurements.outliers import reject_by_camera
+from smoother.measurements.segment import Segment, split_into_segments
 from smoother.recording import Recording
+from smoother.runtime.pool import Pool
 
 from .file import CalibrationFile, checked
 from .protocol import Answer, Check
 
 if TYPE_CHECKING:
-    from .motion_clock import MotionClock
     from .sound import Beep
 
 #: Crystals differ by some hundred ppm.
@@ -41,6 +46,7 @@ class Receptions:
     source: str  # What it is called in messages and reports
     # Whether the noise may turn out larger than stated (several events of one kind)
     estimate_noise: bool = True
+    is_rounded: bool = True  # Stamps are of ticks: that all agree too well means that they share a rounding
 
 
 @dataclass(frozen=True)
@@ -125,13 +131,8 @@ class ClockNetwork:
 
     def links(self) -> list[ClockLink]:
         """Every pair of clocks that hang together, in the order of the nodes."""
-        n = len(self.nodes)
-        return [
-            self.between(self.nodes[u], self.nodes[v])
-            for u in range(n)
-            for v in range(u + 1, n)
-            if self.group[u] == self.group[v]
-        ]
+        pairs = combinations(zip(self.nodes, self.group.tolist(), strict=True), 2)
+        return [self.between(u, v) for (u, own), (v, other) in pairs if own == other]
 
 
 #: A pair's line is sought through this many of its events, spread over time.
@@ -158,10 +159,6 @@ def consensus(t_from: FloatArray, t_to: FloatArray) -> tuple[float, float, float
     return at, float(level[k][near].mean()), float(slope[k])
 
 
-def _reversed(at: float, offset: float, skew: float) -> tuple[float, float, float]:
-    return at + offset, -offset, -skew / (1 + skew)
-
-
 #: The stated noise of a source is treated as this many samples when its noise is measured.
 PRIOR_SAMPLES = 4.0
 #: What is farther off than this many sigmas is rejected.
@@ -171,167 +168,130 @@ ROUNDS = 40
 LARGEST_SKEW = 3.0 * SKEW_SIGMA
 #: Agreement better than this part of the stamps' own noise means that all rounds share one rounding.
 TOO_GOOD = 0.5
+#: Weight of a row that was rejected, where none of its event was not.
+NO_WEIGHT = 1e-12
 
 
 def solve_clocks(receptions: Sequence[Receptions], links: Sequence[ClockLink] = ()) -> ClockNetwork:
     """Offsets and skews of all clocks from what was heard together and from measured links."""
     system = _System(receptions, links)
-    if not len(system.t) and not links:
+    if not len(system.t):
         raise CalibrationError("no event was received by two clocks, so nothing links them; broadcast again")
-    a, b = system.start
     # the start is robust: its residuals say first what to trust
-    left, weight = system.apart(a, b, np.ones(len(system.t))), np.zeros(len(system.t))
+    left, weight = system.apart(system.start, np.ones(len(system.t))), np.zeros(len(system.t))
     scale = system.noise(left, np.ones(len(left)), robust=True)
-    again = 1.0 / (1.0 + (left / (system.sigma * scale)) ** 2)
     for _ in range(ROUNDS):  # weights of Cauchy's loss, until they settle
-        weight = again
-        a, b, left, _ = system.solve(a, b, weight)
-        scale = np.minimum(system.noise(left, weight, robust=True), scale)
-        again = 1.0 / (1.0 + (left / (system.sigma * scale)) ** 2)
-        if np.abs(again - weight).max(initial=0.0) < 1e-6:
+        before = weight
+        weight = np.where(system.is_link, 1.0, 1.0 / (1.0 + (left / (system.sigma * scale)) ** 2))
+        if np.abs(weight - before).max() < 1e-6:
             break
-    used = system.heard_together(np.abs(left) < OUTLIER * scale * system.sigma)
+        x, left, _ = system.solve(weight)
+        scale = np.minimum(system.noise(left, weight, robust=True), scale)
+    used = system.is_link | (np.abs(left) < OUTLIER * scale * system.sigma)
+    used &= np.bincount(system.event, used)[system.event] > 1  # not alone in their event
     used |= system.cut_off(used)
     for _ in range(3):  # the noise sets the weight between sources
-        weight = used.astype(float) / scale**2
-        a, b, left, covariance = system.solve(a, b, weight)
+        x, left, covariance = system.solve(used / scale**2)
         scale = system.noise(left, used.astype(float), robust=False)
-    left = system.apart(a, b, np.maximum(weight, 1e-6))  # of the rejected rows too
-    spans = system.spans(a, b)
-    covariance = covariance + system.doubts(left, used, b, np.ptp(spans, axis=1))
-    return ClockNetwork(
-        nodes=system.nodes,
-        group=system.group,
-        value=np.concatenate([a, b]),
-        covariance=covariance,
-        tau0_s=system.tau0[system.group],
-        span_s=spans,
-        leftovers=system.leftovers(a, b, left, used, scale),
-    )
+    return system.network(x, left, used, scale, covariance)
 
 
 class _System:
-    """The least-squares system of a network; offsets and skews of the reference nodes are zero."""
+    """The least-squares system of a network: times on the reference's clock are linear in the unknowns.
+
+    Of row i with node k the time since tau0 is y_i - alpha_k - beta_k y_i, with y_i by the start's offset;
+    alpha and beta of the reference nodes are zero. A link is an event of two rows that is never rejected.
+    """
 
     def __init__(self, receptions: Sequence[Receptions], links: Sequence[ClockLink]) -> None:
-        nothing = np.zeros(0, np.int64), np.zeros(0), np.zeros(0), np.zeros(0, np.int64)
-        parts: list[tuple[IntArray, FloatArray, FloatArray, IntArray]] = [nothing]
+        root = np.sqrt(0.5)
+        self.sources = [*receptions]
+        for link in links:
+            ends, t = [link.from_clock, link.to_clock], np.array([link.at_s, link.at_s + link.offset_s])
+            noise = np.full(2, root * link.sigma_s)
+            self.sources.append(Receptions(np.zeros(2, np.int64), ends, t, noise, link.source, False))
         names: list[str] = []
-        first = 0
-        for k, each in enumerate(receptions):  # rows of events that at least two nodes heard
-            heard, number = np.unique(np.asarray(each.event), return_inverse=True)
-            keep = np.bincount(number, minlength=len(heard))[number] > 1
+        parts, first = [], 0
+        for k, each in enumerate(self.sources):  # rows of events that at least two nodes heard
+            _, number = np.unique(np.asarray(each.event), return_inverse=True)
+            keep = np.bincount(number)[number] > 1
             names += [name for name, kept in zip(each.node, keep, strict=True) if kept]
             t, sigma = np.asarray(each.t_s, dtype=float), np.broadcast_to(each.sigma_s, keep.shape)
             parts.append((number[keep] + first, t[keep], sigma[keep], np.full(int(keep.sum()), k)))
-            first += len(heard)
-        columns = zip(*parts, strict=True)
-        self.event, self.t, self.sigma, self.source = (np.concatenate(column) for column in columns)
-        self.receptions, self.links = receptions, links
-        ends = [(link.from_clock, link.to_clock) for link in links]
-        self.nodes = tuple(dict.fromkeys([*(name for pair in ends for name in pair), *names]))
-        number_of = {name: k for k, name in enumerate(self.nodes)}
-        self.node = np.array([number_of[name] for name in names], dtype=np.int64)
-        self.ends = np.array([[number_of[u], number_of[v]] for u, v in ends], dtype=np.int64).reshape(-1, 2)
-        self.count = len(self.nodes)
-        self.start = self._start()
-        self.free = np.setdiff1d(np.arange(self.count), np.unique(self.group, return_index=True)[1])
+            first += len(each.node)
+        self.event, self.t, self.sigma, self.source = map(np.concatenate, zip(*parts, strict=True))
+        self.is_link = self.source >= len(receptions)
+        ends = [name for link in links for name in (link.from_clock, link.to_clock)]
+        self.nodes = tuple(dict.fromkeys([*ends, *names]))
+        self.node = np.array([self.nodes.index(name) for name in names], dtype=np.int64)
+        self.count = n = len(self.nodes)
+        if not n:
+            return
+        a, b = self._start()
+        self.y = self.t - self.tau0[self.group[self.node]] - a[self.node]
+        self.offset, self.start = a, np.concatenate([np.zeros(n), b])
+        self.references = np.unique(self.group, return_index=True)[1]
+        free = np.setdiff1d(np.arange(n), self.references)
+        self.columns = np.concatenate([free, n + free])
+        self.prior, self.pull = np.diag(np.repeat([0.0, SKEW_SIGMA**-2], n)), np.zeros(2 * n)
+        for link in links:  # its skew
+            pick = np.zeros(2 * n)
+            pick[[n + self.nodes.index(name) for name in (link.to_clock, link.from_clock)]] = 1.0, -1.0
+            weight = (1e-6 * link.skew_sigma_ppm) ** -2
+            self.prior += weight * np.outer(pick, pick)
+            self.pull += weight * 1e-6 * link.skew_ppm * pick
 
     def _start(self) -> tuple[FloatArray, FloatArray]:
         """Offsets and skews (n,) to the first of each group, along the pairs with the most events."""
         from scipy.sparse.csgraph import breadth_first_order, connected_components, minimum_spanning_tree
 
-        heard = np.full((int(self.event.max(initial=-1)) + 1, self.count), np.nan)
+        heard = np.full((int(self.event.max()) + 1, self.count), np.nan)
         heard[self.event, self.node] = self.t
         weight = np.zeros((self.count, self.count))
-        edges: dict[tuple[int, int], tuple[float, float, float]] = {}  # time on u, offset there, skew
-        for (u, v), link in zip(self.ends.tolist(), self.links, strict=True):
-            weight[u, v], edges[u, v] = 1, (link.at_s, link.offset_s, 1e-6 * link.skew_ppm)
         for u, v in combinations(range(self.count), 2):
-            both = heard[np.isfinite(heard[:, u] + heard[:, v])]
-            if len(both):
-                weight[u, v], edges[u, v] = 1 / len(both), consensus(both[:, u], both[:, v])
+            both = np.isfinite(heard[:, u] + heard[:, v]).sum()
+            weight[u, v] = 1 / both if both else 0.0
         self.group = connected_components(weight, directed=False)[1].astype(np.int64)
         tree, a, b, tau0 = minimum_spanning_tree(weight), np.zeros(self.count), np.zeros(self.count), []
         for first in np.unique(self.group, return_index=True)[1].tolist():
-            own = self.t[self.node == first]
-            linked = (at for (u, _), (at, *_) in edges.items() if u == first)
-            tau0.append(float(own.mean()) if len(own) else next(linked, 0.0))
+            tau0.append(float(np.mean(self.t[self.node == first])))
             order, before = breadth_first_order(tree, first, directed=False)
             for v, u in zip(order[1:].tolist(), before[order[1:]].tolist(), strict=True):
-                at, offset, skew = edges.get((u, v)) or _reversed(*edges[v, u])
+                both = heard[np.isfinite(heard[:, u] + heard[:, v])]
+                at, offset, skew = consensus(both[:, u], both[:, v])
                 a[v], b[v] = a[u] + offset + skew * (tau0[-1] + a[u] - at), b[u] + skew
         self.tau0 = np.array(tau0)
         return a, b
 
-    def on_reference(self, k: IntArray, t: FloatArray, a: FloatArray, b: FloatArray) -> FloatArray:
-        """Times of nodes (M,) on their own clocks as time since tau0 on the reference."""
-        return np.asarray((t - self.tau0[self.group[k]] - a[k]) / (1 + b[k]))
+    def _centred(self, values: FloatArray, weight: FloatArray) -> FloatArray:
+        """Values (M, ...) less the weighted mean of their event."""
+        information = np.maximum(weight, NO_WEIGHT) / self.sigma**2
+        total = np.bincount(self.event, information)
+        if values.ndim > 1:
+            return np.stack([self._centred(column, weight) for column in values.T], axis=1)
+        mean = np.bincount(self.event, information * values) / np.maximum(total, 1e-300)
+        return np.asarray(values - mean[self.event])
 
-    def solve(
-        self, a: FloatArray, b: FloatArray, weight: FloatArray
-    ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-        """One Gauss-Newton step: offsets, skews, residuals (M,) and covariance (2 n, 2 n)."""
-        n = self.count
-        dt = self.on_reference(self.node, self.t, a, b)
-        information = weight / self.sigma**2
-        middle = self._mean(dt, information)
-        off = self.apart(a, b, weight)
+    def apart(self, x: FloatArray, weight: FloatArray) -> FloatArray:
+        """(M,) how far each time is from its event's, s."""
+        return self._centred(self._on_reference(x), weight)
+
+    def _on_reference(self, x: FloatArray) -> FloatArray:
+        return np.asarray(self.y - x[self.node] - x[self.count + self.node] * self.y)
+
+    def solve(self, weight: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """The unknowns (2 n,), residuals (M,) and covariance (2 n, 2 n) of linear least squares."""
+        n, rows = self.count, np.arange(len(self.t))
         design = np.zeros((len(self.t), 2 * n))
-        at = np.arange(len(self.t))
-        design[at, self.node], design[at, n + self.node] = 1.0, middle
-        design -= np.array([self._mean(column, information) for column in design.T]).T.reshape(design.shape)
-        design_l, off_l, information_l = self._link_rows(a, b)
-        design = np.concatenate([design, design_l, np.eye(2 * n)[n:]])
-        off = np.concatenate([off, off_l, -b])
-        information = np.concatenate([information, information_l, np.full(n, SKEW_SIGMA**-2)])
-        columns = np.concatenate([self.free, n + self.free])
-        part = design[:, columns]
-        normal = part.T @ (information[:, None] * part)
-        size = np.sqrt(np.diag(normal))  # seconds and ppm: scaled for the inverse
-        inverse = np.linalg.inv(normal / np.outer(size, size)) / np.outer(size, size)
-        step = np.zeros(2 * n)
-        step[columns] = inverse @ (part.T @ (information * off))
-        covariance = np.zeros((2 * n, 2 * n))
-        covariance[np.ix_(columns, columns)] = inverse
-        left = (off - design @ step)[: len(self.t)]
-        return a + step[:n], b + step[n:], left, covariance
-
-    def apart(self, a: FloatArray, b: FloatArray, weight: FloatArray) -> FloatArray:
-        """(M,) how far each time is from its event's, on the node's own clock, s."""
-        dt = self.on_reference(self.node, self.t, a, b)
+        design[rows, self.node], design[rows, n + self.node] = 1.0, self.y
+        design = self._centred(design, weight)[:, self.columns]
         information = weight / self.sigma**2
-        off = (dt - self._mean(dt, information)) * (1 + b[self.node])
-        return off - self._mean(off, information)
-
-    def _mean(self, values: FloatArray, weight: FloatArray) -> FloatArray:
-        """Weighted mean of each event, at its rows (M,)."""
-        total = np.bincount(self.event, weight) if len(values) else np.empty(0)
-        mean = np.bincount(self.event, weight * values) if len(values) else np.empty(0)
-        return np.asarray((mean / np.maximum(total, 1e-300))[self.event])
-
-    def _link_rows(self, a: FloatArray, b: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        n = self.count
-        design, off = np.zeros((2 * len(self.links), 2 * n)), np.zeros(2 * len(self.links))
-        information = np.zeros(2 * len(self.links))
-        for k, (link, (u, v)) in enumerate(zip(self.links, self.ends.tolist(), strict=True)):
-            at = np.array([link.at_s])
-            dt = float(self.on_reference(np.array([u]), at, a, b)[0])
-            for row, first in enumerate((0, n)):
-                design[2 * k + row, first + v], design[2 * k + row, first + u] = 1.0, -1.0
-            design[2 * k, n + v], design[2 * k, n + u] = dt, -dt
-            off[2 * k] = link.offset_s - ((a[v] - a[u]) + dt * (b[v] - b[u]))
-            off[2 * k + 1] = 1e-6 * link.skew_ppm - (b[v] - b[u])
-            information[2 * k] = link.sigma_s**-2
-            information[2 * k + 1] = (1e-6 * link.skew_sigma_ppm) ** -2
-        return design, off, information
-
-    def heard_together(self, used: BoolArray) -> BoolArray:
-        """Without the rows that are now alone in their event."""
-        if not len(used):
-            return used
-        alone = np.bincount(self.event, used) < 2
-        return used & ~alone[self.event]
+        kept = np.ix_(self.columns, self.columns)
+        x, covariance = np.zeros(2 * n), np.zeros((2 * n, 2 * n))
+        covariance[kept] = scaled_inverse(design.T @ (information[:, None] * design) + self.prior[kept])
+        pull = design.T @ (information * self._centred(self.y, weight)) + self.pull[self.columns]
+        x[self.columns] = covariance[kept] @ pull
+        return x, self.apart(x, weight), covariance
 
     def cut_off(self, used: BoolArray) -> BoolArray:
         """(M,) all rows of nodes that the rows in use no longer link to their group: their scatter is
@@ -340,19 +300,17 @@ class _System:
         from scipy.sparse import coo_matrix
         from scipy.sparse.csgraph import connected_components
 
-        n, events = self.count, int(self.event.max(initial=-1)) + 1
+        n, size = self.count, self.count + int(self.event.max()) + 1
         heard = np.stack([self.node[used], n + self.event[used]])
-        edges = np.concatenate([heard, self.ends.T], axis=1)
-        graph = coo_matrix((np.ones(edges.shape[1]), edges), shape=(n + events, n + events))
+        graph = coo_matrix((np.ones(heard.shape[1]), heard), shape=(size, size))
         part = connected_components(graph, directed=False)[1][:n]
-        first = {int(g): part[np.flatnonzero(self.group == g)[0]] for g in np.unique(self.group)}
-        lost = np.array([part[k] != first[int(self.group[k])] for k in range(n)])
+        lost = part != part[self.references[self.group]]
         return np.isin(self.event, self.event[lost[self.node]])
 
     def noise(self, left: FloatArray, weight: FloatArray, robust: bool) -> FloatArray:
         """(M,) how much larger than stated the noise of each row's source is (at least as stated)."""
         scale = np.ones(len(left))
-        for k, each in enumerate(self.receptions):
+        for k, each in enumerate(self.sources):
             mine = (self.source == k) & (weight > 0)
             if not (each.estimate_noise and mine.any()):
                 continue
@@ -366,63 +324,149 @@ class _System:
             scale[self.source == k] = np.sqrt(max((PRIOR_SAMPLES + total) / (PRIOR_SAMPLES + freedom), 1.0))
         return scale
 
-    def doubts(self, left: FloatArray, used: BoolArray, skew: FloatArray, span_s: FloatArray) -> FloatArray:
-        """Covariance to add where the times contradict each other, or agree too well."""
-        extra, n = np.zeros(2 * self.count), self.count
-        for node in self.free.tolist():  # no more times of it agree than were rejected
+    def network(
+        self, x: FloatArray, left: FloatArray, used: BoolArray, scale: FloatArray, covariance: FloatArray
+    ) -> ClockNetwork:
+        """The answer: offsets and skews of t = tau0 + a + (1 + b) dt, spans and residuals."""
+        n, dt = self.count, self._on_reference(x)
+        b = x[n:] / (1 - x[n:])
+        own = self.group[self.node]
+        spans = np.array([[np.min(dt[own == g]), np.max(dt[own == g])] for g in self.group.tolist()])
+        leftovers = []
+        for k, each in enumerate(self.sources):
+            mine = self.source == k
+            if not mine.any():
+                continue
+            who, t, rest = [self.nodes[i] for i in self.node[mine]], (dt + self.tau0[own])[mine], left[mine]
+            sigma = float(np.mean(self.sigma[mine] * scale[mine]))
+            if self.is_link[mine].all():  # its two ends as one
+                who, t, rest, mine = [" to ".join(who)], t[:1], np.diff(rest), np.flatnonzero(mine)[:1]
+                sigma *= np.sqrt(2.0)
+            leftovers.append(Leftover(each.source, tuple(who), t, rest, used[mine], sigma))
+        return ClockNetwork(
+            nodes=self.nodes,
+            group=self.group,
+            value=np.concatenate([self.offset + x[:n] * (1 + b), b]),
+            covariance=covariance + np.diag(self._doubts(left, used, b, np.ptp(spans, axis=1))),
+            tau0_s=self.tau0[self.group],
+            span_s=self.tau0[self.group][:, None] + spans,
+            leftovers=tuple(leftovers),
+        )
+
+    def _doubts(self, left: FloatArray, used: BoolArray, skew: FloatArray, span_s: FloatArray) -> FloatArray:
+        """Variance (2 n,) to add where the times contradict each other, or agree too well."""
+        n = self.count
+        offset = np.zeros(n)
+        for node in range(n):  # no more times of it agree than were rejected
             mine = self.node == node
             rejected = np.abs(left[mine & ~used])
-            if len(rejected) and int((mine & used).sum()) <= len(rejected):
-                extra[node] = float(np.median(rejected)) ** 2
+            if node not in self.references and len(rejected) and np.sum(mine & used) <= len(rejected):
+                offset[node] = float(np.median(rejected)) ** 2
         shared = np.zeros(n)
-        for k in range(len(self.receptions)):  # all rounds agree too well: they share one rounding error
-            mine = (self.source == k) & used
+        for k, each in enumerate(self.sources):  # all rounds agree too well: they share one rounding error
+            mine = (self.source == k) & used & each.is_rounded
             events = len(np.unique(self.event[mine]))
             freedom = int(mine.sum()) - events
-            if events < 3 or np.sum((left[mine] / self.sigma[mine]) ** 2) > TOO_GOOD**2 * freedom:
-                continue
-            for node in np.unique(self.node[mine]).tolist():
-                shared[node] = max(shared[node], float(np.max(self.sigma[mine]) ** 2))
+            if events >= 3 and np.sum((left[mine] / self.sigma[mine]) ** 2) <= TOO_GOOD**2 * freedom:
+                nodes = np.unique(self.node[mine])
+                shared[nodes] = np.maximum(shared[nodes], float(np.max(self.sigma[mine]) ** 2))
         # a skew larger than any crystal's: times contradict each other and few rounds hide it
         wrong = np.where(np.abs(skew) > LARGEST_SKEW, skew, 0.0)
-        extra[:n] += shared + (wrong * span_s) ** 2
-        extra[n:] += wrong**2
-        return np.diag(extra)
+        return np.concatenate([offset + shared + (wrong * span_s) ** 2, wrong**2])
 
-    def spans(self, a: FloatArray, b: FloatArray) -> FloatArray:
-        """(n, 2) first and last measured time of each node's group, on its reference."""
-        dt = self.on_reference(self.node, self.t, a, b)
-        where = self.group[self.node]
-        spans = np.zeros((self.count, 2))
-        for g in np.unique(self.group).tolist():
-            times = dt[where == g]
-            linked = [
-                float(self.on_reference(ends[:1], np.array([link.at_s]), a, b)[0])
-                for link, ends in zip(self.links, self.ends, strict=True)
-                if self.group[ends[0]] == g
-            ]
-            every = np.concatenate([times, linked, np.zeros(0)])
-            spans[self.group == g] = self.tau0[g] + ([every.min(), every.max()] if len(every) else [0.0, 0.0])
-        return spans
 
-    def leftovers(
-        self, a: FloatArray, b: FloatArray, left: FloatArray, used: BoolArray, scale: FloatArray
-    ) -> tuple[Leftover, ...]:
-        """Residuals of every source and link."""
-        found = []
-        dt = self.on_reference(self.node, self.t, a, b) + self.tau0[self.group[self.node]]
-        for k, each in enumerate(self.receptions):
-            mine = self.source == k
-            if mine.any():
-                sigma = float(np.mean(self.sigma[mine] * scale[mine]))
-                who = tuple(self.nodes[i] for i in self.node[mine].tolist())
-                found.append(Leftover(each.source, who, dt[mine], left[mine], used[mine], sigma))
-        _, off, _ = self._link_rows(a, b)
-        for k, link in enumerate(self.links):
-            pair = (f"{link.from_clock} to {link.to_clock}",)
-            one, residual = np.array([link.at_s]), off[2 * k : 2 * k + 1]
-            found.append(Leftover(link.source, pair, one, residual, np.ones(1, dtype=bool), link.sigma_s))
-        return tuple(found)
+#: Beyond this the offset is looked for coarsely first, s: the self-calibration's reach, with room.
+COARSE_S = 0.75 * LARGEST_OFFSET_S
+#: Length of an excerpt, s, and at most this many of them; each needs this many frames with a visible forearm.
+EXCERPT_S, MOST_EXCERPTS, FEWEST_FRAMES = 20.0, 24, 60
+#: What no excerpt is better than, s: frames are stamped that well at most.
+FLOOR_S = 0.0005
+
+
+@dataclass(frozen=True)
+class MotionClock:
+    """The clock of a recording from motion, without equipment."""
+
+    link: ClockLink  # Camera to IMU; t_imu = t_camera + offset
+    used: BoolArray  # bool (k,): excerpts that agree
+    calibration: ArmCalibration  # How the IMU sits, as found on the way
+
+
+def clock_from_motion(
+    recording: Recording,
+    known: ArmCalibration | None = None,
+    config: Config | None = None,
+    names: tuple[str, str] = ("camera", "imu"),
+) -> MotionClock:
+    """Offset and skew of the IMU's clock against the camera's from what both saw of the motion.
+
+    The smoother's own self-calibration finds each excerpt's offset (the residuals of the camera's joints
+    along their velocity); how the IMU sits is found once, from four excerpts. The line through the offsets is
+    that of two clocks that met at every excerpt: their scatter gives sigma, whatever each of them claims.
+    """
+    from smoother.selfcal.pairing import coarse_offset
+    from smoother.selfcal.rounds import self_calibrate
+
+    config = config or Config()
+    coarse = coarse_offset(recording, COARSE_S)
+    if coarse:
+        recording = replace(recording, imu=replace(recording.imu, t_s=recording.imu.t_s - coarse))
+    segments = [reject_by_camera(segment) for segment in split_into_segments(recording, LARGEST_OFFSET_S)]
+    excerpts = _excerpts(segments)
+    if not excerpts:
+        raise CalibrationError(
+            f"{recording.name}: the forearm was visible for too short a time to find the clock; record"
+            " 20 s of motion in view"
+        )
+    met: list[tuple[float, float, float]] = []  # time on the camera's clock, offset, sigma
+    with Pool(config.windows.processes, sum(len(segment.frame_t_camera) for segment in segments)) as pool:
+        chosen = [excerpts[k] for k in np.unique(np.linspace(0, len(excerpts) - 1, 4).astype(int))]
+        numbered = [replace(segment, recording=k) for k, segment in enumerate(chosen)]
+        arm = self_calibrate(numbered, known or ArmCalibration(side=recording.side), config, pool).estimate
+        for excerpt in excerpts:
+            try:
+                clock = self_calibrate([excerpt], arm, config, pool).clocks[0]
+            except CalibrationError:
+                continue
+            middle = 0.5 * (excerpt.start_s + excerpt.end_s)
+            at = float(clock.at(np.array([middle - clock.mean_s]))[0])
+            met.append((middle - at, coarse + at, float(np.hypot(clock.sigma_s, FLOOR_S))))
+    if not met:
+        raise CalibrationError(
+            f"{recording.name}: the clock could not be found in any excerpt; move more and faster"
+        )
+    t, offset, sigma = np.array(met).T
+    source = f"motion {recording.name}"
+    heard = Receptions(
+        event=np.tile(np.arange(len(t)), 2),
+        node=[name for name in names for _ in t],
+        t_s=np.concatenate([t, t + offset]),
+        sigma_s=np.tile(sigma, 2) * np.sqrt(0.5),
+        source=source,
+        is_rounded=False,
+    )
+    network = solve_clocks([heard])
+    link = replace(network.between(*names), source=source)
+    return MotionClock(link, network.leftovers[0].used[: len(t)], arm)
+
+
+def _excerpts(segments: list[Segment]) -> list[Segment]:
+    """Parts of equal length with a visible forearm, spread over the recording."""
+
+    def visible(part: Segment) -> int:
+        inside = (part.frame_t_camera >= part.start_s) & (part.frame_t_camera <= part.end_s)
+        return int((part.accepted[inside][:, 1:].sum(axis=1) >= part.needed).sum())
+
+    parts = []
+    for segment in segments:
+        count = max(round((segment.end_s - segment.start_s) / EXCERPT_S), 1)
+        edges = np.linspace(segment.start_s, segment.end_s, count + 1)
+        parts += [segment.between(a, b) for a, b in pairwise(edges)]
+    enough = [part for part in parts if visible(part) >= FEWEST_FRAMES]
+    if len(enough) <= MOST_EXCERPTS:
+        return enough
+    groups = np.array_split(np.arange(len(enough)), MOST_EXCERPTS)
+    return [max((enough[k] for k in group.tolist()), key=visible) for group in groups]
 
 
 #: A link no better than this is said to be weak, s: at 1 m/s it is 5 mm.
@@ -441,32 +485,27 @@ BRISKLY = "move the forearm briskly in view for 20 s; only fast motion determine
 
 
 @dataclass(frozen=True)
-class ClockCalibration:
-    """The clocks of one session, and what they were solved from."""
+class ClockSession:
+    """What the clocks of one session are solved from, together."""
 
-    session: str
-    network: ClockNetwork  # Every clock against every other
-    receptions: tuple[Receptions, ...] = ()  # What several clocks heard
-    beeps: tuple[Beep, ...] = ()  # Of the camera's sound
+    name: str
+    receptions: Sequence[Receptions] = ()  # What several clocks heard
+    beeps: Sequence[Beep] = ()  # Of the camera's sound
     motion: MotionClock | None = None  # The clock in a recording's motion
+    origin_ns: int = 0  # Zero of the motion's times
+
+    def solved(self) -> ClockNetwork:
+        """Offsets and skews of all clocks, from sound, broadcasts and motion."""
+        if self.motion is None:
+            return solve_clocks(self.receptions)
+        link = self.motion.link
+        return solve_clocks(self.receptions, [replace(link, at_s=link.at_s + 1e-9 * self.origin_ns)])
 
 
-def calibrate_clocks(
-    session: str,
-    receptions: Sequence[Receptions] = (),
-    beeps: Sequence[Beep] = (),
-    motion: MotionClock | None = None,
-    origin_ns: int = 0,
-) -> ClockCalibration:
-    """Offsets and skews of all clocks of a session, from sound, broadcasts and motion together."""
-    links = [] if motion is None else [replace(motion.link, at_s=motion.link.at_s + 1e-9 * origin_ns)]
-    network = solve_clocks(receptions, links)
-    return ClockCalibration(session, network, tuple(receptions), tuple(beeps), motion)
-
-
-def clock_answer(calibration: ClockCalibration) -> Answer:
+def clock_answer(session: ClockSession) -> Answer:
     """How good the clocks are now, what the data left open, and what to record next."""
-    network, links = calibration.network, calibration.network.links()
+    network = session.solved()
+    links = network.links()
     worst = max(links, key=lambda link: link.sigma_s)
     sentence = (
         f"{len(network.nodes)} clocks are linked by {len(links)} pairs; the worst pair"
@@ -475,6 +514,8 @@ def clock_answer(calibration: ClockCalibration) -> Answer:
     )
     apart = disagreements(network)
     grade = "good" if all(link.sigma_s <= WEAK_S for link in links) else "usable"
+    if apart or len(network.groups) > 1:
+        grade = "not good enough"
     numbers = ("offset_s", "sigma_s", "skew_ppm", "skew_sigma_ppm", "at_s")
     rows = [
         {"from": link.from_clock, "to": link.to_clock}
@@ -483,7 +524,7 @@ def clock_answer(calibration: ClockCalibration) -> Answer:
     ]
     shown = ("end_s", "sigma_s", "frequency_hz", "above_quiet_db")
     figures: dict[str, Any] = {
-        "session": calibration.session,
+        "session": session.name,
         "links": rows,
         "sources": [
             {
@@ -495,11 +536,10 @@ def clock_answer(calibration: ClockCalibration) -> Answer:
             }
             for left in network.leftovers
         ],
-        "beeps": [{key: getattr(beep, key) for key in shown} for beep in calibration.beeps],
+        "beeps": [{key: getattr(beep, key) for key in shown} for beep in session.beeps],
     }
-    grade = "not good enough" if apart or len(network.groups) > 1 else grade
-    checks = [*(Check(text, is_open=True) for text in apart), *_checks(calibration, links)]
-    table = {"session": calibration.session, "valid_for": "this session alone", "links": rows}
+    checks = [*(Check(text, is_open=True) for text in apart), *_checks(session, network, links)]
+    table = {"session": session.name, "valid_for": "this session alone", "links": rows}
     return Answer(grade, sentence, checks, CalibrationFile().with_table("clock", table), figures)
 
 
@@ -513,43 +553,34 @@ def disagreements(network: ClockNetwork) -> list[str]:
     ]
 
 
-def _checks(calibration: ClockCalibration, links: list[ClockLink]) -> Iterator[Check]:
+def _checks(session: ClockSession, network: ClockNetwork, links: list[ClockLink]) -> Iterator[Check]:
     """What is looked at, against its bounds."""
-    network, receptions, motion = calibration.network, calibration.receptions, calibration.motion
     if len(network.groups) > 1:
         apart = "; ".join(map(", ".join, network.groups))
         yield Check(f"nothing links these groups of clocks: {apart}", remedy=ONE_NAME, is_open=True)
-    for name in sorted({name for each in receptions for name in each.node} - set(network.nodes)):
+    for name in sorted({name for each in session.receptions for name in each.node} - set(network.nodes)):
         yield Check(f"{name} received nothing that another clock received: it is not linked", is_open=True)
     for left in network.leftovers:
         name = f"{left.source}: rejected times, of {len(left.used)}"
         yield Check(name, int((~left.used).sum()), 0, is_open=True)
-    has_clear_beep = any(beep.sigma_s < WEAK_S for beep in calibration.beeps)
+    has_clear_beep = any(beep.sigma_s < WEAK_S for beep in session.beeps)
     for link in links:
-        pair, common = f"{link.from_clock} and {link.to_clock}", _common(receptions, link)
+        pair = f"{link.from_clock} and {link.to_clock}"
         yield Check(f"{pair}: sigma", 1e3 * link.sigma_s, 1e3 * WEAK_S, "ms", is_open=True)
+        common = 0  # rounds that both heard
+        for each in session.receptions:
+            mine = [each.event[np.asarray(each.node) == name] for name in (link.from_clock, link.to_clock)]
+            common += len(np.intersect1d(*mine)) * each.estimate_noise
         if common and not has_clear_beep:
             yield Check(f"{pair}: rounds together", common, FEW_ROUNDS, "", ROUNDS_AGAIN, True, True)
     skew = max(link.skew_sigma_ppm for link in links)
     yield Check("sigma of a skew", skew, SKEW_KNOWN_PPM, "ppm", TWICE, is_open=True)
-    for beep in calibration.beeps:
+    for beep in session.beeps:
         name = f"sigma of the beep that ends at {beep.end_s:.2f} s, by its echo"
         yield Check(name, 1e3 * beep.sigma_s * beep.loud_room, 0.0, "ms", NEARER, is_open=True)
-    if motion is not None:
+    if (motion := session.motion) is not None:
         yield Check("excerpts of the motion off the line", int((~motion.used).sum()), 0, is_open=True)
         yield Check("sigma by motion", 1e3 * motion.link.sigma_s, 3.0, "ms", BRISKLY)
-
-
-def _common(receptions: Sequence[Receptions], link: ClockLink) -> int:
-    """Rounds that both clocks of a link heard; 0 where a broadcast is not what links them."""
-    count = 0
-    for each in receptions:
-        if not each.estimate_noise:
-            continue
-        node = np.asarray(each.node)
-        first, second = each.event[node == link.from_clock], each.event[node == link.to_clock]
-        count += len(np.intersect1d(first, second))
-    return count
 
 
 #: Words by which a clock is the camera's.
@@ -564,42 +595,13 @@ UNKNOWN_PPM = 499.0
 TYPICAL_PPM = 50.0
 
 
-def measured_clock(file: CalibrationFile, recording: Recording) -> Clock | None:
-    """The link of a file's `[clock]` between the recording's camera and its IMU."""
-    table = file.tables.get("clock")
-    if not isinstance(table, dict) or not isinstance(table.get("links"), list):
-        return None
-    links = [
-        link
-        for link in table["links"]
-        if isinstance(link, dict) and _is_camera(link.get("from")) != _is_camera(link.get("to"))
-    ]
-    named = [link for link in links if _imu_end(link).lower() in recording.imu.name.lower()]
-    links = named or links
-    if not links:
-        return None
-    if len(links) > 1:
-        names = ", ".join(_imu_end(link) for link in links)
-        raise CalibrationError(
-            f"{file.source}: its [clock] links the camera with {names}, and none has the name of the IMU,"
-            f" {recording.imu.name}; give --clock-offset"
-        )
-    return _clock(links[0], file.source, recording)
-
-
-def _is_camera(name: object) -> bool:
-    return any(word in str(name).lower() for word in CAMERA_WORDS)
-
-
-def _imu_end(link: Mapping[str, Any]) -> str:
-    return str(link["to"] if _is_camera(link["from"]) else link["from"])
-
-
 class _MeasuredLink(BaseModel):
-    """What is read of a link in the file; its names and further keys are for people."""
+    """What is read of a link in the file; further keys are for people."""
 
     model_config = ConfigDict(allow_inf_nan=False, strict=True, defer_build=True)
 
+    from_clock: Any = Field(default=None, alias="from")
+    to_clock: Any = Field(default=None, alias="to")
     offset_s: float
     sigma_s: float = Field(ge=0)
     skew_ppm: float = 0.0
@@ -607,10 +609,35 @@ class _MeasuredLink(BaseModel):
     at_s: float = 0.0
 
 
-def _clock(link: Mapping[str, Any], source: str, recording: Recording) -> Clock:
-    read = checked(_MeasuredLink, link, f"{source}: a link of [clock]")
+def measured_clock(file: CalibrationFile, recording: Recording) -> Clock | None:
+    """The link of a file's `[clock]` between the recording's camera and its IMU."""
+    table = file.tables.get("clock")
+    if not isinstance(table, dict) or not isinstance(table.get("links"), list):
+        return None
+
+    def is_camera(name: object) -> bool:
+        return any(word in str(name).lower() for word in CAMERA_WORDS)
+
+    def imu_end(link: Mapping[str, Any]) -> str:
+        return str(link["to"] if is_camera(link["from"]) else link["from"])
+
+    links = [
+        link
+        for link in table["links"]
+        if isinstance(link, dict) and is_camera(link.get("from")) != is_camera(link.get("to"))
+    ]
+    links = [link for link in links if imu_end(link).lower() in recording.imu.name.lower()] or links
+    if not links:
+        return None
+    if len(links) > 1:
+        names = ", ".join(map(imu_end, links))
+        raise CalibrationError(
+            f"{file.source}: its [clock] links the camera with {names}, and none has the name of the IMU,"
+            f" {recording.imu.name}; give --clock-offset"
+        )
+    read = checked(_MeasuredLink, links[0], f"{file.source}: a link of [clock]")
     offset_s, skew, at_s = read.offset_s, 1e-6 * read.skew_ppm, read.at_s
-    if not _is_camera(link["from"]):  # t_camera = t_imu + offset, turned round
+    if not is_camera(read.from_clock):  # t_camera = t_imu + offset, turned round
         offset_s, skew, at_s = -offset_s, -skew, at_s + offset_s
     if abs(at_s) > UNIX_S:
         at_s -= 1e-9 * recording.origin_ns

@@ -18,10 +18,6 @@ from smoother.rotation import Rotation
 from smoother.runtime.inputs import check_input, read_toml, toml_text
 from smoother.runtime.outputs import writing
 
-#: Lengths of an arm and places on it are shorter than this, m; a sensor's biases smaller than those.
-LONGEST_M = 4.0
-LARGEST_ACC_BIAS, LARGEST_GYRO_BIAS = 10.0, 5.0
-
 #: What to say instead of pydantic's own words, by its name of the error.
 _SAID = {
     "extra_forbidden": "this key is not known",
@@ -30,10 +26,19 @@ _SAID = {
     "too_short": "this list is too short",
     "too_long": "this list is too long",
 }
+_UNLIKELY = "this number is beyond {}, which looks like mm or another unit; check its unit"
 
 Vector = Annotated[list[float], Field(min_length=3, max_length=3)]
-_Sigmas = Annotated[list[Annotated[float, Field(gt=0)]], Field(min_length=3, max_length=3)]
 _Quaternion = Annotated[list[float], Field(min_length=4, max_length=4)]
+
+
+#: Lengths of an arm and places on it are shorter than 4 m; a sensor's biases smaller than 10 m/s^2, 5 rad/s.
+_M = 4.0
+_THREE = Field(min_length=3, max_length=3)
+_Position = Annotated[list[Annotated[float, Field(ge=-_M, le=_M)]], _THREE]
+_Sigmas = Annotated[list[Annotated[float, Field(gt=0, le=_M)]], _THREE]
+_AccBias = Annotated[list[Annotated[float, Field(ge=-10.0, le=10.0)]], _THREE]
+_GyroBias = Annotated[list[Annotated[float, Field(ge=-5.0, le=5.0)]], _THREE]
 
 
 class _Section(BaseModel):
@@ -44,40 +49,24 @@ class _Section(BaseModel):
 
 
 class _LeverArmSection(_Section):
-    position_m: Vector
+    position_m: _Position
     sigma_m: _Sigmas
-
-    @model_validator(mode="after")
-    def _possible(self) -> Self:
-        for name, values in (("position_m", self.position_m), ("sigma_m", self.sigma_m)):
-            if max(map(abs, values)) > LONGEST_M:
-                raise ValueError(f"{name} is beyond {LONGEST_M:g} m, which looks like mm; give it in m")
-        return self
 
 
 class _ArmSection(_Section):
     """The keys of an arm's table; every one may be absent."""
 
-    upper_arm_m: float | None = Field(default=None, gt=0)
-    upper_arm_sigma_m: float | None = Field(default=None, gt=0)
+    upper_arm_m: float | None = Field(default=None, gt=0, le=_M)
+    upper_arm_sigma_m: float | None = Field(default=None, gt=0, le=_M)
     R_F_A: _Quaternion | None = None
-    accelerometer_bias: Vector | None = None
-    gyroscope_bias: Vector | None = None
+    accelerometer_bias: _AccBias | None = None
+    gyroscope_bias: _GyroBias | None = None
     lever_arm: dict[Literal["elbow", "wrist", "hand"], _LeverArmSection] = Field(default_factory=dict)
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:
         if (self.upper_arm_m is None) != (self.upper_arm_sigma_m is None):
             raise ValueError("upper_arm_m and upper_arm_sigma_m must be given together")
-        limits = (
-            ("upper_arm_m", [self.upper_arm_m], LONGEST_M, "m"),
-            ("upper_arm_sigma_m", [self.upper_arm_sigma_m], LONGEST_M, "m"),
-            ("accelerometer_bias", self.accelerometer_bias, LARGEST_ACC_BIAS, "m/s^2"),
-            ("gyroscope_bias", self.gyroscope_bias, LARGEST_GYRO_BIAS, "rad/s"),
-        )
-        for name, values, most, unit in limits:
-            if any(abs(value) > most for value in values or [] if value is not None):
-                raise ValueError(f"{name} is beyond {most:g} {unit}; check its unit")
         if self.R_F_A is not None and abs(np.linalg.norm(self.R_F_A) - 1) > 1e-3:
             raise ValueError("R_F_A must be a unit quaternion [qw, qx, qy, qz]")
         return self
@@ -94,21 +83,25 @@ def checked(model: type[Model], values: object, where: str) -> Model:
         first = error.errors()[0]
         key = ".".join([where, *(str(part) for part in first["loc"] if part != "[key]")])
         said = _SAID.get(first["type"]) or re.sub("^Value error, |^Input (should)", r"\1", first["msg"])
+        if (end := {"less_than_equal": "le", "greater_than_equal": "ge"}.get(first["type"])) is not None:
+            said = _UNLIKELY.format(f"{first['ctx'][end]:g}")
         raise CalibrationError(f"{key}: {said}.") from error
 
 
-def _arm_of(side: str, table: object, source: str) -> ArmCalibration:
-    """The calibration that the table of a side contains."""
+def _section(side: str, table: object, source: str) -> _ArmSection:
+    """The table of a side, checked."""
     if side not in SIDES:
         raise CalibrationError(f"{source}: arm.{side} is not one of {', '.join(SIDES)}.")
     if not isinstance(table, dict):
         raise CalibrationError(f"{source}: arm.{side} must be a table, [arm.{side}].")
-    section = checked(_ArmSection, table, f"{source}: arm.{side}")
+    return checked(_ArmSection, table, f"{source}: arm.{side}")
+
+
+def _arm_of(side: str, table: object, source: str) -> ArmCalibration:
+    """The calibration that the table of a side contains."""
+    section = _section(side, table, source)
     upper_m, sigma_m, q = section.upper_arm_m, section.upper_arm_sigma_m, section.R_F_A
-    acc_bias, gyro_bias = (
-        None if bias is None else np.array(bias)
-        for bias in (section.accelerometer_bias, section.gyroscope_bias)
-    )
+    acc_bias, gyro_bias = section.accelerometer_bias, section.gyroscope_bias
     return ArmCalibration(
         "" if side == "any" else side,
         {
@@ -117,32 +110,32 @@ def _arm_of(side: str, table: object, source: str) -> ArmCalibration:
         },
         None if upper_m is None or sigma_m is None else Length(upper_m, sigma_m),
         None if q is None else Rotation.from_quat(np.roll(q, -1)).as_matrix(),
-        accelerometer_bias=acc_bias,
-        gyroscope_bias=gyro_bias,
+        accelerometer_bias=None if acc_bias is None else np.array(acc_bias),
+        gyroscope_bias=None if gyro_bias is None else np.array(gyro_bias),
     )
 
 
 def _table_of(arm: ArmCalibration) -> dict[str, Any]:
     """The plain values of an arm; what is None is left out."""
-
-    def plain(values: Any) -> Any:
-        return None if values is None else np.asarray(values, dtype=float).tolist()
-
     upper_arm, R = arm.upper_arm, arm.R_F_A
     if R is not None and not (np.allclose(R @ R.T, np.eye(3), atol=1e-6) and np.linalg.det(R) > 0):
         raise CalibrationError("R_F_A of the calibration to write is not a rotation matrix.")
     table = {
-        "upper_arm_m": None if upper_arm is None else float(upper_arm.value_m),
-        "upper_arm_sigma_m": None if upper_arm is None else float(upper_arm.sigma_m),
-        "R_F_A": None if R is None else np.roll(Rotation.from_matrix(R).as_quat(canonical=True), 1).tolist(),
-        "accelerometer_bias": plain(arm.accelerometer_bias),
-        "gyroscope_bias": plain(arm.gyroscope_bias),
-        "lever_arm": {
-            joint: {"position_m": plain(lever.position_m), "sigma_m": plain(lever.sigma_m)}
-            for joint, lever in arm.lever_arms.items()
-        },
+        "upper_arm_m": upper_arm and float(upper_arm.value_m),
+        "upper_arm_sigma_m": upper_arm and float(upper_arm.sigma_m),
+        "R_F_A": None if R is None else np.roll(Rotation.from_matrix(R).as_quat(canonical=True), 1),
+        "accelerometer_bias": arm.accelerometer_bias,
+        "gyroscope_bias": arm.gyroscope_bias,
     }
-    return {key: value for key, value in table.items() if value not in (None, {})}
+    plain = {
+        name: np.asarray(value, dtype=float).tolist() for name, value in table.items() if value is not None
+    }
+    if arm.lever_arms:
+        plain["lever_arm"] = {
+            joint: {"position_m": lever.position_m.tolist(), "sigma_m": np.asarray(lever.sigma_m).tolist()}
+            for joint, lever in arm.lever_arms.items()
+        }
+    return plain
 
 
 def to_toml(document: dict[str, Any], text: str = "") -> str:
@@ -268,7 +261,17 @@ def read_calibration(path: str | os.PathLike[str]) -> CalibrationFile:
         It cannot be read, is not a calibration or a newer one, or a value is wrong; the text names the key.
     """
     source = f"Calibration {path}"
-    document = _load(Path(path))
+    document = toml_document(Path(path), source)
+    if document.get("format", FORMAT if set(TABLES) & set(document) else None) != FORMAT:
+        raise CalibrationError(f'{path} is not a calibration: it lacks the line format = "{FORMAT}".')
+    version = document.get("version", None if "format" in document else VERSION)
+    if type(version) is not int or version < 1:
+        raise CalibrationError(f"{source}: version must be a whole number such as {VERSION}.")
+    if version > VERSION:
+        raise CalibrationError(
+            f"{source} has version {version} and this program reads versions up to {VERSION}; update"
+            " unocclude."
+        )
     sections = document.get("arm", {})
     if not isinstance(sections, dict):
         raise CalibrationError(f"{source}: arm must be a table such as [arm.right].")
@@ -321,7 +324,7 @@ def calibration_text(calibration: CalibrationFile, path: Path, held: str = "") -
         raise CalibrationError(f"Calibration {path}: an extra table cannot be named {name}.")
     sections = {side: _table_of(arm) for side, arm in calibration.arms.items()}
     for side, section in sections.items():
-        _arm_of(side, section, f"Calibration {path}")
+        _section(side, section, f"Calibration {path}")
     for name, table in (({"arm": sections} if sections else {}) | calibration.tables).items():
         document[name] = _merged(document.get(name), table, MERGED.get(name, 0))
     return to_toml(document, held)
@@ -343,22 +346,6 @@ def toml_document(path: Path, named: str) -> dict[str, Any]:
         raise CalibrationError(f"{named} cannot be read: {error.strerror or error}.") from error
     except ValueError as error:  # also a number of thousands of digits
         raise CalibrationError(f"{named} is not TOML: {error}.") from error
-
-
-def _load(path: Path) -> dict[str, Any]:
-    """The file as plain values, once it has shown to be a calibration of a version that we know."""
-    document = toml_document(path, f"Calibration {path}")
-    if document.get("format", FORMAT if set(TABLES) & set(document) else None) != FORMAT:
-        raise CalibrationError(f'{path} is not a calibration: it lacks the line format = "{FORMAT}".')
-    version = document.get("version", None if "format" in document else VERSION)
-    if type(version) is not int or version < 1:
-        raise CalibrationError(f"Calibration {path}: version must be a whole number such as {VERSION}.")
-    if version > VERSION:
-        raise CalibrationError(
-            f"Calibration {path} has version {version} and this program reads versions up to {VERSION}; "
-            "update unocclude."
-        )
-    return document
 
 
 #: The table's name.

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Annotated
+from typing import Annotated, NamedTuple
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
@@ -51,8 +51,7 @@ class Rest:
     length_s: float  # How long it rested
 
 
-@dataclass(frozen=True)
-class Turn:
+class Turn(NamedTuple):
     """A rotation from one pose to the next by the gyroscope."""
 
     R: FloatArray  # (3, 3): maps the later axes of the IMU to the earlier ones
@@ -88,28 +87,21 @@ def rest_at(imu: ImuStream, rests: Rests, t_s: float, pose: str, what: str) -> R
 def turn_between(imu: ImuStream, first: Rest, last: Rest) -> Turn | None:
     """The gyroscope's rotation from one rest to the next; None where the IMU paused between them."""
     rows = np.flatnonzero((imu.t_s >= first.t_s) & (imu.t_s <= last.t_s))
-    if len(rows) < 5:
-        return None
     t = imu.t_s[rows]
-    if max(np.diff(t).max(), t[0] - first.t_s, last.t_s - t[-1]) > _PAUSE_S:
+    if len(t) < 5 or max(np.diff(t).max(), t[0] - first.t_s, last.t_s - t[-1]) > _PAUSE_S:
         return None
     share = ((t - t[0]) / (t[-1] - t[0]))[:, None]
     rate = imu.gyro[rows] - ((1 - share) * first.gyro + share * last.gyro)
-    middle = 0.5 * (t[1:] + t[:-1])
-    edges = np.concatenate([[first.t_s], middle, [last.t_s]])
+    edges = np.concatenate([[first.t_s], 0.5 * (t[1:] + t[:-1]), [last.t_s]])
     step = rate * np.diff(edges)[:, None]
     way = float(np.linalg.norm(step, axis=1).sum())
     sigma = np.hypot(GYRO_SCALE * way, GYRO_DRIFT_RAD_S * (last.t_s - first.t_s)) + 5e-4
-    return Turn(_product(Rotation.from_rotvec(step)).as_matrix(), float(sigma))
-
-
-def _product(steps: Rotation) -> Rotation:
-    """The rotations one after the other, in pairs."""
-    while len(steps) > 1:
-        if len(steps) % 2:
-            steps = Rotation.concatenate([steps, Rotation.identity(1)])
-        steps = steps[0::2] * steps[1::2]
-    return steps[0]
+    turns = Rotation.from_rotvec(step)
+    while len(turns) > 1:  # one after the other, in pairs
+        if len(turns) % 2:
+            turns = Rotation.concatenate([turns, Rotation.identity(1)])
+        turns = turns[0::2] * turns[1::2]
+    return Turn(turns[0].as_matrix(), float(sigma))
 
 
 #: Sigma of a rotation of which nothing is known, rad.
@@ -166,7 +158,7 @@ class Attitudes:
         )
 
 
-#: Rounds of Wahba's problem for one and the other rotation.
+#: Rounds of one and the other rotation.
 _GUESS_ROUNDS = 25
 #: Answers nearer than this are one; this many are followed up.
 _APART_RAD, _MOST = 0.3, 4
@@ -176,87 +168,72 @@ _DIP_RAD = 0.8
 
 
 def first_guesses(poses: list[WorldPose], lined_up: bool) -> list[Attitudes]:
-    """Start values, the likeliest first; the right one is good to some degrees."""
-    pairs = _Pairs(poses)
-    if lined_up:
-        return [_attitudes(poses, pairs, np.eye(3))]
-    starts = Rotation.create_group("O").as_matrix()
-    tried = sorted((pairs.in_turn(R_P_I, _GUESS_ROUNDS) for R_P_I in starts), key=lambda item: item[0])
-    chosen: list[FloatArray] = []
-    for loss, R_P_I in tried:
-        if loss > tried[0][0] + _HOPELESS * len(poses):
-            break
-        apart = [Rotation.from_matrix(R_P_I.T @ other).magnitude() for other in chosen]
-        if not apart or min(apart) > _APART_RAD:
-            chosen.append(R_P_I)
-    return [_attitudes(poses, pairs, R_P_I) for R_P_I in chosen[:_MOST]]
+    """Start values, the likeliest first; the right one is good to some degrees.
 
+    Camera from base IMU and the mounting in turn, each by Wahba's problem on the directions that both IMUs
+    know (up, and the field), from every way to put a cube on the panel.
+    """
+    kinds = ("acc", "mag") if all(pose.has_north for pose in poses) else ("acc",)
+    in_B, in_I = (  # (kinds, n, 3) unit vectors
+        unit(np.array([[getattr(rest, kind) for rest in rests] for kind in kinds]))
+        for rests in ([pose.base for pose in poses], [pose.panel for pose in poses])
+    )
+    R_K_P = np.array([pose.R_K_P for pose in poses])
 
-def _attitudes(poses: list[WorldPose], pairs: _Pairs, R_P_I: FloatArray) -> Attitudes:
-    R_K_B = Rotation.from_matrix(pairs.camera_from_base(R_P_I)[0])
-    R_W_B = _world_from_base(poses)
-    on_panel = Rotation.from_matrix(pairs.R_K_P @ R_P_I)
-    rest = np.r_[np.zeros(12), _DIP_RAD, _DIP_RAD]
-    return Attitudes(R_K_B, Rotation.from_matrix(R_P_I), R_W_B, R_W_B * R_K_B.inv() * on_panel, rest)
-
-
-class _Pairs:
-    """Directions that both IMUs know: up, and the field."""
-
-    def __init__(self, poses: list[WorldPose]):
-        self.R_K_P = np.array([pose.R_K_P for pose in poses])
-        base, panel = [[p.base.acc for p in poses]], [[p.panel.acc for p in poses]]
-        if all(pose.has_north for pose in poses):
-            base.append([np.asarray(pose.base.mag) for pose in poses])
-            panel.append([np.asarray(pose.panel.mag) for pose in poses])
-        # (kinds, n, 3) unit vectors
-        self._in_B, self._in_I = unit(np.array(base)), unit(np.array(panel))
-
-    def in_turn(self, R_P_I: FloatArray, rounds: int) -> tuple[float, FloatArray]:
-        """Improve the mounting; its loss, and the mounting."""
-        R_K_B, loss = self.camera_from_base(R_P_I)
-        for _ in range(rounds):
-            in_P = np.einsum("nji,jk,mnk->mni", self.R_K_P, R_K_B, self._in_B)
-            R_P_I, _ = _wahba(in_P.reshape(-1, 3), self._in_I.reshape(-1, 3))
-            R_K_B, loss = self.camera_from_base(R_P_I)
-        return loss, R_P_I
-
-    def camera_from_base(self, R_P_I: FloatArray) -> tuple[FloatArray, float]:
+    def camera_from_base(R_P_I: FloatArray) -> tuple[FloatArray, float]:
         """`R_K_B` for a mounting, and the sum of squares that is left."""
-        in_K = np.einsum("nij,jk,mnk->mni", self.R_K_P, R_P_I, self._in_I).reshape(-1, 3)
-        in_B = self._in_B.reshape(-1, 3)
-        return _wahba(in_K, in_B)
+        in_K = np.einsum("nij,jk,mnk->mni", R_K_P, R_P_I, in_I).reshape(-1, 3)
+        M = in_K.T @ in_B.reshape(-1, 3)
+        R_K_B = nearest_rotation(M)
+        return R_K_B, float(2 * (len(in_K) - np.sum(R_K_B * M)))
 
+    def in_turn(R_P_I: FloatArray) -> tuple[float, FloatArray]:
+        for _ in range(_GUESS_ROUNDS):
+            in_P = np.einsum("nji,jk,mnk->mni", R_K_P, camera_from_base(R_P_I)[0], in_B)
+            R_P_I = nearest_rotation(in_P.reshape(-1, 3).T @ in_I.reshape(-1, 3))
+        return camera_from_base(R_P_I)[1], R_P_I
 
-def _wahba(target: FloatArray, source: FloatArray) -> tuple[FloatArray, float]:
-    """The rotation (3, 3) that takes source directions (n, 3) nearest to target ones; the sum of squares."""
-    M = target.T @ source
-    R = nearest_rotation(M)
-    return R, float(2 * (len(target) - np.sum(R * M)))
+    chosen = [np.eye(3)]
+    if not lined_up:
+        starts = Rotation.create_group("O").as_matrix()
+        tried = sorted((in_turn(R_P_I) for R_P_I in starts), key=lambda item: item[0])
+        chosen = []
+        for loss, R_P_I in tried:
+            if loss > tried[0][0] + _HOPELESS * len(poses):
+                break
+            apart = [Rotation.from_matrix(R_P_I.T @ other).magnitude() for other in chosen]
+            if not apart or min(apart) > _APART_RAD:
+                chosen.append(R_P_I)
+    R_W_B = _world_from_base(poses)
+    biases = np.r_[np.zeros(12), _DIP_RAD, _DIP_RAD]
+    found = []
+    for R_P_I in chosen[:_MOST]:
+        R_K_B = Rotation.from_matrix(camera_from_base(R_P_I)[0])
+        R_W_I = R_W_B * R_K_B.inv() * Rotation.from_matrix(R_K_P @ R_P_I)
+        found.append(Attitudes(R_K_B, Rotation.from_matrix(R_P_I), R_W_B, R_W_I, biases))
+    return found
 
 
 def _world_from_base(poses: list[WorldPose]) -> Rotation:
     """Level attitudes of the base IMU; north by its magnetometer, else the gyroscope's from pose to pose."""
     found: list[Rotation] = []
     for pose in poses:
+        up = unit(pose.base.acc)
         if pose.has_north:
-            assert pose.base.mag is not None
-            up = unit(pose.base.acc)
-            east = unit(np.cross(pose.base.mag, up))  # field points north and down
+            east = unit(np.cross(np.asarray(pose.base.mag), up))  # field points north and down
             found.append(Rotation.from_matrix(np.stack([np.cross(up, east), -east, up])))
             continue
-        up, level = unit(pose.base.acc), np.array([0.0, 0.0, 1.0])
         before = found[-1] if found else Rotation.identity()
         if found and pose.base_turn is not None:
             before = found[-1] * Rotation.from_matrix(pose.base_turn.R)
-        tip = Rotation.align_vectors([level], [before.apply(up)])[0]
+        tip = Rotation.align_vectors([[0.0, 0.0, 1.0]], [before.apply(up)])[0]
         found.append(tip * before)
     return Rotation.concatenate(found)
 
 
 @dataclass(frozen=True)
-class WorldSolution:
-    """Attitudes and how well they are known."""
+class WorldCalibration:
+    """Camera from base IMU, how well it is known, and the data it is based on."""
 
     at: Attitudes  # The solution
     # (9, 9): Of `R_K_B` in {K} (rad), the base accelerometer's bias (m/s^2), `R_P_I` in {I} (rad)
@@ -264,17 +241,28 @@ class WorldSolution:
     camera_rad: FloatArray  # (n, 3) rad: what is left of `R_K_P`, in {K}
     worst_sigma: FloatArray  # (n,): the largest misfit of a pose in sigmas
     cost: float  # Sum of squares of all misfits
+    poses: tuple[WorldPose, ...] = ()  # Those that were used
+    by_eye: bool = False  # The poses did not give the mounting of the panel's IMU: lined up by eye
+    notes: tuple[str, ...] = ()  # What was left out, and why
+    # The base IMU's accelerometer was corrected by a calibration of its own before
+    accelerometer_corrected: bool = False
+
+    @property
+    def R_K_B(self) -> FloatArray:
+        """(3, 3) base IMU axes to camera axes."""
+        return np.asarray(self.at.R_K_B.as_matrix())
+
+    @property
+    def R_P_I(self) -> FloatArray:
+        """(3, 3) axes of the panel's IMU to panel axes."""
+        return np.asarray(self.at.R_P_I.as_matrix())
 
 
 class _Chain:
     """Misfits of the chain in sigmas, at any attitudes."""
 
     def __init__(
-        self,
-        poses: list[WorldPose],
-        start: Attitudes,
-        mounting_sigma_rad: float | None,
-        bias_m_s2: float,
+        self, poses: list[WorldPose], start: Attitudes, mounting_sigma_rad: float | None, bias_m_s2: float
     ):
         self._start, self._mounting = start, mounting_sigma_rad
         self._bias_sigma = np.array([bias_m_s2] * 6 + [IRON] * 6 + [DIP_RAD] * 2)
@@ -301,12 +289,11 @@ class _Chain:
 
     def of_poses(self, at: Attitudes) -> FloatArray:
         """(n, 3, 3): of the panel in the camera, and of up by either accelerometer."""
-        left = np.einsum("nij,nj->ni", self._weight, self.camera_left(at))
-        tips = []
+        rows = [np.einsum("nij,nj->ni", self._weight, self.camera_left(at))]
         for imu, R_W in enumerate((at.R_W_B, at.R_W_I)):
             up = R_W.apply(unit(self._acc[imu] - at.rest[3 * imu : 3 * imu + 3]))
-            tips.append(np.cross(up, [0.0, 0.0, 1.0]) / self._level[imu])
-        return np.stack([left, *tips], axis=1)
+            rows.append(np.cross(up, [0.0, 0.0, 1.0]) / self._level[imu])
+        return np.stack(rows, axis=1)
 
     def misfit(self, at: Attitudes) -> FloatArray:
         """All misfits: of poses, fields and turns, and of what is known beforehand."""
@@ -320,21 +307,14 @@ class _Chain:
             if len(later):
                 rows.append((back * R_W[later - 1].inv() * R_W[later]).as_rotvec() / sigma)
         # every rotation is free, or nearly; biases are small
-        rows += [
-            (known.inv() * R).as_rotvec() / FREE_RAD
-            for R, known in (
-                (at.R_K_B, start.R_K_B),
-                (at.R_P_I, start.R_P_I),
-                (at.R_W_B, start.R_W_B),
-                (at.R_W_I, start.R_W_I),
-            )
-        ]
+        for name in ("R_K_B", "R_P_I", "R_W_B", "R_W_I"):
+            rows.append((getattr(start, name).inv() * getattr(at, name)).as_rotvec() / FREE_RAD)
         if self._mounting is not None:  # lined up by eye
             rows.append(at.R_P_I.as_rotvec() / self._mounting)
         rows.append((at.rest - start.rest) / self._bias_sigma)
         return np.concatenate([np.ravel(row) for row in rows])
 
-    def solved(self) -> WorldSolution:
+    def solved(self) -> WorldCalibration:
         """Least squares over all poses; once more about the first answer, so that its slopes are local."""
         at, count = self._start, len(self._seen)
         size = 6 + 6 * count + len(at.rest)
@@ -349,7 +329,7 @@ class _Chain:
         kept = np.r_[0:3, bias : bias + 3, 3:6]
         covariance = np.linalg.inv(fit.jac.T @ fit.jac)[np.ix_(kept, kept)] * spread
         worst = np.linalg.norm(self.of_poses(at), axis=2).max(axis=1)
-        return WorldSolution(at, covariance, self.camera_left(at), worst, cost)
+        return WorldCalibration(at, covariance, self.camera_left(at), worst, cost)
 
 
 #: An IMU that was lined up with the panel by eye is off by this, per axis.
@@ -360,28 +340,6 @@ CONTRADICTS_SIGMA = 5.0
 AS_LIKELY = 9.2
 #: This many poses must remain.
 FEWEST = 3
-
-
-@dataclass(frozen=True)
-class WorldCalibration:
-    """Camera from base IMU, and the data it is based on."""
-
-    solution: WorldSolution  # Rotations with covariance
-    poses: tuple[WorldPose, ...]  # Those that were used
-    by_eye: bool  # The poses did not give the mounting of the panel's IMU: it was taken as lined up by eye
-    notes: tuple[str, ...]  # What was left out, and why
-    # The base IMU's accelerometer was corrected by a calibration of its own before
-    accelerometer_corrected: bool = False
-
-    @property
-    def R_K_B(self) -> FloatArray:
-        """(3, 3) base IMU axes to camera axes."""
-        return np.asarray(self.solution.at.R_K_B.as_matrix())
-
-    @property
-    def R_P_I(self) -> FloatArray:
-        """(3, 3) axes of the panel's IMU to panel axes."""
-        return np.asarray(self.solution.at.R_P_I.as_matrix())
 
 
 @dataclass(frozen=True)
@@ -433,40 +391,36 @@ def calibrate_world(
     """Find `R_K_B`, and how the panel's IMU sits on the panel."""
     kept, sentences = list(poses), list(notes)
     while True:
-        solution, by_eye = _solve(kept, bias_m_s2)
-        worst = int(np.argmax(solution.worst_sigma))
-        if solution.worst_sigma[worst] < CONTRADICTS_SIGMA or len(kept) < 2:
-            return WorldCalibration(solution, tuple(kept), by_eye, tuple(sentences))
+        found = _solve(kept, bias_m_s2)
+        worst = int(np.argmax(found.worst_sigma))
+        if found.worst_sigma[worst] < CONTRADICTS_SIGMA or len(kept) < 2:
+            return replace(found, poses=tuple(kept), notes=tuple(sentences))
+        text = f"{kept[worst].name} contradicts the other poses by {found.worst_sigma[worst]:.0f} sigmas"
         if len(kept) <= FEWEST:
             raise CalibrationError(
-                f"The poses contradict each other ({kept[worst].name} by"
-                f" {solution.worst_sigma[worst]:.0f} sigmas); check that each IMU is fixed to its body"
-                " and uses the camera's clock, and record more poses."
+                f"The poses contradict each other: {text}; check that each IMU is fixed to its body and uses"
+                " the camera's clock, and record more poses."
             )
-        sentences.append(
-            f"{kept[worst].name} contradicts the other poses by {solution.worst_sigma[worst]:.0f} sigmas "
-            "and is left out."
-        )
+        sentences.append(f"{text} and is left out.")
         kept.pop(worst)
         # what followed it is no longer linked to what went before
         if worst < len(kept):
             kept[worst] = replace(kept[worst], panel_turn=None, base_turn=None)
 
 
-def _solve(poses: list[WorldPose], bias_m_s2: float) -> tuple[WorldSolution, bool]:
-    """The solution, and whether the mounting had to be taken as lined up by eye."""
+def _solve(poses: list[WorldPose], bias_m_s2: float) -> WorldCalibration:
+    """The solution; with the mounting lined up by eye where the poses do not give it."""
     if len(poses) >= FEWEST:
         starts = first_guesses(poses, lined_up=False)
         tried = [_Chain(poses, start, None, bias_m_s2).solved() for start in starts]
-        tried.sort(key=lambda solution: solution.cost)
-        best = tried[0]
+        best, *others = sorted(tried, key=lambda found: found.cost)
         known = np.sqrt(np.linalg.eigvalsh(best.covariance[6:, 6:])[-1]) < BY_EYE_RAD
-        likely = [other for other in tried[1:] if other.cost < best.cost + AS_LIKELY]
+        likely = [other for other in others if other.cost < best.cost + AS_LIKELY]
         apart = [(best.at.R_P_I.inv() * other.at.R_P_I).magnitude() for other in likely]
         if known and max(apart, default=0.0) < BY_EYE_RAD:
-            return best, False
+            return best
     start = first_guesses(poses, lined_up=True)[0]
-    return _Chain(poses, start, BY_EYE_RAD, bias_m_s2).solved(), True
+    return replace(_Chain(poses, start, BY_EYE_RAD, bias_m_s2).solved(), by_eye=True)
 
 
 def tilt_covariance(
@@ -538,32 +492,26 @@ GOOD_DEG, USABLE_DEG = 0.3, 1.0
 FREE_DEG = 15.0
 
 
-@dataclass(frozen=True)
-class WorldAccuracy:
+class WorldAccuracy(NamedTuple):
     """Standard deviations, degrees."""
 
-    rotation_deg: FloatArray  # (3,) degrees: of camera from base IMU about the camera's axes
-    # Of down in the camera, per axis, for a camera placed as in the poses (the worst of them)
-    tilt_deg: float
+    rotation_deg: FloatArray  # (3,): of camera from base IMU about the camera's axes
+    tilt_deg: float  # Of down in the camera, per axis, for the worst of the poses
     heading_deg: float  # Of the turn between camera and base IMU about the vertical
-    mounting_deg: FloatArray  # (3,) degrees: of the panel's IMU on the panel, about the IMU's axes
-    off_deg: float  # How far that mounting is from lined up
+    mounting_deg: FloatArray  # (3,): of the panel's IMU on the panel, about the IMU's axes
 
 
 def accuracy(calibration: WorldCalibration) -> WorldAccuracy:
     """Sigmas of rotation, tilt, heading and mounting."""
-    covariance = calibration.solution.covariance
-    bias = calibration.solution.at.rest[:3]
-    forces = [pose.base.acc - bias for pose in calibration.poses]
-    tilts = [np.trace(tilt_covariance(calibration.R_K_B, covariance[:6, :6], acc)) / 2 for acc in forces]
-    up = calibration.R_K_B @ np.mean([acc / np.linalg.norm(acc) for acc in forces], axis=0)
-    up /= np.linalg.norm(up)
+    covariance, R_K_B = calibration.covariance, calibration.R_K_B
+    forces = np.array([pose.base.acc - calibration.at.rest[:3] for pose in calibration.poses])
+    tilts = [np.trace(tilt_covariance(R_K_B, covariance[:6, :6], acc)) / 2 for acc in forces]
+    up = unit(R_K_B @ unit(forces).mean(axis=0))
     return WorldAccuracy(
         rotation_deg=np.degrees(np.sqrt(np.diag(covariance)[:3])),
         tilt_deg=float(np.degrees(np.sqrt(max(tilts)))),
         heading_deg=float(np.degrees(np.sqrt(up @ covariance[:3, :3] @ up))),
         mounting_deg=np.degrees(np.sqrt(np.diag(covariance)[6:])),
-        off_deg=float(np.degrees(calibration.solution.at.R_P_I.magnitude())),
     )
 
 
@@ -579,27 +527,13 @@ AGAIN = "take more poses, the camera tilted anew for each, and hold each for two
 NAME = "camera_from_base"
 
 
-@dataclass(frozen=True)
-class CameraFromBase:
-    """The base IMU on the camera, as a calibration file has it."""
-
-    R_K_B: FloatArray  # (3, 3): base IMU axes to camera axes; camera optical, x right, y down, z forward
-    accelerometer_bias: FloatArray  # (3,) m/s^2: in {B}
-    covariance: FloatArray  # (6, 6): of a small rotation in {K} (rad), and of the bias (m/s^2)
-    # The base IMU's own calibration (`[imu.base]`) was taken off before
-    accelerometer_corrected: bool = False
-
-
 def world_answer(calibration: WorldCalibration) -> Answer:
     """Camera from base IMU, and its tables; quaternions are qw, qx, qy, qz, sigmas one standard deviation."""
-    sigma, solution = accuracy(calibration), calibration.solution
-    at = solution.at
+    sigma, at = accuracy(calibration), calibration.at
     down = -(at.R_K_B * at.R_W_B.inv()).apply([0.0, 0.0, 1.0])
-    grade = next(
-        (word for word, most in (("good", GOOD_DEG), ("usable", USABLE_DEG)) if sigma.tilt_deg <= most),
-        "not good enough",
-    )
-    is_free = sigma.heading_deg > FREE_DEG
+    grade = "good" if sigma.tilt_deg <= GOOD_DEG else "usable"
+    if sigma.tilt_deg > USABLE_DEG:
+        grade = "not good enough"
     sentence = f"{grade}: the camera's tilt is known to {sigma.tilt_deg:.2f} degrees (one sigma)"
     checks = [
         Check("sigma of the tilt", sigma.tilt_deg, GOOD_DEG, "degrees", AGAIN),
@@ -611,21 +545,21 @@ def world_answer(calibration: WorldCalibration) -> Answer:
     ]  # fmt: skip
     tables = {
         NAME: {
-            "rotation": _quaternion(at.R_K_B),
+            "rotation": at.R_K_B.as_quat(canonical=True, scalar_first=True).tolist(),
             "rotation_sigma_deg": sigma.rotation_deg.tolist(),
             "accelerometer_bias": at.rest[:3].tolist(),
-            "covariance": solution.covariance[:6, :6].tolist(),
+            "covariance": calibration.covariance[:6, :6].tolist(),
             "accelerometer_corrected": calibration.accelerometer_corrected,
         },
         "panel_from_imu": {
-            "rotation": _quaternion(at.R_P_I),
+            "rotation": at.R_P_I.as_quat(canonical=True, scalar_first=True).tolist(),
             "rotation_sigma_deg": sigma.mounting_deg.tolist(),
-            "off_deg": sigma.off_deg,
+            "off_deg": float(np.degrees(at.R_P_I.magnitude())),
             "lined_up_by_eye": calibration.by_eye,
         },
         "world": {
             "tilt_sigma_deg": sigma.tilt_deg,
-            "heading": "free" if is_free else "known",
+            "heading": "free" if sigma.heading_deg > FREE_DEG else "known",
             "heading_sigma_deg": sigma.heading_deg,
             "poses": len(calibration.poses),
             "grade": grade,
@@ -634,8 +568,8 @@ def world_answer(calibration: WorldCalibration) -> Answer:
                 {
                     "pose": pose.name,
                     "down": [round(float(x), 6) for x in down[i]],
-                    "rotation_deg": round(float(np.degrees(np.linalg.norm(solution.camera_rad[i]))), 4),
-                    "worst_sigma": round(float(solution.worst_sigma[i]), 2),
+                    "rotation_deg": round(float(np.degrees(np.linalg.norm(calibration.camera_rad[i]))), 4),
+                    "worst_sigma": round(float(calibration.worst_sigma[i]), 2),
                     "rest_s": round(min(pose.panel.length_s, pose.base.length_s), 2),
                 }
                 for i, pose in enumerate(calibration.poses)
@@ -645,47 +579,47 @@ def world_answer(calibration: WorldCalibration) -> Answer:
     return Answer(grade, sentence, checks, CalibrationFile(tables=tables), dict(tables))
 
 
-class _Table(BaseModel):
-    """What is read of the table."""
+class CameraFromBase(BaseModel):
+    """The base IMU on the camera, as a file has it; camera optical, x right, y down, z forward."""
 
     model_config = ConfigDict(allow_inf_nan=False, defer_build=True)
 
-    rotation: Annotated[list[float], Field(min_length=4, max_length=4)]
-    accelerometer_bias: Vector = [0.0, 0.0, 0.0]
-    covariance: list[list[float]] | None = None
+    rotation: Annotated[list[float], Field(min_length=4, max_length=4)]  # base IMU axes to camera axes
+    accelerometer_bias: Vector = [0.0, 0.0, 0.0]  # m/s^2: in {B}
+    covariance: list[list[float]] | None = None  # (6, 6): of a small rotation in {K} and the bias
     rotation_sigma_deg: Vector | None = None
-    accelerometer_corrected: bool = False
+    accelerometer_corrected: bool = False  # `[imu.base]` was taken off before
+
+    @property
+    def R_K_B(self) -> FloatArray:
+        """(3, 3) base IMU axes to camera axes."""
+        return np.asarray(Rotation.from_quat(self.rotation, scalar_first=True).as_matrix())
+
+    @property
+    def spread(self) -> FloatArray:
+        """The covariance (6, 6)."""
+        sigma = np.radians(self.rotation_sigma_deg or [np.nan] * 3)
+        return np.array(self.covariance or np.diag([*(sigma**2), 0.0, 0.0, 0.0]))
 
 
 def read_table(file: CalibrationFile) -> CameraFromBase | None:
     """The base IMU on the camera."""
     if NAME not in file.tables:
         return None
-    table = checked(_Table, file.tables[NAME], f"{file.source}: {NAME}")
-    spread = np.radians(table.rotation_sigma_deg or [np.nan] * 3) ** 2
-    covariance = np.array(table.covariance or np.diag([*spread, 0.0, 0.0, 0.0]))
-    is_unit = abs(np.linalg.norm(table.rotation) - 1) < 1e-3
-    if not (is_unit and covariance.shape == (6, 6) and np.linalg.eigvalsh(covariance)[0] > -1e-9):
+    table = checked(CameraFromBase, file.tables[NAME], f"{file.source}: {NAME}")
+    is_unit, spread = abs(np.linalg.norm(table.rotation) - 1) < 1e-3, table.spread
+    if not (is_unit and spread.shape == (6, 6) and np.linalg.eigvalsh(spread)[0] > -1e-9):
         raise CalibrationError(
             f"{file.source}: [{NAME}] has no unit quaternion [qw, qx, qy, qz] with its covariance; run"
             " `unocclude calibrate world` again."
         )
-    R_K_B = Rotation.from_quat(table.rotation, scalar_first=True).as_matrix()
-    return CameraFromBase(
-        R_K_B, np.array(table.accelerometer_bias), covariance, table.accelerometer_corrected
-    )
-
-
-def _quaternion(R: Rotation) -> list[float]:
-    return np.asarray(R.as_quat(canonical=True, scalar_first=True)).tolist()
+    return table
 
 
 #: What a bias drifts with temperature, m/s^2; axes of the skeleton against those of the images, rad.
 _DRIFT_M_S2, _SKELETON_RAD = 0.02, np.radians(0.05)
 #: A camera that tilts by more than this in a recording did not stand still, rad.
 _MOVED_RAD = np.radians(0.7)
-#: So much of a recording is looked at together, s.
-_PART_S = 600
 #: Optical axes (x right, y down, z forward) to those of the skeleton.
 _FROM_OPTICAL = {CameraFrame.OPTICAL: np.eye(3), CameraFrame.KINECT: np.diag([-1.0, -1.0, 1.0])}
 
@@ -716,26 +650,17 @@ def with_gravity(recording: Recording, file: CalibrationFile) -> Recording:
 
 def down_of(known: CameraFromBase, base: ImuStream) -> tuple[FloatArray, float, float]:
     """Down in {K} (3,) by the base IMU, its sigma (rad per axis), and how far the camera tilted (rad)."""
-    means = _means(base)
-    acc = np.median(means, axis=0) - known.accelerometer_bias
-    each = (means - known.accelerometer_bias) / np.linalg.norm(means, axis=1)[:, None]
-    up = acc / np.linalg.norm(acc)
+    starts = np.flatnonzero(np.diff(np.floor(base.t_s - base.t_s[0]), prepend=-1.0))
+    count = np.diff(starts, append=len(base))
+    means = np.add.reduceat(base.acc, starts) / count[:, None]  # of each second that has samples
+    bias = np.array(known.accelerometer_bias)
+    acc = np.median(means, axis=0) - bias
+    each = (means - bias) / np.linalg.norm(means, axis=1)[:, None]
+    up = unit(acc)
     away = np.linalg.norm(np.cross(each, up), axis=1)
     moved = float(np.percentile(away, 95)) if len(away) > 1 else 0.0
-    drifted = known.covariance.copy()
+    drifted = known.spread
     drifted[3:, 3:] += _DRIFT_M_S2**2 * np.eye(3)
     variance = np.trace(tilt_covariance(known.R_K_B, drifted, acc)) / 2
     sigma = float(np.sqrt(variance + _SKELETON_RAD**2 + (moved if moved > _MOVED_RAD else 0.0) ** 2))
     return -known.R_K_B @ up, sigma, moved
-
-
-def _means(base: ImuStream) -> FloatArray:
-    """Specific force (seconds, 3) averaged over each second that has samples, a part at a time."""
-    second = np.floor(base.t_s - base.t_s[0]).astype(int)
-    means = []
-    for start in range(0, int(second[-1]) + 1, _PART_S):
-        rows = slice(*np.searchsorted(second, [start, start + _PART_S]).tolist())
-        _, inverse = np.unique(second[rows], return_inverse=True)
-        count = np.bincount(inverse)
-        means += [np.stack([np.bincount(inverse, base.acc[rows, i]) / count for i in range(3)], axis=1)]
-    return np.concatenate(means)

@@ -15,10 +15,9 @@ from .calibrate import error_prefix, finish, load_existing_calibration
 from .load import load_arm, refuse_twice
 
 if TYPE_CHECKING:
-    from calib.clock import Receptions
+    from calib.clock import MotionClock, Receptions
     from calib.images import View
     from calib.intrinsics import Intrinsics
-    from calib.motion_clock import MotionClock
     from calib.sound import Beep
 
     from ..array_types import FloatArray
@@ -270,8 +269,7 @@ def clock(
 
     Example: unocclude calibrate clock --sound beep.wav --event-time 12.3456 --broadcast times.csv
     """
-    from calib.clock import calibrate_clocks, clock_answer
-    from calib.motion_clock import clock_from_motion
+    from calib.clock import ClockSession, clock_answer, clock_from_motion
     from calib.sound import beep_receptions, beeps_of_tracks, buzzer_node
 
     from ..io.rig.clock import read_broadcast, read_sound
@@ -318,9 +316,9 @@ def clock(
         origin_ns = recording.origin_ns
         notes += recording.notes
     name = session or ", ".join(path.name for path in dict.fromkeys((sound, broadcast, motion)) if path)
-    calibration = calibrate_clocks(name, receptions, beeps, clock_in_motion, origin_ns)
-    title = f"Clocks: {calibration.session}"
-    finish(clock_answer(calibration), output, report, json_file, force, title, notes)
+    answer = clock_answer(ClockSession(name, receptions, beeps, clock_in_motion, origin_ns))
+    title = f"Clocks: {name}"
+    finish(answer, output, report, json_file, force, title, notes)
 
 
 def _two(option: str, text: str) -> tuple[str, str]:

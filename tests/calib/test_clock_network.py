@@ -12,16 +12,16 @@ from hypothesis import strategies as st
 from scipy.optimize import least_squares
 
 from calib.clock import (
-    ClockCalibration,
     ClockLink,
+    ClockSession,
     Receptions,
     clock_answer,
+    clock_from_motion,
     disagreements,
     measured_clock,
     solve_clocks,
 )
 from calib.file import CalibrationFile, write_calibration
-from calib.motion_clock import clock_from_motion
 from calib.sound import find_beeps
 from smoother.cli.config import with_processes
 from smoother.cli.load import ArmInput
@@ -97,7 +97,7 @@ def test_groups_that_nothing_links():
     )
     network = solve_clocks([heard])
     assert [(link.from_clock, link.to_clock) for link in network.links()] == [("a", "b"), ("c", "d")]
-    answer = clock_answer(ClockCalibration("", network, (heard,)))
+    answer = clock_answer(ClockSession("", (heard,)))
     assert any("nothing links these groups" in text for text in answer.open_questions)
     assert any("e received nothing" in text for text in answer.open_questions)
     with pytest.raises(CalibrationError, match="nothing links the clocks a and c"):

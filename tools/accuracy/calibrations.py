@@ -13,8 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from calib.clock import solve_clocks
-from calib.motion_clock import clock_from_motion
+from calib.clock import clock_from_motion, solve_clocks
 from calib.sound import find_beeps
 from smoother.simulation import ArmSimulation, simulate_arm
 from smoother.simulation.rig import beep, broadcast

@@ -224,7 +224,7 @@ def world_errors(panel: SimulatedPanel, found: WorldCalibration) -> dict[str, fl
     mounting = Rotation.from_matrix(found.R_P_I.T @ panel.R_P_I).magnitude()
     tilts = []
     for pose, row in zip(panel.poses, found.poses, strict=True):
-        up = row.base.acc - found.solution.at.rest[:3]
+        up = row.base.acc - found.at.rest[:3]
         tilts.append(np.linalg.norm(np.cross(found.R_K_B @ up / np.linalg.norm(up), pose.R_W_K[2])))
     sigma = accuracy(found)
     return {
@@ -232,7 +232,7 @@ def world_errors(panel: SimulatedPanel, found: WorldCalibration) -> dict[str, fl
         "tilt": float(np.degrees(max(tilts))),
         "mounting": float(np.degrees(mounting)),
         "tilt_sigma": sigma.tilt_deg,
-        "nees": float(error @ np.linalg.solve(found.solution.covariance[:3, :3], error) / 3),
+        "nees": float(error @ np.linalg.solve(found.covariance[:3, :3], error) / 3),
     }
 
 
