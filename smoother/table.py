@@ -74,7 +74,7 @@ def _figure(row: Any, key: str | Callable[[Any], object]) -> object:
     value = row.get(key) if isinstance(row, Mapping) else getattr(row, key)
     if key.endswith("_m"):
         return centimetres(value)
-    if key.endswith(("coverage_95", "inside_95", "_share")):
+    if key.endswith(("coverage_95", "inside_50", "inside_95", "_share")):
         return percent(value)
     return f"{value:g}" if key.endswith("length_s") else value
 

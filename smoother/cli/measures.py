@@ -42,7 +42,7 @@ def csv_rows(rows: Sequence[Measures], pairs: Sequence[BothArms]) -> Iterator[Se
 
 def _table(title: str, first: str, rows: Sequence[Measure]) -> Table:
     """Measures that are known, with their intervals, as pages write them."""
-    from ..evaluation.progress import worded
+    from ..evaluation.words import worded
 
     cells = []
     for row in rows:
@@ -56,7 +56,7 @@ def _table(title: str, first: str, rows: Sequence[Measure]) -> Table:
 
 
 def _interval(row: Measure) -> str:
-    from ..evaluation.progress import interval, worded
+    from ..evaluation.words import interval, worded
 
     if not row.has_interval:
         return "-"

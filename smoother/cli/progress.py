@@ -2,19 +2,16 @@
 
 from __future__ import annotations
 
-from collections import Counter
-from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 from ..errors import UnoccludeError
-from ..table import Table, percent
 from . import options as o
 from .output import check_outputs, print_notes, say, say_written, show, write_csv, write_json
 
 if TYPE_CHECKING:
-    from ..evaluation.progress import PersonProgress, Series
+    from ..evaluation.progress import PersonProgress
 
 NO_DIAGNOSIS = (
     "This is not a diagnosis: a clear change is one that the measurement error does not explain; a person"
@@ -56,7 +53,7 @@ def progress(
     Example: unocclude progress recovered --person p12 --report p12.html
     """
     from ..evaluation.measure_agreement import read_detectable
-    from ..evaluation.progress import FEWEST_PERSONS, reliability_of, reliability_table
+    from ..evaluation.progress import CSV_COLUMNS, FEWEST_PERSONS, reliability_of, reliability_table
     from ..report.progress import progress_page
     from ..study.progress import progress_of, read_rows, sessions_of
 
@@ -94,7 +91,7 @@ def progress(
     if reliability:
         figures["reliability"] = repeated
     write_json(json_file, figures, force)
-    write_csv(csv, _csv_rows(persons), force)
+    write_csv(csv, (CSV_COLUMNS, *(row for each in persons for row in each.csv_rows())), force)
     for each in persons:
         _print(each)
     if reliability:
@@ -108,30 +105,15 @@ def _print(progress: PersonProgress) -> None:
     """Print a person's table, and what takes no part."""
     say(f"--- {progress.person}: {len(progress.sessions)} sessions ({', '.join(progress.sessions)}) ---")
     if len(progress.sessions) > 1:
-        columns = ("measure", "first", "last", "change", "95 % interval", "", "recovered")
-        title = f"Last session ({progress.sessions[-1]}) against the first ({progress.sessions[0]})"
-        rows = [_cells(each) for each in progress.main if each.change is not None]
-        show(Table(title, columns, rows))
+        show(
+            progress.table(
+                f"Last session ({progress.sessions[-1]}) against the first ({progress.sessions[0]})"
+            )
+        )
         say(_counted(progress))
     elif progress.sessions:
         say("One session only: nothing can be compared.")
-    print_notes([*progress.notes, *_limits(progress), *progress.left_out])
-
-
-def _cells(series: Series) -> tuple[object, ...]:
-    from ..evaluation.progress import interval, quantity, worded
-
-    change, unit = series.change, series.unit
-    assert change is not None
-    return (
-        ", ".join(filter(None, (series.name, series.side, series.task))),
-        worded(series.key, change.first.value, unit),
-        worded(series.key, change.last.value, unit),
-        quantity(change.difference, unit, signed=True),
-        interval(change.low, change.high, unit, signed=True) or "-",
-        change.word,
-        percent(max(change.first.recovered_share, change.last.recovered_share)),
-    )
+    print_notes([*progress.notes, *progress.limits, *progress.left_out])
 
 
 def _counted(progress: PersonProgress) -> str:
@@ -144,24 +126,3 @@ def _counted(progress: PersonProgress) -> str:
             f" {together} of them remain clear after correction for their number (Holm)"
         )
     return f"{text}."
-
-
-def _limits(progress: PersonProgress) -> list[str]:
-    """What limits the statements: a sentence each, and about how many measures it is."""
-    changes = [each.change for each in progress.main if each.change is not None]
-    counts = Counter(sentence for change in changes for sentence in change.limits)
-    return [f"{sentence} ({count} measure{'s' * (count != 1)})" for sentence, count in counts.items()]
-
-
-def _csv_rows(persons: Sequence[PersonProgress]) -> Iterator[Sequence[object]]:
-    """One row per person, measure and session, with the change since the first."""
-    about = ("person", "side", "task", "key", "name", "unit")
-    own = ("session", "day", "value", "low", "high", "sigma", "recovered_share")
-    since = ("difference", "low", "high", "p", "p_together", "mdc95", "word")
-    changed = ("change", "change_low", "change_high", "p", "p_together", "mdc95", "word", "limits")
-    yield (*about, *own, "draws", *changed)
-    for series in (one for each in persons for one in each.series):
-        for value, change in zip(series.values, (None, *series.changes), strict=True):
-            cells = [*(getattr(series, name) for name in about), *(getattr(value, name) for name in own)]
-            cells += [value.n_draws, *(getattr(change, name, None) for name in since)]
-            yield [*cells, None if change is None else "; ".join(change.limits)]

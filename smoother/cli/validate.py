@@ -13,7 +13,6 @@ from .output import check_outputs, print_notes, progress_bar, say, show, write_j
 
 if TYPE_CHECKING:
     from ..evaluation.validate import Validation
-    from ..result import Recovery
 
 
 #: More gaps than this are not printed, `--json` has them all; without --verbose this many notes and measures.
@@ -86,15 +85,15 @@ def validate(
     warn(recoveries)
     for recovery, validation in zip(recoveries, validations, strict=True):
         say_arm(recovery, len(recoveries))
-        print_validation(recovery, validation, verbose)
+        print_validation(validation, verbose)
 
 
-def print_validation(recovery: Recovery, validation: Validation, verbose: bool = False) -> None:
+def print_validation(validation: Validation, verbose: bool = False) -> None:
     """Print the figures of a validation: what matters in 40 lines, or all of them."""
     from ..evaluation.measure_agreement import agreement_table, pair_table
-    from ..evaluation.progress import first_of
+    from ..evaluation.words import first_of
 
-    show(validation.errors(recovery))
+    show(validation.errors)
     show(validation.joint_errors)
     angles = validation.angle_errors
     show(angles if verbose else replace(angles, rows=[row for row in angles.rows if row[1] != "visible"]))

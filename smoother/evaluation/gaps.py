@@ -20,7 +20,7 @@ from ..array_types import BoolArray, FloatArray
 from ..cameras import join_cameras
 from ..errors import RecordingError, UnoccludeError
 from ..linalg import robust_sigma
-from ..measurements.visibility import accepted_samples, find_gaps, seen_by_any, visible_frames
+from ..measurements.visibility import Gap, accepted_samples, find_gaps, seen_by_any, visible_frames
 from ..recording import JOINTS, Recording
 from ..result import Recovery
 from ..runtime.pool import Pool, Progress
@@ -44,17 +44,8 @@ CLOCK_S = 0.25
 LEAST_SIDE_S = 0.4
 
 
-@dataclass(frozen=True)
-class HiddenGap:
-    """A gap to make, on the camera's clock."""
-
-    start_s: float  # The frames beside it, which stay visible
-    end_s: float
-
-    @property
-    def length_s(self) -> float:
-        """Duration, s."""
-        return self.end_s - self.start_s
+class HiddenGap(Gap):
+    """A gap to make, on the camera's clock, from one visible frame to another."""
 
     def contains(self, t_s: FloatArray) -> BoolArray:
         """True strictly between the visible frames beside the gap."""
@@ -266,43 +257,8 @@ def camera_noise(recovery: Recovery, joint: str) -> FloatArray:
 
 
 @dataclass(frozen=True)
-class GapRow:
-    """One hidden gap and what a method made of it."""
-
-    length_s: float  # Length asked for
-    method: str  # Name of the method
-    run: int  # Which copy of the recording the gap was hidden in
-    gap: HiddenGap  # Where it was hidden, on the camera's clock
-    errors: GapErrors  # Sample by sample inside the gap
-    failure: str = ""  # Why there is no answer, "" where there is one
-    recording: str = ""  # Name of the recording
-
-    @cached_property
-    def figures(self) -> Figures:
-        """Errors inside the gap."""
-        return self.errors.figures()
-
-    def to_dict(self) -> dict[str, object]:
-        """Plain values by name."""
-        figures = self.figures
-        return {
-            **{name: getattr(self, name) for name in ("length_s", "method", "run")},
-            "reference": self.errors.reference,
-            "start_s": self.gap.start_s,
-            "end_s": self.gap.end_s,
-            "rms_m": figures.position_rms_m,
-            "max_m": figures.position_max_m,
-            **{name: getattr(figures, name) for name in ("orientation_rms_deg", "nees", "samples")},
-            "sigma_max_m": self.errors.sigma_max_m,
-            "path_m": self.errors.path_m,
-            "failure": self.failure,
-            "recording": self.recording,
-        }
-
-
-@dataclass(frozen=True)
 class GapGroup:
-    """A method's hidden gaps of one length: `figures` of all samples together, `spread` over the gaps."""
+    """A method's hidden gaps: `figures` of all samples together, `spread` over the gaps."""
 
     rows: Sequence[GapRow]
 
@@ -325,11 +281,8 @@ class GapGroup:
         if len(known):
             quartiles = np.percentile(known, (25, 50, 75)).tolist()
             values = [*quartiles, float(np.sqrt(np.mean(known**2))), float(known.max())]
-        names = ("low_m", "median_m", "high_m", "rms_m", "worst_m")
-        return dict(zip(names, values, strict=True)) | {
-            "gaps": len(rms_m),
-            "failed": len(rms_m) - len(known),
-        }
+        found = dict(zip(("low_m", "median_m", "high_m", "rms_m", "worst_m"), values, strict=True))
+        return found | {"gaps": len(rms_m), "failed": len(rms_m) - len(known)}
 
     def to_dict(self) -> dict[str, float | int | None]:
         """Plain values by name, distances in m and in cm."""
@@ -341,6 +294,37 @@ class GapGroup:
         names = ("orientation_rms_deg", "orientation_max_deg", "nees", "coverage_95", "samples", "unanswered")
         counts = {"gaps": len(self.rows), "failed": self.failed}
         return result | {name: figures[name] for name in names} | counts
+
+
+@dataclass(frozen=True)
+class GapRow:
+    """One hidden gap and what a method made of it."""
+
+    length_s: float  # Length asked for
+    method: str  # Name of the method
+    run: int  # Which copy of the recording the gap was hidden in
+    gap: HiddenGap  # Where it was hidden, on the camera's clock
+    errors: GapErrors  # Sample by sample inside the gap
+    failure: str = ""  # Why there is no answer, "" where there is one
+    recording: str = ""  # Name of the recording
+
+    @cached_property
+    def figures(self) -> Figures:
+        """Errors inside the gap."""
+        return self.errors.figures()
+
+    def to_dict(self) -> dict[str, object]:
+        """Plain values by name."""
+        figures, errors = self.figures, self.errors
+        return {
+            **{name: getattr(self, name) for name in ("length_s", "method", "run", "failure", "recording")},
+            "start_s": self.gap.start_s,
+            "end_s": self.gap.end_s,
+            **{name: getattr(errors, name) for name in ("reference", "sigma_max_m", "path_m")},
+            "rms_m": figures.position_rms_m,
+            "max_m": figures.position_max_m,
+            **{name: getattr(figures, name) for name in ("orientation_rms_deg", "nees", "samples")},
+        }
 
 
 @dataclass(frozen=True)
@@ -400,21 +384,10 @@ class GapTable:
             for length, methods in self.lengths.items()
             for name, group in methods.items()
         ]
-        return tabulated(
-            f"Error in hidden gaps against the {against}{whose}",
-            rows,
-            {
-                "gap, s": "length_s",
-                "method": "method",
-                "rms, cm": "position_rms_m",
-                "median": "position_median_m",
-                "95 %": "position_p95_m",
-                "max": "position_max_m",
-                "NEES": "nees",
-                "inside 95 %": "coverage_95",
-                "gaps": counted,
-            },
-        )
+        columns: dict[str, str | Callable[[Any], object]] = {"gap, s": "length_s", "method": "method"}
+        columns |= {"rms, cm": "position_rms_m", "median": "position_median_m", "95 %": "position_p95_m"}
+        columns |= {"max": "position_max_m", "NEES": "nees", "inside 95 %": "coverage_95", "gaps": counted}
+        return tabulated(f"Error in hidden gaps against the {against}{whose}", rows, columns)
 
 
 def counted(row: Mapping[str, Any]) -> str:

@@ -15,15 +15,15 @@ import numpy as np
 from pydantic import TypeAdapter
 
 from ..errors import UnoccludeError
-from ..measures import Measures, Movement, Scope
+from ..measures import Movement, Scope
 from ..measures.definitions import definitions, is_measure
 from ..recording import Truth
 from ..result import Recovery
 from ..runtime.inputs import read_toml
 from ..runtime.pool import Progress
 from ..table import Table, tabulated
-from .agreement import pair_agreement, with_interval
-from .progress import interval, is_main, limits_words, quantity
+from .statistics import pair_agreement
+from .words import interval, is_main, limits_words, quantity, with_interval
 
 #: A movement of the answer and one of the reference are the same where they share more of their time.
 SAME_SHARE = 0.5
@@ -84,7 +84,6 @@ def same_samples(recovery: Recovery, reference: Truth) -> tuple[Recovery, Recove
         for name, joint in reference.joints.items()
         if name in recovery.joints and np.isfinite(joint).any()
     }
-    known = {name: np.isfinite(place).all(axis=1, keepdims=True) for name, place in joints.items()}
     motion = replace(
         recovery,
         method="reference",
@@ -96,34 +95,13 @@ def same_samples(recovery: Recovery, reference: Truth) -> tuple[Recovery, Recove
         segments={},
         draws=None,
     )
+    known = {name: np.isfinite(place).all(axis=1, keepdims=True) for name, place in joints.items()}
     answer = replace(
         recovery,
         joints={name: np.where(known[name], recovery.joints[name], np.nan) for name in joints},
         joint_covariance={name: each for name, each in recovery.joint_covariance.items() if name in joints},
     )
     return answer, motion
-
-
-def pairs_of(mine: Measures, theirs: Measures, recording: str) -> list[MeasurePair]:
-    """The measures that answer and reference both have, by session, movement and repetition."""
-    kinds: list[tuple[Scope, Sequence[Movement], Sequence[Movement]]] = [
-        ("movement", mine.movements, theirs.movements),
-        ("repetition", mine.repetitions, theirs.repetitions),
-    ]
-    places = [(mine.by_key, theirs.by_key)]
-    for scope, ours, others in kinds:
-        places += [
-            (mine.of(scope, here), theirs.of(scope, there)) for here, there in same_movements(ours, others)
-        ]
-    return [
-        MeasurePair(
-            *(recording, mine.side, row.scope, row.movement, key, row.name, row.unit),
-            *(row.value, row.low, row.high, others[key].value, row.recovered_share),
-        )
-        for rows, others in places
-        for key, row in rows.items()
-        if key in others and row.is_known and others[key].is_known
-    ]
 
 
 def same_movements(ours: Sequence[Movement], others: Sequence[Movement]) -> list[tuple[int, int]]:
@@ -196,22 +174,28 @@ def compare_measures(
     if not any(np.isfinite(place).all(axis=1).sum() > 1 for place in motion.joints.values()):
         return None
     mine, theirs = measure(answer, processes=processes, progress=progress), measure(motion)
-    pairs = tuple(pairs_of(mine, theirs, recovery.name))
-    return MeasureComparison(pairs, tuple(pooled), tuple(_notes(mine, theirs, pairs, pooled)))
-
-
-def _notes(
-    mine: Measures, theirs: Measures, pairs: Sequence[MeasurePair], pooled: Sequence[MeasurePair]
-) -> list[str]:
-    notes = []
-    for what in ("movements", "repetitions"):
-        ours, others = getattr(mine, what), getattr(theirs, what)
-        same = len(same_movements(ours, others))
-        if same < max(len(ours), len(others)):
+    rows, notes = [(mine.by_key, theirs.by_key)], []
+    kinds: list[tuple[Scope, Sequence[Movement], Sequence[Movement]]] = [
+        ("movement", mine.movements, theirs.movements),
+        ("repetition", mine.repetitions, theirs.repetitions),
+    ]
+    for scope, ours, others in kinds:
+        same = same_movements(ours, others)
+        rows += [(mine.of(scope, here), theirs.of(scope, there)) for here, there in same]
+        if len(same) < max(len(ours), len(others)):
             notes.append(
-                f"{what.capitalize()}: the answer has {len(ours)}, the reference {len(others)}; the {same}"
-                " that share more than half of their time are compared."
+                f"{scope.capitalize()}s: the answer has {len(ours)}, the reference {len(others)}; the"
+                f" {len(same)} that share more than half of their time are compared."
             )
+    pairs = tuple(
+        MeasurePair(
+            *(recovery.name, mine.side, row.scope, row.movement, key, row.name, row.unit),
+            *(row.value, row.low, row.high, others[key].value, row.recovered_share),
+        )
+        for own, others in rows
+        for key, row in own.items()
+        if key in others and row.is_known and others[key].is_known
+    )
     if not mine.n_draws:
         notes.append("The result has no draws: the measures have no intervals (smooth with --draws 64).")
     recordings = {pair.recording for pair in (*pairs, *pooled)}
@@ -220,11 +204,7 @@ def _notes(
             "Movements of one person are alike: over few recordings the intervals of ICC and of the minimal"
             " detectable change are too narrow."
         )
-    return notes
-
-
-def _is_shown(key: str, keys: Collection[str] | None) -> bool:
-    return is_main(key) if keys is None else key in keys
+    return MeasureComparison(pairs, tuple(pooled), tuple(notes))
 
 
 def pair_table(title: str, comparison: MeasureComparison, keys: Collection[str] | None = None) -> Table:
@@ -267,6 +247,10 @@ def agreement_table(title: str, comparison: MeasureComparison, keys: Collection[
     )
 
 
+def _is_shown(key: str, keys: Collection[str] | None) -> bool:
+    return is_main(key) if keys is None else key in keys
+
+
 def read_pairs(path: Path) -> list[MeasurePair]:
     """The pairs of an earlier validation's `--json`."""
     pairs = [pair for arm in _arms(path, _json(path)) for pair in arm["measures"].get("pairs", [])]
@@ -285,26 +269,25 @@ def read_pairs(path: Path) -> list[MeasurePair]:
     return read
 
 
+_NO_SDC = "smallest detectable change; `progress --reliability` needs three persons with two sessions each"
+_NO_MDC = (
+    "minimal detectable change of a session; it takes three recordings with motion capture, each validated"
+    " with --pool and the JSON of those before"
+)
+
+
 def read_detectable(path: Path) -> dict[str, float]:
     """Minimal detectable changes by the measures' keys: of a user, of repeated sessions or of pairs."""
     if path.suffix.lower() == ".toml":
-        return _of_user(path)
-    figures = _json(path)
-    found: dict[str, float] = {}
+        return read_mdc_toml(path)
+    figures, found = _json(path), dict[str, float]()
     if (repeated := figures.get("reliability")) is not None:
-        what = (
-            "smallest detectable change; `progress --reliability` needs three persons with two sessions each"
-        )
         for each in repeated if isinstance(repeated, list) else []:
             key, value = (each.get("key"), each.get("sdc")) if isinstance(each, dict) else (None, None)
             if isinstance(key, str) and _is_change(value):
                 _check_keys([key], path)
                 found[key] = max(float(value), found.get(key, 0.0))  # the largest of several arms
     else:
-        what = (
-            "minimal detectable change of a session; it takes three recordings with motion capture, each"
-            " validated with --pool and the JSON of those before"
-        )
         pairs: dict[str, int] = {}
         for arm in _arms(path, figures):
             for key, own in arm["measures"].get("agreement", {}).get("session", {}).items():
@@ -312,12 +295,41 @@ def read_detectable(path: Path) -> dict[str, float]:
                 if _is_change(value) and count > pairs.get(key, 0):
                     found[key], pairs[key] = float(value), count
     if not found:
-        raise UnoccludeError(f"{path} has no {what}")
+        raise UnoccludeError(f"{path} has no {_NO_MDC if repeated is None else _NO_SDC}")
     return found
+
+
+def read_mdc_toml(path: Path) -> dict[str, float]:
+    """Minimal detectable changes that a user states."""
+    try:
+        table = read_toml(path).get("mdc95")
+    except OSError as error:
+        raise UnoccludeError(f"{path}: {error.strerror or error}") from error
+    except ValueError as error:
+        raise UnoccludeError(f"{path} is not TOML: {error}") from error
+    if not isinstance(table, dict) or not table:
+        raise UnoccludeError(
+            f"{path} has no table [mdc95]; write one with a line per measure: elbow_flexion_range_deg = 5.0"
+        )
+    _check_keys(table, path)
+    for key, value in table.items():
+        if not _is_change(value):
+            raise UnoccludeError(f"{path}: mdc95 of {key} is {value!r}; it must be a number above 0")
+    return {key: float(value) for key, value in table.items()}
 
 
 def _is_change(value: Any) -> TypeGuard[float]:
     return isinstance(value, int | float) and not isinstance(value, bool) and 0 < value < math.inf
+
+
+def _check_keys(keys: Iterable[str], path: Path) -> None:
+    """Refuse a key that no measure has, with the nearest that one has."""
+    for key in keys:
+        if not is_measure(key):
+            near = get_close_matches(key, definitions(), n=1, cutoff=0.0)
+            raise UnoccludeError(
+                f"{path}: there is no measure {key}, so its mdc95 has no effect; the nearest is {near[0]}"
+            )
 
 
 def _json(path: Path) -> dict[str, Any]:
@@ -336,31 +348,3 @@ def _arms(path: Path, figures: dict[str, Any]) -> list[dict[str, Any]]:
     if not arms or not all(isinstance(arm, dict) and isinstance(arm.get("measures"), dict) for arm in arms):
         raise UnoccludeError(f"{path} has no measures; name what `unocclude validate --json` wrote")
     return arms
-
-
-def _of_user(path: Path) -> dict[str, float]:
-    try:
-        table = read_toml(path).get("mdc95")
-    except OSError as error:
-        raise UnoccludeError(f"{path}: {error.strerror or error}") from error
-    except ValueError as error:
-        raise UnoccludeError(f"{path} is not TOML: {error}") from error
-    if not isinstance(table, dict) or not table:
-        raise UnoccludeError(
-            f"{path} has no table [mdc95]; write one with a line per measure: elbow_flexion_range_deg = 5.0"
-        )
-    _check_keys(table, path)
-    for key, value in table.items():
-        if not _is_change(value):
-            raise UnoccludeError(f"{path}: mdc95 of {key} is {value!r}; it must be a number above 0")
-    return {key: float(value) for key, value in table.items()}
-
-
-def _check_keys(keys: Iterable[str], path: Path) -> None:
-    """Refuse a key that no measure has, with the nearest that one has."""
-    for key in keys:
-        if not is_measure(key):
-            near = get_close_matches(key, definitions(), n=1, cutoff=0.0)
-            raise UnoccludeError(
-                f"{path}: there is no measure {key}, so its mdc95 has no effect; the nearest is {near[0]}"
-            )

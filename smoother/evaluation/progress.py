@@ -1,117 +1,18 @@
-"""Measures as people read them, over a person's sessions and over persons.
-
-What changed as the intervals support; how reliable measures are without true change; a group's means.
-Sources of reliability: Mokkink et al., J Clin Epidemiol 63:737-745 (2010), the terms; Shrout and Fleiss,
-Psychological Bulletin 86:420-428 (1979), ICC(2,1); de Vet et al., J Clin Epidemiol 59:1033-1039 (2006),
-SEM_agreement and smallest detectable change; Satterthwaite, Biometrics Bulletin 2:110-114 (1946).
-"""
+"""A person's measures over sessions, as the intervals support a change; how reliable they are; a group's."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any, Literal
 
 import numpy as np
 
-from ..array_types import FloatArray
 from ..measures.definitions import FEWEST_DRAWS
-from ..table import Table, tabulated
-from .agreement import (
-    detectable_change,
-    icc_a1,
-    limits_of_agreement,
-    mean_squares,
-    sigma_interval,
-    with_interval,
-)
-
-#: By the unit of a measure: factor, unit for people, decimals.
-_SHOWN: dict[str, tuple[float, str, int]] = {
-    "deg": (1.0, "°", 1),
-    "deg/s": (1.0, "°/s", 0),
-    "m": (100.0, "\u00a0cm", 1),
-    "m/s": (1.0, "\u00a0m/s", 2),
-    "l": (1.0, "\u00a0litres", 1),
-    "s": (1.0, "\u00a0s", 2),
-    "%": (1.0, "\u00a0%", 1),
-}
-
-
-def _shown(unit: str) -> tuple[float, str, int]:
-    return _SHOWN.get(unit, (1.0, "", 2))
-
-
-def shown_unit(unit: str) -> str:
-    """The unit for people: "cm" for lengths that are stored in m."""
-    return _shown(unit)[1].strip()
-
-
-def scaled(value: float, unit: str) -> float:
-    """A value in its unit for people."""
-    return value * _shown(unit)[0]
-
-
-def number(value: float, unit: str, signed: bool = False) -> str:
-    """A value in its unit for people, without the unit; a dash where there is none."""
-    if not math.isfinite(value):
-        return "–"
-    factor, _, decimals = _shown(unit)
-    if not unit and value == round(value):  # a count
-        decimals = 0
-    text = f"{factor * value:{'+' if signed else ''}.{decimals}f}"
-    return text.replace("-", "−")
-
-
-def quantity(value: float, unit: str, signed: bool = False) -> str:
-    """A value with its unit for people."""
-    text = number(value, unit, signed)
-    return text if text == "–" else text + _shown(unit)[1]
-
-
-def worded(key: str, value: float, unit: str) -> str:
-    """A measure's value for people: yes or no for what was reached."""
-    if key.endswith("_reached") and math.isfinite(value):
-        return "yes" if value >= 1 else "no"
-    return quantity(value, unit)
-
-
-def interval(low: float, high: float, unit: str, signed: bool = False) -> str:
-    """An interval with its unit for people; "" where there is none."""
-    if not math.isfinite(low) or not math.isfinite(high):
-        return ""
-    return f"{number(low, unit, signed)} to {quantity(high, unit, signed)}"
-
-
-def limits_words(row: Mapping[str, Any]) -> str:
-    """Limits of agreement with their unit for people."""
-    return interval(row["limits_low"], row["limits_high"], row["unit"], signed=True)
-
-
-#: Those that a reader looks at first, in that order.
-FIRST = (
-    *("elbow_flexion_range_deg", "shoulder_elevation_max_deg", "hand_reach_hull_l"),
-    *("hand_peak_speed_m_s", "sparc", "pronation_range_deg", "elbow_flexion_min_deg"),
-    *("shoulder_elevation_range_deg", "movement_duration_s", "hand_path_ratio"),
-)
-#: Those that grow with the length of the recording, whatever the person does.
-OF_LENGTH = ("duration_s", "hand_path_length_m", "movement_count", "repetition_count")
-#: Details of an angle's distribution: in files, not on pages.
-_DETAILS = ("_zone_", "_p5_", "_p25_", "_p50_", "_p75_", "_p95_")
-
-
-def is_main(key: str) -> bool:
-    """Whether a table for people shows this measure: no detail, and not one of the recording's length."""
-    return key not in OF_LENGTH and not any(detail in key for detail in _DETAILS)
-
-
-def first_of(keys: Collection[str], most: int) -> list[str]:
-    """The keys to look at first, at most this many; in their order."""
-    ordered = [key for key in FIRST if key in keys]
-    ordered += [key for key in dict.fromkeys(keys) if is_main(key) and key not in ordered]
-    return ordered[:most]
-
+from ..table import Table, percent, tabulated
+from .statistics import detectable_change, icc_a1, limits_of_agreement, sem_agreement
+from .words import FIRST, first_of, interval, is_main, limits_words, quantity, with_interval, worded
 
 #: What may be said of a change.
 Word = Literal["clearly more", "clearly less", "no clear change", "cannot be assessed"]
@@ -152,8 +53,7 @@ class SessionValue:
     def spread(self) -> float:
         """Its standard deviation: of the draws, or of the interval's wider side; nan without both."""
         widths = [self.sigma, (self.high - self.value) / HALF_95, (self.value - self.low) / HALF_95]
-        finite = [width for width in widths if math.isfinite(width)]
-        return max(finite) if finite else math.nan
+        return max((width for width in widths if math.isfinite(width)), default=math.nan)
 
 
 @dataclass(frozen=True)
@@ -191,59 +91,37 @@ def change_between(first: SessionValue, last: SessionValue, mdc95: float = math.
     difference = last.value - first.value
     spread = math.hypot(first.spread, last.spread)
     if not math.isfinite(difference) or not math.isfinite(spread):
-        return Change(first, last, difference, mdc95=mdc95, limits=_unknown(first, last))
+        limits = tuple(dict.fromkeys(filter(None, map(_lacks, (first, last)))))
+        return Change(first, last, difference, mdc95=mdc95, limits=limits)
     half, p = _half_and_p(first, last, difference, spread)
     clear = p < LEVEL and not abs(difference) <= mdc95
     word: Word = (MORE if difference > 0 else LESS) if clear else UNCLEAR
-    limits = _limits(first, last, p, difference, mdc95)
-    if word == UNCLEAR and half > mdc95:  # a change that matters may hide in so wide an interval
+    said = []
+    if not clear and half > mdc95:  # a change that matters may hide in so wide an interval
         word = UNKNOWN
-        limits = ("the interval is wider than the minimal detectable change", *limits)
-    return Change(first, last, difference, difference - half, difference + half, p, mdc95, word, limits)
+        said = ["the interval is wider than the minimal detectable change"]
+    if p < LEVEL and not clear:
+        said.append("the change is larger than its interval but not than the minimal detectable change")
+    for value in (first, last):
+        if value.recovered_share > MOSTLY_RECOVERED:
+            said.append(f"more than half of session {value.session} comes from recovered samples")
+        if value.value < value.low or value.value > value.high:
+            said.append(f"session {value.session}: the value lies outside its own interval")
+    return Change(first, last, difference, difference - half, difference + half, p, mdc95, word, tuple(said))
 
 
-def without_like_movements(
-    change: Change, first_count: SessionValue | None, last_count: SessionValue | None
-) -> Change:
-    """A mean over movements as it is where both sessions have like movements, else not assessed."""
-    reason = _unlike(change, first_count, last_count)
-    if not reason:
-        return change
-    limits = (reason, *change.limits)
-    return Change(change.first, change.last, math.nan, mdc95=change.mdc95, limits=limits)
-
-
-def _unlike(change: Change, *counts: SessionValue | None) -> str:
-    """Why two sessions' means are over different movements; "" where they are not."""
-    numbers, ends, words = [], [], []
-    for of, count in zip((change.first, change.last), counts, strict=True):
-        if count is None or not math.isfinite(count.value):
-            return f"the number of movements of session {of.session} is not known"
-        low, high = np.nan_to_num([count.low, count.high], nan=count.value)
-        numbers.append(count.value)
-        ends += [low, high]
-        words.append(f"{count.value:.0f}" + (f" ({low:.0f} to {high:.0f})" if low < high else ""))
-    names = f"sessions {change.first.session} and {change.last.session}"
-    if min(numbers) < LIKE_NUMBERS * max(numbers) or min(ends) < LIKE_ENDS * max(ends):
-        return f"{names} have {words[0]} and {words[1]} movements: their means are not comparable"
-    shares = change.first.recovered_share, change.last.recovered_share
-    if abs(shares[1] - shares[0]) > MOSTLY_RECOVERED:
-        return (
-            f"{100 * shares[0]:.0f} % of the movements of session {change.first.session} and"
-            f" {100 * shares[1]:.0f} % of session {change.last.session} are recovered: their means are not"
-            " comparable"
+def _lacks(value: SessionValue) -> str:
+    """What a session's value has not, in words."""
+    if not math.isfinite(value.value):
+        return f"session {value.session} has no value" + (
+            f" ({value.note.rstrip('.')})" if value.note else ""
         )
-    return ""
-
-
-def together(changes: Sequence[Change]) -> list[float]:
-    """Probabilities of many comparisons together, by step-down (Holm, Scand J Statistics 6:65-70, 1979)."""
-    known = sorted((change.p, place) for place, change in enumerate(changes) if math.isfinite(change.p))
-    adjusted, largest = [math.nan] * len(changes), 0.0
-    for rank, (p, place) in enumerate(known):
-        largest = max(largest, min(1.0, (len(known) - rank) * p))
-        adjusted[place] = largest
-    return adjusted
+    if math.isfinite(value.spread):
+        return ""
+    return (
+        f"session {value.session} has no interval: it was recovered without drawn motions, or they are too"
+        f" few ({FEWEST_DRAWS} are needed, --draws 64)"
+    )
 
 
 def _half_and_p(
@@ -262,32 +140,50 @@ def _half_and_p(
     return half, float(2 * student.sf(abs(difference) / spread, freedom))
 
 
-def _unknown(first: SessionValue, last: SessionValue) -> tuple[str, ...]:
-    sentences = []
-    for value in (first, last):
-        note = value.note.rstrip(".")
-        if not math.isfinite(value.value):
-            sentences.append(f"session {value.session} has no value{f' ({note})' if note else ''}")
-        elif not math.isfinite(value.spread):
-            sentences.append(
-                f"session {value.session} has no interval: it was recovered without drawn motions, or they"
-                f" are too few ({FEWEST_DRAWS} are needed, --draws 64)"
-            )
-    return tuple(dict.fromkeys(sentences))
+def without_like_movements(
+    change: Change, first_count: SessionValue | None, last_count: SessionValue | None
+) -> Change:
+    """A mean over movements as it is where both sessions have like movements, else not assessed."""
+    reason = _unlike(change, first_count, last_count)
+    if not reason:
+        return change
+    limits = (reason, *change.limits)
+    return Change(change.first, change.last, math.nan, mdc95=change.mdc95, limits=limits)
 
 
-def _limits(
-    first: SessionValue, last: SessionValue, p: float, difference: float, mdc95: float
-) -> tuple[str, ...]:
-    sentences = []
-    if p < LEVEL and abs(difference) <= mdc95:
-        sentences.append("the change is larger than its interval but not than the minimal detectable change")
-    for value in (first, last):
-        if value.recovered_share > MOSTLY_RECOVERED:
-            sentences.append(f"more than half of session {value.session} comes from recovered samples")
-        if value.value < value.low or value.value > value.high:
-            sentences.append(f"session {value.session}: the value lies outside its own interval")
-    return tuple(sentences)
+def _unlike(change: Change, *counts: SessionValue | None) -> str:
+    """Why two sessions' means are over different movements; "" where they are not."""
+    sessions, numbers, ends, words = (change.first, change.last), [], [], []
+    for of, count in zip(sessions, counts, strict=True):
+        if count is None or not math.isfinite(count.value):
+            return f"the number of movements of session {of.session} is not known"
+        low, high = np.nan_to_num([count.low, count.high], nan=count.value)
+        numbers.append(count.value)
+        ends += [low, high]
+        words.append(f"{count.value:.0f}" + (f" ({low:.0f} to {high:.0f})" if low < high else ""))
+    if min(numbers) < LIKE_NUMBERS * max(numbers) or min(ends) < LIKE_ENDS * max(ends):
+        return (
+            f"sessions {change.first.session} and {change.last.session} have {words[0]} and {words[1]}"
+            " movements: their means are not comparable"
+        )
+    shares = [of.recovered_share for of in sessions]
+    if abs(shares[1] - shares[0]) > MOSTLY_RECOVERED:
+        return (
+            f"{100 * shares[0]:.0f} % of the movements of session {change.first.session} and"
+            f" {100 * shares[1]:.0f} % of session {change.last.session} are recovered: their means are not"
+            " comparable"
+        )
+    return ""
+
+
+def together(changes: Sequence[Change]) -> list[float]:
+    """Probabilities of many comparisons together, by step-down (Holm, Scand J Statistics 6:65-70, 1979)."""
+    known = sorted((change.p, place) for place, change in enumerate(changes) if math.isfinite(change.p))
+    adjusted, largest = [math.nan] * len(changes), 0.0
+    for rank, (p, place) in enumerate(known):
+        largest = max(largest, min(1.0, (len(known) - rank) * p))
+        adjusted[place] = largest
+    return adjusted
 
 
 @dataclass(frozen=True)
@@ -334,14 +230,57 @@ class PersonProgress:
         return tuple(sorted(main, key=lambda each: order.get(each.key, len(order))))
 
     @property
+    def changed(self) -> list[tuple[Series, Change]]:
+        """The main measures of two sessions or more, each with its last change."""
+        return [(each, each.change) for each in self.main if each.change is not None]
+
+    @property
     def compared(self) -> tuple[Series, ...]:
-        """The main measures of two sessions or more that have intervals."""
-        return tuple(each for each in self.main if each.change is not None and math.isfinite(each.change.p))
+        """Those that have intervals."""
+        return tuple(each for each, change in self.changed if math.isfinite(change.p))
 
     @property
     def clear(self) -> tuple[Series, ...]:
-        """The main measures that changed clearly."""
-        return tuple(each for each in self.main if each.change and each.change.word in (MORE, LESS))
+        """Those that changed clearly."""
+        return tuple(each for each, change in self.changed if change.word in (MORE, LESS))
+
+    def label(self, series: Series) -> str:
+        """A measure's name, with arm and task where there are several."""
+        several = len({each.side for each in self.series}) > 1
+        side = f"{series.side} arm" if several and series.side else ""
+        return ", ".join(filter(None, (series.name, side, series.task)))
+
+    @property
+    def limits(self) -> list[str]:
+        """What limits the statements: a sentence each, the most frequent first, and of which measures."""
+        about: dict[str, list[str]] = {}
+        for series, change in self.changed:
+            for sentence in change.limits:
+                about.setdefault(sentence, []).append(self.label(series))
+        return [
+            f"{sentence} ({', '.join(names) if len(names) <= 2 else f'{len(names)} measures'})"
+            for sentence, names in sorted(about.items(), key=lambda item: -len(item[1]))
+        ]
+
+    def table(self, title: str, most: int | None = None) -> Table:
+        """The last session against the first, what changed clearly in front."""
+        rows = sorted(self.changed, key=lambda row: row[1].word not in (MORE, LESS))[:most]
+        shares = ([value.recovered_share for value in (each.first, each.last)] for _, each in rows)
+        known = [max(filter(math.isfinite, both), default=None) for both in shares]
+        cells = [
+            (
+                self.label(series),
+                worded(series.key, change.first.value, series.unit),
+                worded(series.key, change.last.value, series.unit),
+                quantity(change.difference, series.unit, signed=True),
+                interval(change.low, change.high, series.unit, signed=True) or None,
+                change.word,
+                percent(share),
+            )
+            for (series, change), share in zip(rows, known, strict=True)
+        ]
+        columns = ("measure", "first", "last", "change", "95 % interval", "in words", "recovered")
+        return Table(title, columns, cells)
 
     def to_dict(self) -> dict[str, Any]:
         """Plain values by name, as `--json` writes them."""
@@ -349,6 +288,23 @@ class PersonProgress:
         counts = {"compared": len(self.compared), "clear": len(self.clear)}
         return about | counts | {"measures": [each.to_dict() for each in self.series]}
 
+    def csv_rows(self) -> Iterator[list[object]]:
+        """One row per measure and session, under `CSV_COLUMNS`, with the change since the first."""
+        for series in self.series:
+            for value, change in zip(series.values, (None, *series.changes), strict=True):
+                cells = [getattr(series, name) for name in _OF_SERIES]
+                cells += [getattr(value, name) for name in _OF_VALUE]
+                cells += [getattr(change, name, None) for name in _OF_CHANGE]
+                yield [*cells, None if change is None else "; ".join(change.limits)]
+
+
+_OF_SERIES = ("person", "side", "task", "key", "name", "unit")
+_OF_VALUE = ("session", "day", "value", "low", "high", "sigma", "recovered_share", "n_draws")
+_OF_CHANGE = ("difference", "low", "high", "p", "p_together", "mdc95", "word")
+CSV_COLUMNS = (
+    *(*_OF_SERIES, *_OF_VALUE[:-1], "draws", "change", "change_low", "change_high"),
+    *(*_OF_CHANGE[3:], "limits"),
+)
 
 #: Fewer persons have no figures of reliability.
 FEWEST_PERSONS = 3
@@ -359,50 +315,29 @@ def reliability_of(persons: Sequence[PersonProgress]) -> list[dict[str, Any]]:
 
     ICC(2,1) (two-way random effects, absolute agreement, single measurement); SEM_agreement, with systematic
     differences between sessions; `sdc`, the smallest detectable change of one person, 1.96 sqrt(2) SEM; bias
-    and limits of agreement of the second session minus the first, whose `values` they are.
+    and limits of agreement of the second session minus the first, whose `values` they are. Terms are those of
+    Mokkink et al., J Clin Epidemiol 63:737-745 (2010).
     """
     values: dict[tuple[str, str, str], list[list[float]]] = {}
-    about: dict[str, tuple[str, str]] = {}
-    for person in persons:
-        for series in person.main:
-            known = [each.value for each in series.values if np.isfinite(each.value)]
-            if len(known) > 1:
-                about[series.key] = series.name, series.unit
-                values.setdefault((series.side, series.task, series.key), []).append(known)
+    about: dict[str, dict[str, str]] = {}
+    for series in (each for person in persons for each in person.main):
+        known = [each.value for each in series.values if np.isfinite(each.value)]
+        if len(known) > 1:
+            about[series.key] = {"name": series.name, "unit": series.unit}
+            values.setdefault((series.side, series.task, series.key), []).append(known)
     found = []
-    for (side, task, key), own in values.items():
+    for keys, own in values.items():
         if len(own) < FEWEST_PERSONS:
             continue
         ratings = np.array([each[: min(map(len, own))] for each in own])
-        row: dict[str, Any] = {
-            "side": side,
-            "task": task,
-            "key": key,
-            "name": about[key][0],
-            "unit": about[key][1],
-        }
+        row: dict[str, Any] = {**dict(zip(("side", "task", "key"), keys, strict=True)), **about[keys[2]]}
         row |= {"persons": len(ratings), "sessions": ratings.shape[1]}
-        row |= dict(zip(("icc_21", "icc_21_low", "icc_21_high"), icc_a1(ratings), strict=True))
-        sem = sem_agreement(ratings)
-        names = ("sem_agreement", "sem_agreement_low", "sem_agreement_high")
-        row |= dict(zip(names, sem, strict=True)) | {"sdc": detectable_change(sem[0])}
+        for name, figures in (("icc_21", icc_a1(ratings)), ("sem_agreement", sem_agreement(ratings))):
+            row |= {f"{name}{end}": each for end, each in zip(("", "_low", "_high"), figures, strict=True)}
+        row["sdc"] = detectable_change(row["sem_agreement"])
         row |= limits_of_agreement(ratings[:, 1] - ratings[:, 0])
         found.append(row | {"values": ratings[:, :2].tolist()})
     return found
-
-
-def sem_agreement(ratings: FloatArray) -> tuple[float, float, float]:  # ratings (n, k)
-    """SEM_agreement, sqrt(variance between sessions + error), and its 95 % interval (Satterthwaite)."""
-    n, k = ratings.shape
-    _, sessions, error = mean_squares(ratings)
-    parts = [(sessions / n, k - 1), ((n - 1) / n * error, (n - 1) * (k - 1))]
-    if sessions <= error * (1 + 1e-12):  # the sessions do not differ: a variance is not negative
-        parts = [(error, (n - 1) * (k - 1))]
-    variance = sum(part for part, _ in parts)
-    if variance <= 0:
-        return 0.0, 0.0, 0.0
-    freedom = variance**2 / sum(part**2 / count for part, count in parts)
-    return float(np.sqrt(variance)), *sigma_interval(float(np.sqrt(variance)), freedom)
 
 
 def reliability_table(found: Sequence[Mapping[str, Any]]) -> Table:
@@ -436,11 +371,10 @@ def group_measures(rows: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
     values: dict[tuple[str, str, str], dict[str, dict[int, float]]] = {}
     about: dict[str, tuple[str, str]] = {}
     for row in rows:
-        if not row["trusted"] or row["value"] is None:
-            continue
-        about[row["measure"]] = row["name"], row["unit"] or ""
-        persons = values.setdefault((row["side"], row["task"], row["measure"]), {})
-        persons.setdefault(row["person"], {})[row["session_number"]] = float(row["value"])
+        if row["trusted"] and row["value"] is not None:
+            about[row["measure"]] = row["name"], row["unit"] or ""
+            persons = values.setdefault((row["side"], row["task"], row["measure"]), {})
+            persons.setdefault(row["person"], {})[row["session_number"]] = float(row["value"])
     keys = first_of(list(about), MOST_MEASURES)
     chosen = sorted((key for key in values if key[2] in keys), key=lambda key: (*key[:2], keys.index(key[2])))
     found = []

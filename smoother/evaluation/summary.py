@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+from scipy.special import chdtr
 
 from ..angles import ForearmMounting, angles_by_joints
 from ..angles.definitions import ELBOW_FLEXION
@@ -14,7 +16,9 @@ from ..body import SEGMENTS
 from ..calibration import LeverArm
 from ..error_radius import error_radius, pooled_radius
 from ..measurements.visibility import Gap
+from ..recording import JOINTS
 from ..result import Estimates, GapVerdict, Recovery
+from .metrics import rms, squared_sigmas
 
 #: About this many samples are pooled to one distance.
 _MOST_POOLED = 4000
@@ -182,6 +186,51 @@ def error_figures(
         return {"all": pooled_radius(some[:, :3, :3]), "max": _largest(radius[rows])}
 
     return _by_part(recovery, radius, only, figures)
+
+
+#: Most samples of a joint whose consistency is looked at, evenly spaced over the recording.
+_MOST_RESIDUALS = 50_000
+
+
+def consistency(error_m: FloatArray, covariance: FloatArray) -> dict[str, Any]:
+    """How errors (n, 3) m lie in what is stated of them (n, 3, 3) m^2: shares inside, sigma and rms per axis.
+
+    What is not finite is left out.
+    """
+    squared = squared_sigmas(error_m, covariance)
+    good = np.isfinite(squared)
+    level = chdtr(3.0, squared[good])
+    stated = np.sqrt(np.trace(covariance[good], axis1=1, axis2=2) / 3.0)
+    return {
+        "samples": int(good.sum()),
+        "inside_50": float((level <= 0.5).mean()) if good.any() else None,
+        "inside_95": float((level <= 0.95).mean()) if good.any() else None,
+        "stated_m": rms(stated),
+        "actual_m": rms(np.linalg.norm(error_m[good], axis=1) / np.sqrt(3.0)),
+    }
+
+
+def camera_consistency(recovery: Recovery) -> dict[str, dict[str, Any]]:
+    """The camera's samples that were used, by joint: residual against camera noise and joint covariance."""
+    residuals = recovery.residuals
+    noise, bias = recovery.estimates.camera_sigma_m, recovery.estimates.joint_bias_m or {}
+    if residuals is None or noise is None or len(recovery) < 1:
+        return {}
+    spreads = {"strap": recovery.pose_covariance[:, :3, :3], **recovery.joint_covariance}
+    by_joint = {}
+    for joint in (name for name in noise if name in spreads):
+        column = JOINTS.index(joint)
+        used = np.flatnonzero(residuals.used[:, column])
+        used = used[np.linspace(0, len(used) - 1, min(len(used), _MOST_RESIDUALS)).round().astype(int)]
+        nearest = np.clip(np.searchsorted(recovery.t_s, residuals.t_s[used]), 0, len(recovery) - 1)
+        own = spreads[joint][nearest]
+        variance = np.einsum("nii->n", own) / 3.0
+        shared = np.nanmin(variance) if np.isfinite(variance).any() else 0.0
+        # rather by a factor than by a difference: what is left is a covariance for certain
+        covariance = own * (1.0 - shared / variance)[:, None, None] + float(noise[joint]) ** 2 * np.eye(3)
+        off = np.array(bias.get(joint, np.zeros(3)))
+        by_joint[joint] = consistency(residuals.residual[:, column][used] - off, covariance)
+    return {joint: found for joint, found in by_joint.items() if found["samples"]}
 
 
 def verdict_figures(estimates: Estimates) -> dict[str, object]:

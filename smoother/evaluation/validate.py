@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -11,12 +11,14 @@ import numpy as np
 from ..array_types import BoolArray, FloatArray
 from ..error_radius import pooled_radius
 from ..errors import RecordingError
+from ..joint_angles import ANGLES, arm_angles, defined, forearm_axes, recovery_angles
+from ..linalg import unit
 from ..measurements.visibility import Gap
+from ..measures.definitions import ANGLE_WORDS
 from ..recording import Truth
 from ..result import Recovery
 from ..runtime.pool import Progress
 from ..table import Table, fixed, tabulated
-from .agreement import WORDS, Agreement, AngleComparison, compare_angles, interval, with_interval
 from .measure_agreement import MeasureComparison, MeasurePair, compare_measures
 from .metrics import (
     Figures,
@@ -25,6 +27,7 @@ from .metrics import (
     mean_vector,
     nees,
     orientation_error_deg,
+    position_at,
     rms,
     rotation_error,
     squared_sigmas,
@@ -32,9 +35,14 @@ from .metrics import (
     truth_at,
 )
 from .reference import ReferenceAlignment
+from .statistics import Agreement, agreement
 from .truth import truth_notes
+from .words import limits_words, with_interval
 
 PARTS = ("all", "occluded", "visible")
+#: What may be compared, the forearm IMU first; joints where the truth has none.
+SENSOR = "sensor"
+POINTS = (SENSOR, "wrist", "hand", "elbow")
 #: About this many samples are pooled to one stated distance.
 _MOST_POOLED = 4000
 
@@ -84,6 +92,35 @@ class SampleErrors:
         return replace(figures, position_bias_m=mean_vector(difference))
 
 
+def sample_errors(recovery: Recovery, truth: Truth) -> SampleErrors:
+    """Errors of a recovery at each of its samples; the truth is read at the recovery's times."""
+    reference = truth_at(truth, recovery.t_s)
+
+    def scored(values: FloatArray) -> FloatArray:
+        return np.where(reference.score[:, None] if values.ndim > 1 else reference.score, values, np.nan)
+
+    difference = scored(recovery.position - reference.position)
+    turn = scored(rotation_error(recovery.quaternion, reference.quaternion))
+    joints = {
+        name: scored(recovery.joints[name] - position)
+        for name, position in reference.joints.items()
+        if name in recovery.joints
+    }
+    unknown = np.full((len(recovery), 3, 3), np.nan)
+    spread = {name: recovery.joint_covariance.get(name, unknown) for name in joints}
+    return SampleErrors(
+        reference=reference,
+        scored=reference.score & np.isfinite(reference.position).all(axis=1),
+        difference_m=difference,
+        squared_sigmas=squared_sigmas(difference, recovery.pose_covariance[:, :3, :3]),
+        turn_rad=turn,
+        angle_deg=scored(orientation_error_deg(recovery.quaternion, reference.quaternion)),
+        turn_squared_sigmas=squared_sigmas(turn, recovery.pose_covariance[:, 3:, 3:]),
+        joint_difference_m=joints,
+        joint_squared_sigmas={name: squared_sigmas(each, spread[name]) for name, each in joints.items()},
+    )
+
+
 @dataclass(frozen=True)
 class Validation:
     """A recovery held against a reference."""
@@ -91,24 +128,27 @@ class Validation:
     all: Figures  # Figures of all samples, of those in gaps, and of the others
     occluded: Figures
     visible: Figures
-    notes: tuple[str, ...] = ()  # Notes on the comparison for the reader, one sentence each
-    # Figures of each joint that truth and answer share, by joint and part
-    points: dict[str, dict[str, Figures]] = field(default_factory=dict)
-    gaps: tuple[tuple[Gap, Figures], ...] = ()  # Figures of each gap that contains a sample with truth
-    angles: AngleComparison | None = None  # Joint angles of both
-    # Agreement of the angles by part and angle
-    angle_figures: dict[str, dict[str, Agreement]] = field(default_factory=dict)
-    lag_s: float | None = None  # How late the answer's position is against the truth's
-    # How the truth was brought to the result
-    alignment: ReferenceAlignment = field(default_factory=ReferenceAlignment)
+    stated_m: Mapping[str, float | None]  # By part, within which 95 of 100 errors lie as stated
+    notes: tuple[str, ...]  # Notes on the comparison for the reader, one sentence each
+    points: dict[str, dict[str, Figures]]  # Of each joint that truth and answer share, by part
+    gaps: tuple[tuple[Gap, Figures], ...]  # Figures of each gap that contains a sample with truth
+    angles: dict[str, dict[str, Agreement]]  # Agreement of the joint angles that both have, by part
+    carrying_truth_deg: float | None  # Median of the truth's; None without markers on the epicondyles
+    lag_s: float | None  # How late the answer's position is against the truth's
+    alignment: ReferenceAlignment  # How the truth was brought to the result
     measures: MeasureComparison | None = None  # What clinicians read, of both
 
     def figures_of(self, point: str, part: str) -> Figures | None:
         """Figures of a joint, or of the "sensor", over a part; None where there are none."""
-        if point == "sensor":
-            figures: Figures = getattr(self, part)
-            return figures
-        return self.points.get(point, {}).get(part)
+        found: Figures | None
+        found = getattr(self, part) if point == SENSOR else self.points.get(point, {}).get(part)
+        return found
+
+    @property
+    def point(self) -> str:
+        """The first of `POINTS` that truth and answer share; "" without one."""
+        shared = ((point, self.figures_of(point, "all")) for point in POINTS)
+        return next((point for point, found in shared if found is not None and found.samples), "")
 
     def to_dict(self) -> dict[str, Any]:
         """The figures by name, as `--json` writes them."""
@@ -122,28 +162,25 @@ class Validation:
             "gaps": [
                 {"start_s": gap.start_s, "end_s": gap.end_s, **asdict(figures)} for gap, figures in self.gaps
             ],
-            "angles_deg": self.angle_figures,
-            "carrying_truth_deg": None if self.angles is None else self.angles.carrying_truth_deg,
+            "angles_deg": self.angles,
+            "carrying_truth_deg": self.carrying_truth_deg,
             "lag_s": self.lag_s,
             "measures": None if self.measures is None else self.measures.to_dict(),
             "notes": list(self.notes),
         }
 
-    def errors(self, recovery: Recovery) -> Table:
+    @property
+    def errors(self) -> Table:
         """The errors of the sensor by part, with what was stated of them."""
-        rows: list[dict[str, Any]] = []
-        for part, inside in _parts(recovery).items():
-            figures: Figures = getattr(self, part)
-            chosen = np.flatnonzero(inside)
-            some = recovery.pose_covariance[chosen[:: max(1, len(chosen) // _MOST_POOLED)]]
-            stated_m = pooled_radius(some[:, :3, :3]) if figures.position_p95_m is not None else None
-            rows.append({"part": part, "stated_m": stated_m, **vars(figures)})
-        title = self.alignment.titled("Error against the truth, with the measured and the stated 95 % bound")
+        rows = [
+            {"part": part, "stated_m": self.stated_m[part], **vars(getattr(self, part))} for part in PARTS
+        ]
+        title = "Error against the truth, with the measured and the stated 95 % bound"
         columns = {"95 % within, cm": "position_p95_m", "stated, cm": "stated_m", "rms, cm": "position_rms_m"}
-        turns = {"rms, deg": "orientation_rms_deg", "95 %, deg": "orientation_p95_deg"}
-        more = {"max, deg": "orientation_max_deg", "NEES": "nees", "inside 95 %": "coverage_95"}
-        columns |= {"max, cm": "position_max_m"} | turns | more
-        return tabulated(title, rows, {"part": "part", **columns, "samples": "samples"})
+        columns |= {"max, cm": "position_max_m", "rms, deg": "orientation_rms_deg"}
+        columns |= {"95 %, deg": "orientation_p95_deg", "max, deg": "orientation_max_deg"}
+        columns |= {"NEES": "nees", "inside 95 %": "coverage_95", "samples": "samples"}
+        return tabulated(self.alignment.titled(title), rows, {"part": "part", **columns})
 
     @property
     def joint_errors(self) -> Table:
@@ -174,63 +211,32 @@ class Validation:
     def angle_errors(self) -> Table:
         """The agreement of the joint angles by part."""
         rows = [
-            {"angle": WORDS[name], "part": part, **found}
-            for name in (self.angles.compared if self.angles else ())
+            {"angle": ANGLE_WORDS[name], "part": part, "unit": "deg", **found}
+            for name in self.angles.get("all", ())
             for part in PARTS
-            if (found := self.angle_figures[part][name])["samples"]
+            if (found := self.angles[part][name])["samples"]
         ]
-        columns: dict[str, str | Callable[[Any], object]] = {
-            "angle": "angle",
-            "part": "part",
-            "RMSE": lambda row: fixed(row["rmse"]),
-            "bias": lambda row: fixed(row["bias"]),
-            "limits of agreement": lambda row: interval(row["limits_low"], row["limits_high"], 1),
-            "ICC(A,1), 95 % interval": with_interval,
-            "samples": "samples",
-        }
-        return tabulated(self.alignment.titled("Joint angles, degrees (answer minus truth)"), rows, columns)
-
-
-def _parts(recovery: Recovery) -> dict[str, BoolArray]:
-    """Which samples (N,) are in each of `PARTS`."""
-    hidden = recovery.occluded
-    return {"all": np.ones_like(hidden), "occluded": hidden, "visible": ~hidden}
-
-
-def sample_errors(recovery: Recovery, truth: Truth) -> SampleErrors:
-    """Errors of a recovery at each of its samples; the truth is read at the recovery's times."""
-    reference = truth_at(truth, recovery.t_s)
-    score = reference.score[:, None]
-    difference = np.where(score, recovery.position - reference.position, np.nan)
-    angle = orientation_error_deg(recovery.quaternion, reference.quaternion)
-    turn = np.where(score, rotation_error(recovery.quaternion, reference.quaternion), np.nan)
-    joints = {
-        name: np.where(score, recovery.joints[name] - position, np.nan)
-        for name, position in reference.joints.items()
-        if name in recovery.joints
-    }
-    unknown = np.full((len(recovery), 3, 3), np.nan)
-    return SampleErrors(
-        reference=reference,
-        scored=reference.score & np.isfinite(reference.position).all(axis=1),
-        angle_deg=np.where(reference.score, angle, np.nan),
-        squared_sigmas=squared_sigmas(difference, recovery.pose_covariance[:, :3, :3]),
-        difference_m=difference,
-        turn_rad=turn,
-        turn_squared_sigmas=squared_sigmas(turn, recovery.pose_covariance[:, 3:, 3:]),
-        joint_difference_m=joints,
-        joint_squared_sigmas={
-            name: squared_sigmas(each, recovery.joint_covariance.get(name, unknown))
-            for name, each in joints.items()
-        },
-    )
+        title = self.alignment.titled("Joint angles, degrees (answer minus truth)")
+        return tabulated(
+            title,
+            rows,
+            {
+                "angle": "angle",
+                "part": "part",
+                "RMSE": lambda row: fixed(row["rmse"]),
+                "bias": lambda row: fixed(row["bias"]),
+                "limits of agreement": limits_words,
+                "ICC(A,1), 95 % interval": with_interval,
+                "samples": "samples",
+            },
+        )
 
 
 def validate(
     recovery: Recovery,
     truth: Truth,
     alignment: ReferenceAlignment | None = None,
-    pooled: Sequence[MeasurePair] = (),
+    pooled: Sequence[MeasurePair] | None = (),
     processes: int = 1,
     progress: Progress | None = None,
 ) -> Validation:
@@ -245,8 +251,9 @@ def validate(
         origin. Samples outside `truth.score` are not scored.
     alignment : ReferenceAlignment, optional
         How the truth was brought there; None where it came so.
-    pooled : sequence of MeasurePair
-        Measures of earlier validations, whose agreement is stated together with this one's.
+    pooled : sequence of MeasurePair, optional
+        Measures of earlier validations, whose agreement is stated together with this one's; None to compare
+        no measures.
     processes : int
         Worker processes that measure the drawn motions, 0 = one per core.
     progress : callable, optional
@@ -261,52 +268,62 @@ def validate(
     RecordingError
         The truth contains nothing during the recovery.
     """
-    validation, errors = validated(recovery, truth, alignment)
-    measures = compare_measures(recovery, errors.reference, pooled, processes, progress)
-    return replace(validation, measures=measures)
-
-
-def validated(
-    recovery: Recovery, truth: Truth, alignment: ReferenceAlignment | None = None
-) -> tuple[Validation, SampleErrors]:
-    """The same without the measures, and the errors sample by sample."""
     alignment = alignment or ReferenceAlignment()
     errors = sample_errors(recovery, truth)
-    _refuse_without_overlap(recovery, truth, errors)
-    parts = _parts(recovery)
+    compared = (errors.difference_m, errors.angle_deg[:, None], *errors.joint_difference_m.values())
+    if not errors.scored.any() and not any(np.isfinite(each).any() for each in compared):
+        raise RecordingError(_nothing_shared(recovery, truth))
+    parts = dict(
+        zip(PARTS, (np.ones(len(recovery), bool), recovery.occluded, ~recovery.occluded), strict=True)
+    )
     figures = {name: errors.figures(chosen) for name, chosen in parts.items()}
-    angles = compare_angles(recovery, errors.reference, alignment.landmarks, truth.t_s)
     points = {
         joint: {name: errors.joint_figures(joint, chosen) for name, chosen in parts.items()}
         for joint in errors.joint_difference_m
     }
-    notes = (
-        *_same(figures["all"], points),
-        *alignment.notes,
-        *truth_notes(recovery, truth, aligned=alignment.kind != "none"),
-        *_notes(errors, figures["all"]),
-        *(angles.notes if angles else ()),
-    )
-    # of the IMU's position, or of the wrist where the truth has no IMU
-    shared = [joint for joint in ("wrist", "hand", "elbow") if joint in errors.joint_difference_m]
-    answer, position = recovery.position, truth.position
-    if not errors.scored.any() and shared:
-        answer, position = recovery.joints[shared[0]], truth.joints[shared[0]]
-    known = np.where(truth.score[:, None], position, np.nan)
-    lag = lag_s(recovery.t_s, answer, known, truth.t_s) if errors.scored.any() or shared else None
-    validation = Validation(
+    stated: dict[str, float | None] = {}
+    for name, chosen in parts.items():
+        rows = np.flatnonzero(chosen)
+        some = recovery.pose_covariance[rows[:: max(1, len(rows) // _MOST_POOLED)], :3, :3]
+        stated[name] = pooled_radius(some) if figures[name].position_p95_m is not None else None
+    answer, true, carrying, said = compare_angles(recovery, errors.reference, alignment.landmarks, truth.t_s)
+    found = Validation(
         figures["all"],
         figures["occluded"],
         figures["visible"],
-        notes=notes,
+        stated_m=stated,
+        notes=(
+            *_same(figures["all"], points),
+            *alignment.notes,
+            *truth_notes(recovery, truth, aligned=alignment.kind != "none"),
+            *_notes(errors, figures["all"]),
+            *said,
+        ),
         points=points,
         gaps=tuple(_gaps(recovery, errors)),
-        angles=angles,
-        angle_figures={name: angles.figures(chosen) for name, chosen in parts.items()} if angles else {},
-        lag_s=lag,
+        angles={
+            name: {key: agreement(answer[key][chosen], true[key][chosen], degrees=True) for key in answer}
+            for name, chosen in (parts if answer else {}).items()
+        },
+        carrying_truth_deg=carrying,
+        lag_s=None,
         alignment=alignment,
     )
-    return validation, errors
+    lag = point_lag_s(recovery, truth, found.point) if found.point else None
+    measures = None
+    if pooled is not None:
+        measures = compare_measures(recovery, errors.reference, pooled, processes, progress)
+    return replace(found, lag_s=lag, measures=measures)
+
+
+def point_lag_s(recovery: Recovery, truth: Truth, point: str, only: BoolArray | None = None) -> float | None:
+    """How late a point of the answer is against the truth's, s, over some samples (N,) or all."""
+    is_sensor = point == SENSOR
+    path = recovery.position if is_sensor else recovery.joints[point]
+    known = np.where(truth.score[:, None], truth.position if is_sensor else truth.joints[point], np.nan)
+    return lag_s(
+        recovery.t_s, path if only is None else np.where(only[:, None], path, np.nan), known, truth.t_s
+    )
 
 
 #: Two measurements of a motion never agree this well, m; an export rounds its values less.
@@ -346,26 +363,86 @@ def _gaps(recovery: Recovery, errors: SampleErrors) -> list[tuple[Gap, Figures]]
     return rows
 
 
-def _refuse_without_overlap(recovery: Recovery, truth: Truth, errors: SampleErrors) -> None:
-    joints = errors.joint_difference_m.values()
-    if errors.scored.any() or np.isfinite(errors.angle_deg).any():
-        return
-    if any(np.isfinite(each).any() for each in joints):
-        return
+def _nothing_shared(recovery: Recovery, truth: Truth) -> str:
+    """Why there is nothing to compare."""
     known = truth.t_s[np.isfinite(truth.position).all(axis=1)]
     if not len(known):
-        raise RecordingError("the truth has no finite position, so there is nothing to compare with")
+        return "the truth has no finite position, so there is nothing to compare with"
     if not len(recovery):
-        raise RecordingError("the result has no sample, so there is nothing to compare")
+        return "the result has no sample, so there is nothing to compare"
     first, last = recovery.t_s[0], recovery.t_s[-1]
     if known[-1] < first or known[0] > last:
-        raise RecordingError(
+        return (
             f"the truth covers {known[0]:.3f} to {known[-1]:.3f} s and the result {first:.3f} to"
             f" {last:.3f} s: they do not overlap in time, so check that both use the same clock"
         )
     if len(known) > 1 and np.median(np.diff(known)) > 0.1:
-        raise RecordingError(
+        return (
             "the truth's samples lie more than 0.1 s apart, and gaps that long are not bridged:"
             " give a truth with at least 10 samples per second"
         )
-    raise RecordingError("no sample of the truth that is to be scored falls on a sample of the result")
+    return "no sample of the truth that is to be scored falls on a sample of the result"
+
+
+# --- joint angles
+
+#: Angles by name, (n,) degrees.
+Angles = dict[str, FloatArray]
+
+
+def compare_angles(
+    recovery: Recovery,
+    reference: Truth,
+    landmarks: Mapping[str, FloatArray] | None,  # dict of (m, 3) m
+    landmark_t_s: FloatArray,  # (m,) s
+) -> tuple[Angles, Angles, float | None, list[str]]:
+    """Angles that answer and truth both have, nan where not defined; the carrying angle; notes."""
+    score = reference.score[:, None]
+    joints = {name: np.where(score, place, np.nan) for name, place in reference.joints.items()}
+    if not {"shoulder", "elbow"} <= joints.keys() & recovery.joints.keys():
+        return {}, {}, None, []
+    at = {name: position_at(landmark_t_s, each, recovery.t_s) for name, each in (landmarks or {}).items()}
+    R_K_F, note = _true_forearm(recovery, reference, joints, at)
+    about = (recovery.side, recovery.gravity_direction)
+    answer, truth = recovery_angles(recovery), arm_angles(joints, len(recovery), R_K_F, *about)
+    good_answer, good_truth = defined(answer), defined(truth)
+    both = {name: good_answer[name] & good_truth[name] for name in ANGLES}
+    mine, other = (
+        {name: np.where(both[name], angles[name], np.nan) for name in ANGLES} for angles in (answer, truth)
+    )
+    shared = [name for name in ANGLES if (np.isfinite(mine[name]) & np.isfinite(other[name])).any()]
+    if not shared:
+        return {}, {}, None, []
+    carrying = None
+    if {"medial_epicondyle", "lateral_epicondyle"} <= at.keys():
+        axis = at["lateral_epicondyle"] - at["medial_epicondyle"]
+        own = arm_angles(joints, len(recovery), None, *about, flexion_axis=axis)["carrying"]
+        carrying = float(np.nanmedian(own)) if np.isfinite(own).any() else None
+    return {k: mine[k] for k in shared}, {k: other[k] for k in shared}, carrying, [*_OF_ANGLES, note]
+
+
+_OF_ANGLES = (
+    "Angles are in ISB order; the thorax is not seen, so shoulder angles are relative to gravity and to a"
+    " person who faces the camera.",
+    "The carrying angle needs the humerus' own axis (epicondyles), which a skeleton does not have: it is not"
+    " compared.",
+)
+
+
+def _true_forearm(
+    recovery: Recovery, reference: Truth, joints: dict[str, FloatArray], at: dict[str, FloatArray]
+) -> tuple[FloatArray | None, str]:
+    """The truth's `R_K_F` (N, 3, 3), and a note on it."""
+    if {"radial_styloid", "ulnar_styloid", "elbow", "wrist"} <= at.keys() | joints.keys():
+        y = unit(joints["wrist"] - joints["elbow"])
+        thumb = (at["radial_styloid"] - at["ulnar_styloid"]) * (-1.0 if recovery.side == "left" else 1.0)
+        x = unit(np.cross(y, thumb))
+        axes = np.stack([x, y, np.cross(x, y)], axis=2)
+        return axes, "The truth's pronation is that of the styloids' markers."
+    mounting = None if recovery.calibration is None else recovery.calibration.R_F_A
+    if mounting is None:
+        return None, "The forearm's axes in the IMU (R_F_A) are not known: pronation is not compared."
+    return (
+        forearm_axes(reference.quaternion, mounting),
+        "Pronation of truth and answer share the forearm's axes in the IMU: its error is not in the figure.",
+    )

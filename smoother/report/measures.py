@@ -7,15 +7,8 @@ from collections.abc import Iterator, Sequence
 
 import plotly.graph_objects as go
 
-from ..evaluation.progress import (
-    MOSTLY_RECOVERED,
-    first_of,
-    interval,
-    is_main,
-    number,
-    quantity,
-    shown_unit,
-)
+from ..evaluation.progress import MOSTLY_RECOVERED
+from ..evaluation.words import first_of, interval, is_main, number, quantity, shown_unit
 from ..measures import BothArms, Measure, Measures
 from ..table import Table
 from .sheet import (

@@ -51,7 +51,7 @@ def comparison_page(compared: Sequence[tuple[Recording, Comparison]]) -> Page:
     """The comparisons of a recording's arms on one page, arm by arm."""
     recording, first = compared[0]
     names = [f"{capitalised(one.arm_label)}: " if len(compared) > 1 else "" for one, _ in compared]
-    arms = f", {len(compared)} arms" if len(compared) > 1 else f", {len(first.gaps)} gaps"
+    arms = f", {len(compared)} arms" if len(compared) > 1 else f", {len(first.graph.gaps)} gaps"
     return Page(
         first.alignment.titled(f"Methods compared: {recording.name}"),
         f"{len(first.rows)} methods{arms}; the {_point(first)} compared with the truth.",
@@ -84,21 +84,21 @@ def verdict(comparison: Comparison) -> list[str]:
 def sections(comparison: Comparison, recording: Recording) -> Iterator[PageSection]:
     """The sections about one arm."""
     yield from map(rendered, comparison.tables)
-    longest = sorted(comparison.gaps, key=lambda gap: -gap.length_s)[:MOST_GAPS]
+    longest = sorted(comparison.graph.gaps, key=lambda gap: -gap.length_s)[:MOST_GAPS]
     for gap in sorted(longest, key=lambda gap: gap.start_s):
         heading = f"Gap at {gap.start_s:.2f} s, {gap.length_s:.2f} s long"
         yield PageSection(heading, _CURVES, in_gap(comparison, recording, gap))
-    not_drawn = len(comparison.gaps) - len(longest)
+    not_drawn = len(comparison.graph.gaps) - len(longest)
     more = [f"{not_drawn} gaps more are not drawn: the longest are"] if not_drawn else []
     yield notes([*more, *recording.notes, *comparison.notes])
 
 
 def in_gap(comparison: Comparison, recording: Recording, gap: Gap) -> go.Figure:
     """Coordinates of the compared point and every method's error, in one gap and a little around it."""
-    shown = (comparison.t_s >= gap.start_s - AROUND_S) & (comparison.t_s <= gap.end_s + AROUND_S)
-    t, true = comparison.t_s[shown], comparison.reference[shown]
+    shown = (comparison.graph.t_s >= gap.start_s - AROUND_S) & (comparison.graph.t_s <= gap.end_s + AROUND_S)
+    t, true = comparison.graph.t_s[shown], comparison.reference[shown]
     joint = "strap" if comparison.point == "sensor" else comparison.point
-    offset = comparison.clock_offset_s if np.isfinite(comparison.clock_offset_s) else 0.0
+    offset = comparison.graph.clock_offset_s if np.isfinite(comparison.graph.clock_offset_s) else 0.0
     at = recording.arm.t_s + offset
     tracked = recording.arm.tracked(joint) & (at >= gap.start_s - AROUND_S) & (at <= gap.end_s + AROUND_S)
     camera = recording.arm.joint(joint)[tracked]

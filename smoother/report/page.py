@@ -222,13 +222,11 @@ class _ArmReport:
                 heading, tables.ERRORS, below="The reference has joints only.", sentences=found.notes
             )
         else:
-            yield PageSection(
-                heading, tables.ERRORS, tables=[found.errors(self.recovery)], sentences=found.notes
-            )
+            yield PageSection(heading, tables.ERRORS, tables=[found.errors], sentences=found.notes)
         yield from map(rendered, (found.joint_errors, found.gap_errors))
         yield from map(rendered, tables.measured(found))
-        if found.angles is not None and found.angles.compared:
-            carrying = found.angles.carrying_truth_deg
+        if found.angles:
+            carrying = found.carrying_truth_deg
             said = "" if carrying is None else f"Carrying angle of the reference: {carrying:.1f} degrees."
             yield replace(rendered(found.angle_errors, _ANGLES), below=said)
 
@@ -273,7 +271,7 @@ class _ArmReport:
     def _trust(self) -> Iterator[PageSection]:
         """Whether what is stated holds, against the camera and a reference; which samples were rejected."""
         if self.recovery.estimates.trusted is not False:
-            yield rendered(tables.consistency(self.recovery, self.truth))
+            yield rendered(tables.consistent(self.recovery, self.truth))
         if self.recovery.residuals is not None:
             rejected = tables.rejections(self.recovery)
             nothing = "" if rejected.rows else "Nothing: all tracked samples were used."

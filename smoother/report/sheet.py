@@ -170,6 +170,8 @@ def limits(sentences: Iterable[str], most: int) -> PageSection:
 
 
 def _cell(value: object) -> str:
+    if isinstance(value, str) and value in _BADGES:
+        return badge(value)
     return value if isinstance(value, Html) else cell_text(value, "–")
 
 

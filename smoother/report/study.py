@@ -12,8 +12,9 @@ from urllib.parse import quote
 import numpy as np
 
 from ..array_types import FloatArray
-from ..evaluation.progress import first_of, group_measures
+from ..evaluation.progress import group_measures
 from ..evaluation.summary import trust_word
+from ..evaluation.words import first_of
 from ..runtime.csv_rows import write_rows
 from ..runtime.outputs import writing
 from ..table import Table, tabulated

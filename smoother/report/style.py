@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 import numpy as np
@@ -238,3 +238,11 @@ def interval_bars(value: Sequence[float], low: Sequence[float], high: Sequence[f
     known = np.isfinite(ends["array"]) & np.isfinite(ends["arrayminus"])
     ends = {name: np.where(known, each, 0.0) for name, each in ends.items()}
     return {"type": "data", "symmetric": False, "thickness": 1.5, "width": 4, "color": TRUTH, **ends}
+
+
+def values_with_intervals(
+    at: Iterable[float], value: Sequence[float], low: Sequence[float], high: Sequence[float]
+) -> go.Scatter:
+    """A dot for each value with its 95 % interval."""
+    dots = go.Scatter(x=list(at), y=value, mode="markers", error_y=interval_bars(value, low, high))
+    return dots.update(marker_color=VISIBLE)

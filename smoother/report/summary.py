@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..evaluation.coverage import camera_residuals
 from ..evaluation.metrics import Figures
-from ..evaluation.summary import GapSummary, error_figures, gap_summaries
+from ..evaluation.summary import GapSummary, camera_consistency, error_figures, gap_summaries
 from ..evaluation.validate import Validation
 from ..linalg import median_rate_hz
 from ..measurements.timestamps import pauses
@@ -188,7 +187,7 @@ def _joint_figures(validation: Validation) -> tuple[str, dict[str, Figures]]:
 
 def _camera_doubts(recovery: Recovery) -> str:
     """That the camera's samples lie farther from the answer than stated, where they do."""
-    inside = {joint: errors.inside(0.95) for joint, errors in camera_residuals(recovery).items()}
+    inside = {joint: found["inside_95"] for joint, found in camera_consistency(recovery).items()}
     if not inside or min(inside.values()) >= DOUBTFUL_SHARE:
         return ""
     worst = min(inside, key=lambda joint: inside[joint])

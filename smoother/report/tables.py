@@ -13,10 +13,15 @@ from calib.motion import ArmEstimates
 
 from ..error_radius import error_radius
 from ..evaluation.advice import rejected
-from ..evaluation.coverage import camera_residuals, stated_and_actual
 from ..evaluation.measure_agreement import agreement_table, pair_table
-from ..evaluation.metrics import rms
-from ..evaluation.summary import GapSummary, error_figures, gap_summaries, recovery_figures
+from ..evaluation.summary import (
+    GapSummary,
+    camera_consistency,
+    consistency,
+    error_figures,
+    gap_summaries,
+    recovery_figures,
+)
 from ..evaluation.validate import Validation, sample_errors
 from ..recording import Truth
 from ..result import Estimates, Recovery
@@ -118,27 +123,17 @@ def rejections(recovery: Recovery) -> Table:
     return tabulated("Rejected camera samples", rejected(recovery), columns, caption)
 
 
-def consistency(recovery: Recovery, truth: Truth | None) -> Table:
+def consistent(recovery: Recovery, truth: Truth | None) -> Table:
     """Whether what is stated holds: for the camera's joints, and for the sensor against a reference."""
-    parts = {f"camera's {joint}": each for joint, each in camera_residuals(recovery).items()}
+    parts = {f"camera's {joint}": each for joint, each in camera_consistency(recovery).items()}
     if truth is not None and len(truth):
         errors = sample_errors(recovery, truth).difference_m
         for name, rows in (("in gaps", recovery.occluded), ("while seen", ~recovery.occluded)):
-            found = stated_and_actual(errors[rows], recovery.pose_covariance[rows, :3, :3])
-            parts |= {f"errors {name}": found} if len(found.squared) else {}
-    return tabulated(
-        "Whether sigma is consistent with the errors",
-        parts.items(),
-        {
-            "of": lambda row: row[0],
-            "samples": lambda row: len(row[1].squared),
-            "inside 50 %": lambda row: percent(row[1].inside(0.5)),
-            "inside 95 %": lambda row: percent(row[1].inside(0.95)),
-            "stated sigma, cm per axis": lambda row: centimetres(rms(row[1].sigma_m)),
-            "actual rms, cm per axis": lambda row: centimetres(rms(row[1].error_m)),
-        },
-        _CONSISTENT,
-    )
+            parts[f"errors {name}"] = consistency(errors[rows], recovery.pose_covariance[rows, :3, :3])
+    columns = {"of": "of", "samples": "samples", "inside 50 %": "inside_50", "inside 95 %": "inside_95"}
+    columns |= {"stated sigma, cm per axis": "stated_m", "actual rms, cm per axis": "actual_m"}
+    known = [{"of": name, **found} for name, found in parts.items() if found["samples"]]
+    return tabulated("Whether sigma is consistent with the errors", known, columns, _CONSISTENT)
 
 
 _CONSISTENT = (

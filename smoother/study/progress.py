@@ -14,10 +14,10 @@ from ..evaluation.progress import (
     Series,
     SessionValue,
     change_between,
-    is_main,
     together,
     without_like_movements,
 )
+from ..evaluation.words import is_main
 from ..measures.layout import BY_MOVEMENT
 from .folder import DONE, Row, StudyFolder
 from .inputs import SessionEntry, by_folders, in_order, read_sessions

@@ -10,9 +10,9 @@ from arms import LEVERS, make_recording, make_recovery, make_truth, path, turn
 from scipy.spatial.transform import Rotation
 
 from smoother.calibration import ArmCalibration
-from smoother.evaluation.agreement import agreement, icc_a1, memory, unwound_deg
 from smoother.evaluation.metrics import linear_at, truth_at
 from smoother.evaluation.reference import ReferenceAlignment
+from smoother.evaluation.statistics import agreement, icc_a1, memory, unwound_deg
 from smoother.evaluation.validate import validate
 from smoother.recording import Truth
 
@@ -85,7 +85,7 @@ class TestValidation:
         assert found.alignment.titled("Error") == "Error"
 
     def test_angles_agree_and_the_lag_is_nil(self, found):
-        angles = found.angle_figures["all"]
+        angles = found.angles["all"]
         assert {"elbow_flexion", "pronation", "shoulder_elevation"} <= set(angles)
         assert "carrying" not in angles  # no epicondyles
         for name in ("elbow_flexion", "shoulder_elevation"):
@@ -143,8 +143,8 @@ class TestValidation:
         }
         found = validate(make_recovery(make_recording()), truth, ReferenceAlignment(landmarks=landmarks))
         assert abs(expected) > 1
-        assert found.angles.carrying_truth_deg == pytest.approx(expected, abs=0.05)
-        assert "carrying" not in found.angle_figures["all"]
+        assert found.carrying_truth_deg == pytest.approx(expected, abs=0.05)
+        assert "carrying" not in found.angles["all"]
 
 
 def test_between_samples_the_truth_is_the_motion():

@@ -9,13 +9,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from smoother.evaluation.agreement import (
-    detectable_change,
-    icc_a1,
-    limits_of_agreement,
-    mean_squares,
-    pair_agreement,
-)
 from smoother.evaluation.progress import (
     LESS,
     MORE,
@@ -26,9 +19,16 @@ from smoother.evaluation.progress import (
     SessionValue,
     change_between,
     reliability_of,
-    sem_agreement,
     together,
     without_like_movements,
+)
+from smoother.evaluation.statistics import (
+    detectable_change,
+    icc_a1,
+    limits_of_agreement,
+    mean_squares,
+    pair_agreement,
+    sem_agreement,
 )
 
 

@@ -17,39 +17,32 @@ from calib.sigma_factor import (
     needed_factors,
 )
 from smoother.array_types import FloatArray
-from smoother.evaluation.coverage import StatedAndActual, camera_residuals, stated_and_actual
+from smoother.evaluation.summary import camera_consistency, consistency
 from smoother.recording import JOINTS
 from smoother.result import Estimates
 
 
-def test_shares_inside_a_region() -> None:
-    """Counted one by one; an error on the border is inside."""
-    squared = np.append(chi2.rvs(3, size=200, random_state=0), 0.0)
-    some = StatedAndActual(squared, squared, squared)
-    for level in (0.2, 0.5, 0.95):
-        assert some.inside(level) == pytest.approx(np.mean([chi2.cdf(each, 3) <= level for each in squared]))
-    nothing = np.zeros(0)
-    assert np.isnan(StatedAndActual(nothing, nothing, nothing).inside(0.5))
-
-
 def test_errors_with_their_covariances() -> None:
+    """Counted one by one; what is not finite is left out."""
     rng = np.random.default_rng(2)
-    error = rng.normal(size=(6, 3))
-    A = rng.normal(size=(6, 3, 5))
+    error, A = 3 * rng.normal(size=(60, 3)), rng.normal(size=(60, 3, 5))
     C = A @ np.swapaxes(A, 1, 2)
-    error[2] = np.nan
-    C[4] = np.nan
-    found = stated_and_actual(error, C)
-    rows = [0, 1, 3, 5]
-    np.testing.assert_allclose(found.squared, [error[k] @ np.linalg.solve(C[k], error[k]) for k in rows])
-    np.testing.assert_allclose(found.sigma_m, [np.sqrt(np.trace(C[k]) / 3) for k in rows])
-    np.testing.assert_allclose(found.error_m, [np.sqrt(error[k] @ error[k] / 3) for k in rows])
+    error[2], C[4] = np.nan, np.nan
+    found = consistency(error, C)
+    rows = [k for k in range(60) if k not in (2, 4)]
+    squared = np.array([error[k] @ np.linalg.solve(C[k], error[k]) for k in rows])
+    assert found["samples"] == 58
+    assert found["inside_50"] == pytest.approx(np.mean(squared <= chi2.ppf(0.5, 3)))
+    assert found["inside_95"] == pytest.approx(np.mean(squared <= chi2.ppf(0.95, 3)))
+    assert found["stated_m"] == pytest.approx(np.sqrt(np.mean([np.trace(C[k]) / 3 for k in rows])))
+    assert found["actual_m"] == pytest.approx(np.sqrt(np.mean([error[k] @ error[k] / 3 for k in rows])))
+    assert consistency(error[2:3], C[2:3])["inside_95"] is None
 
 
 def test_camera_residuals_hold_the_noise_and_no_constant_error() -> None:
     made = make_recovery(make_recording())  # its residuals are white, 8 mm
     kept = made.residuals
-    assert kept is not None and camera_residuals(made) == {}
+    assert kept is not None and camera_consistency(made) == {}
     residual = kept.residual.copy()
     residual[:, JOINTS.index("wrist")] += [0.02, 0.0, 0.0]
     noise = dict.fromkeys(("elbow", "wrist", "hand", "strap"), 0.008)
@@ -62,12 +55,12 @@ def test_camera_residuals_hold_the_noise_and_no_constant_error() -> None:
         estimates=Estimates.from_plain(figures),
         joint_covariance=covariance,
     )
-    found = camera_residuals(made)
+    found = camera_consistency(made)
     assert set(found) == {"elbow", "wrist"}, "nothing is stated of the hand, no strap was seen"
-    assert len(found["elbow"].squared) == pytest.approx(0.75 * len(found["wrist"].squared), rel=0.02)
+    assert found["elbow"]["samples"] == pytest.approx(0.75 * found["wrist"]["samples"], rel=0.02)
     for each in found.values():
-        assert each.inside(0.95) == pytest.approx(0.95, abs=0.03)
-    assert camera_residuals(replace(made, residuals=None)) == {}
+        assert each["inside_95"] == pytest.approx(0.95, abs=0.03)
+    assert camera_consistency(replace(made, residuals=None)) == {}
 
 
 def spread(rng: np.random.Generator, count: int) -> FloatArray:

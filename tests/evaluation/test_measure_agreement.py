@@ -14,7 +14,6 @@ from commands import done
 
 from smoother.cli.run import run
 from smoother.errors import UnoccludeError
-from smoother.evaluation.agreement import detectable_change
 from smoother.evaluation.measure_agreement import (
     MeasureComparison,
     MeasurePair,
@@ -23,6 +22,7 @@ from smoother.evaluation.measure_agreement import (
     same_movements,
     unique_pairs,
 )
+from smoother.evaluation.statistics import detectable_change
 from smoother.evaluation.validate import validate
 from smoother.measures import Movement
 from smoother.measures.definitions import zone_key

@@ -41,9 +41,9 @@ from smoother.evaluation.progress import (
     UNKNOWN,
     SessionValue,
     change_between,
-    is_main,
     without_like_movements,
 )
+from smoother.evaluation.words import is_main
 from smoother.measures import Measure, MeasureSettings, measure
 from smoother.measures.layout import BY_MOVEMENT, SESSION
 from smoother.measures.measure import Reach

@@ -1,0 +1,91 @@
+"""Measures as people read them: values and intervals in their units, and which measures come first."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection, Mapping
+from typing import Any
+
+#: By the unit of a measure: factor, unit for people, decimals.
+_SHOWN: dict[str, tuple[float, str, int]] = {
+    "deg": (1.0, "°", 1),
+    "deg/s": (1.0, "°/s", 0),
+    "m": (100.0, "\u00a0cm", 1),
+    "m/s": (1.0, "\u00a0m/s", 2),
+    "l": (1.0, "\u00a0litres", 1),
+    "s": (1.0, "\u00a0s", 2),
+    "%": (1.0, "\u00a0%", 1),
+}
+_PURE = (1.0, "", 2)
+
+
+def shown_unit(unit: str) -> str:
+    """The unit for people: "cm" for lengths that are stored in m."""
+    return _SHOWN.get(unit, _PURE)[1].strip()
+
+
+def scaled(value: float, unit: str) -> float:
+    """A value in its unit for people."""
+    return value * _SHOWN.get(unit, _PURE)[0]
+
+
+def number(value: float, unit: str, signed: bool = False) -> str:
+    """A value in its unit for people, without the unit; a dash where there is none."""
+    if not math.isfinite(value):
+        return "–"
+    decimals = 0 if not unit and value == round(value) else _SHOWN.get(unit, _PURE)[2]  # 0: a count
+    return f"{scaled(value, unit):{'+' if signed else ''}.{decimals}f}".replace("-", "−")
+
+
+def quantity(value: float, unit: str, signed: bool = False) -> str:
+    """A value with its unit for people."""
+    text = number(value, unit, signed)
+    return text if text == "–" else text + _SHOWN.get(unit, _PURE)[1]
+
+
+def worded(key: str, value: float, unit: str) -> str:
+    """A measure's value for people: yes or no for what was reached."""
+    if key.endswith("_reached") and math.isfinite(value):
+        return "yes" if value >= 1 else "no"
+    return quantity(value, unit)
+
+
+def interval(low: float | None, high: float | None, unit: str, signed: bool = False) -> str:
+    """An interval with its unit for people; "" where there is none."""
+    if low is None or high is None or not math.isfinite(low) or not math.isfinite(high):
+        return ""
+    return f"{number(low, unit, signed)} to {quantity(high, unit, signed)}"
+
+
+def limits_words(row: Mapping[str, Any]) -> str:
+    """Limits of agreement with their unit for people."""
+    return interval(row["limits_low"], row["limits_high"], row["unit"], signed=True)
+
+
+def with_interval(row: Mapping[str, Any], name: str = "icc", digits: int = 3) -> str | None:
+    """A coefficient with its interval, for a cell; None where there is none."""
+    value, low, high = (row[f"{name}{end}"] for end in ("", "_low", "_high"))
+    return None if value is None else f"{value:.{digits}f} ({low:.{digits}f} to {high:.{digits}f})"
+
+
+#: Those that a reader looks at first, in that order.
+FIRST = (
+    *("elbow_flexion_range_deg", "shoulder_elevation_max_deg", "hand_reach_hull_l"),
+    *("hand_peak_speed_m_s", "sparc", "pronation_range_deg", "elbow_flexion_min_deg"),
+    *("shoulder_elevation_range_deg", "movement_duration_s", "hand_path_ratio"),
+)
+#: Those that grow with the length of the recording, whatever the person does.
+OF_LENGTH = ("duration_s", "hand_path_length_m", "movement_count", "repetition_count")
+#: Details of an angle's distribution: in files, not on pages.
+_DETAILS = ("_zone_", "_p5_", "_p25_", "_p50_", "_p75_", "_p95_")
+
+
+def is_main(key: str) -> bool:
+    """Whether a table for people shows this measure: no detail, and not one of the recording's length."""
+    return key not in OF_LENGTH and not any(detail in key for detail in _DETAILS)
+
+
+def first_of(keys: Collection[str], most: int | None = None) -> list[str]:
+    """The keys to look at first, at most this many; in their order."""
+    ordered = [key for key in FIRST if key in keys]
+    return [*ordered, *(key for key in dict.fromkeys(keys) if is_main(key) and key not in ordered)][:most]
