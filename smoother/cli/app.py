@@ -1,16 +1,19 @@
-"""All commands on one page, each imported when it is asked for; how `--help` shows them."""
+"""All commands, each imported when it is asked for; what their options are, and how `--help` shows them."""
 
 from __future__ import annotations
 
 import inspect
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from dataclasses import fields, is_dataclass
+from functools import wraps
 from importlib import import_module
-from typing import Annotated, Any, ClassVar
+from pathlib import Path
+from typing import Annotated, Any, ClassVar, get_type_hints
 
 import typer
 from typer.core import TyperCommand, TyperGroup
 
-from .options import PANELS
+from .options import ADDED_TO, PANELS, UNCHECKED, WRITTEN
 
 
 class Command(TyperCommand):
@@ -40,6 +43,45 @@ class Command(TyperCommand):
                     formatter.write_dl(records)
 
 
+def flat(function: Callable[..., None]) -> Callable[..., None]:
+    """A command with the fields of its groups of options, which are dataclasses, as options of its own.
+
+    Where one of the groups is `Out`, the files that it reads and writes are checked first.
+    """
+    own: list[inspect.Parameter] = []
+    grouped: list[inspect.Parameter] = []
+    groups: dict[str, Any] = {}
+    for name, parameter in inspect.signature(function, eval_str=True).parameters.items():
+        if is_dataclass(group := parameter.annotation):
+            groups[name], hints = group, get_type_hints(group, include_extras=True)
+            grouped += [
+                parameter.replace(name=each.name, default=each.default, annotation=hints[each.name])
+                for each in fields(group)
+            ]
+        else:
+            own.append(parameter)
+    shown = [each.replace(kind=inspect.Parameter.KEYWORD_ONLY) for each in (*own, *grouped)]
+
+    @wraps(function)
+    def command(**given: Any) -> None:
+        files: dict[str, list[Path]] = {WRITTEN: [], ADDED_TO: [], UNCHECKED: [], "read": []}
+        for each in shown:
+            value = given[each.name]
+            how = next(
+                (mark for mark in getattr(each.annotation, "__metadata__", ()) if mark in files), "read"
+            )
+            paths = value if isinstance(value, list) else [value]
+            files[how] += [path for path in paths if isinstance(path, Path)]
+        for name, group in groups.items():
+            given[name] = group(**{each.name: given.pop(each.name) for each in fields(group)})
+            if hasattr(given[name], "check_files"):
+                given[name].check_files(files[WRITTEN], files[ADDED_TO], files["read"])
+        function(**given)
+
+    command.__signature__ = inspect.Signature(shown)  # type: ignore[attr-defined]
+    return command
+
+
 def imported(module: str, name: str) -> Any:
     """A command of a module; the last paragraph of its docstring is its example, shown below the options."""
     place = import_module(f".{module}", __package__)
@@ -47,7 +89,7 @@ def imported(module: str, name: str) -> Any:
     text, _, example = (inspect.getdoc(function) or "").partition("\n\nExample: ")
     epilog = "Example: " + example.replace("\n\n", "\n\n\b\n")  # what follows the line keeps its lines
     app = typer.Typer(add_completion=False, rich_markup_mode=None)
-    app.command(name, cls=Command, help=text, epilog=epilog)(function)
+    app.command(name, cls=Command, help=text, epilog=epilog)(flat(function))
     command = typer.main.get_command(app)
     command.alone = getattr(place, "ALONE", {})  # type: ignore[attr-defined]
     return command
@@ -56,11 +98,11 @@ def imported(module: str, name: str) -> Any:
 class Commands(TyperGroup):
     """A group whose commands are imported when they are looked up; its list has whole sentences."""
 
-    modules: ClassVar[Mapping[str, str]] = {}  # Of this package, by command
+    modules: ClassVar[Mapping[str, str]] = {}  # Of this package, each with its commands
 
     def __init__(self, *, commands: Any = None, **attributes: Any) -> None:
-        everything: Any = {**self.modules, **(commands or {})}
-        super().__init__(commands=everything, **attributes)
+        everything: Any = {name: place for place, names in self.modules.items() for name in names.split()}
+        super().__init__(commands=everything | (commands or {}), **attributes)
 
     def get_command(self, ctx: Any, cmd_name: str) -> Any:
         """The command of a name, or None."""
@@ -76,44 +118,11 @@ class Commands(TyperGroup):
             formatter.write_dl(rows)
 
 
-class _Root(Commands):
-    modules: ClassVar[Mapping[str, str]] = {
-        **dict.fromkeys(("app", "demo"), "demo"),
-        **dict.fromkeys(("info", "check", "match", "repair", "cut"), "recordings"),
-        **{name: name for name in ("smooth", "validate", "compare", "measures", "gaps", "benchmark")},
-        **dict.fromkeys(("export", "methods"), "export"),
-        **{name: name for name in ("view", "batch", "progress", "live")},
-        **dict.fromkeys(("config", "doctor"), "demo"),
-    }
-
-
-class _Imports(Commands):
-    names = ("csv", "files", "video", "formats", "describe", "broad", "utd-mhad", "strap")
-    modules: ClassVar[Mapping[str, str]] = dict.fromkeys(names, "imports")
-
-
-class _Calibrations(Commands):
-    modules: ClassVar[Mapping[str, str]] = {
-        "motion": "calibrate",
-        "imu": "calibrate",
-        "magnetometer": "calibrate",
-        "clock": "calibrate_rig",
-        "panel": "calibrate_rig",
-        "world": "calibrate_rig",
-        "cameras": "calibrate",
-        "forearm": "calibrate",
-    }
-
-
-class _Simulations(Commands):
-    names = ("arm", "clock", "imu", "magnetometer", "panel", "people", "strap")
-    modules: ClassVar[Mapping[str, str]] = dict.fromkeys(names, "simulate")
-
-
-def _app(help_text: str, kind: type[Commands]) -> typer.Typer:
+def _group(help_text: str, **modules: str) -> typer.Typer:
+    """A group of the commands of some modules."""
     return typer.Typer(
         help=help_text,
-        cls=kind,
+        cls=type("Group", (Commands,), {"modules": modules}),
         no_args_is_help=True,
         add_completion=False,
         rich_markup_mode=None,
@@ -122,7 +131,18 @@ def _app(help_text: str, kind: type[Commands]) -> typer.Typer:
     )
 
 
-app = _app("Recover arm motion that a depth camera could not see, with a wrist IMU.", _Root)
+app = _group(
+    "Recover arm motion that a depth camera could not see, with a wrist IMU.",
+    demo="app demo",
+    recordings="info check match repair cut",
+    smooth="smooth",
+    evaluation="validate compare gaps benchmark",
+    measures="measures progress",
+    export="export methods view",
+    batch="batch",
+    live="live",
+    config="config doctor",
+)
 
 
 def _version(wanted: bool) -> None:
@@ -142,9 +162,21 @@ def _root(
     """Recover arm motion that a depth camera could not see, with a wrist IMU."""
 
 
-for _name, _help, _kind in (
-    ("import", "Make a recording from other files.", _Imports),
-    ("calibrate", "Measure once what does not change; write a calibration file.", _Calibrations),
-    ("simulate", "Simulate recordings with truth.", _Simulations),
+for _name, _help, _modules in (
+    (
+        "import",
+        "Make a recording from other files.",
+        {"imports": "csv files video formats describe broad utd-mhad strap"},
+    ),
+    (
+        "calibrate",
+        "Measure once what does not change; write a calibration file.",
+        {"calibrate": "motion imu magnetometer cameras forearm", "calibrate_rig": "clock panel world"},
+    ),
+    (
+        "simulate",
+        "Simulate recordings with truth.",
+        {"simulate": "arm people strap imu magnetometer panel clock"},
+    ),
 ):
-    app.add_typer(_app(_help, _kind), name=_name)
+    app.add_typer(_group(_help, **_modules), name=_name)

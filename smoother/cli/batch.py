@@ -11,17 +11,8 @@ import typer
 from ..table import tabulated
 from . import options as o
 from .arm_output import end_strictly
-from .load import camera_frame_of
-from .output import (
-    check_outputs,
-    print_notes,
-    progress_bar,
-    say,
-    say_more,
-    say_written,
-    show,
-    write_json,
-)
+from .load import Which, camera_frame_of, usual_draws
+from .output import check_outputs, print_notes, progress_bar, say, say_more, say_written, show, write_json
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -54,7 +45,8 @@ def batch(
             " per line (optionally a tab and its calibration).",
         ),
     ],
-    output: Annotated[Path, o.value("FOLDER", "Where results go.", "-o", "--output")],
+    output: o.FolderOutput,
+    which: Which,
     calibration_file: o.Calibration = None,
     report: Annotated[
         str | None, o.value("[OUT.html]", "Also write the study's page, in FOLDER if alone.")
@@ -64,10 +56,6 @@ def batch(
     strict: o.Strict = False,
     json_file: o.Json = None,
     force: Annotated[bool, o.option("Use a folder with other files; recompute all.", "--force")] = False,
-    imu: o.Imu = None,
-    skeleton: o.Skeleton = None,
-    side: o.Side = None,
-    body: o.Body = None,
     config_file: o.ConfigFile = None,
     scheduler: Annotated[
         str | None, o.rare_value("tcp://HOST:PORT", "The workers of this Dask scheduler.")
@@ -95,7 +83,6 @@ def batch(
     from ..study.run import run_study, study_folder
     from ..study.workers import cluster, local
     from .config import read_config
-    from .methods import usual_draws
 
     if scheduler is not None and processes is not None:
         raise typer.BadParameter("--processes is for this machine; with --scheduler the workers decide")
@@ -110,7 +97,7 @@ def batch(
     page = None if report is None else Path(report) if report else folder.path / "report.html"
     settings = StudySettings(
         config=read_config(config_file),
-        selection={"imu": imu, "skeleton": skeleton, "side": side, "body": body},
+        selection=which.chosen,
         calibration="" if calibration_file is None else str(calibration_file.absolute()),
         again=force,
         retry_failed=retry_failed,

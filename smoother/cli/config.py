@@ -1,19 +1,30 @@
-"""The configuration as a TOML file: read, and printed with its units."""
+"""The configuration as a TOML file: read, and printed with its units. `unocclude config` and `doctor`."""
 
 from __future__ import annotations
 
 import json
+import os
+import platform
+import sys
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import typer
-from pydantic import BaseModel, ValidationError
 
-from ..config import Anatomy, ArmPrior, Config
 from ..errors import UnoccludeError
-from ..runtime.inputs import check_input, read_toml
+from ..runtime.packages import OPEN3D
+from ..table import tabulated
+from . import options as o
+from .output import Out, say, show
 
-Settings = TypeVar("Settings", bound=BaseModel)
+if TYPE_CHECKING:
+    from pydantic import BaseModel, ValidationError
+
+    from ..config import Config
+
+    Settings = TypeVar("Settings", bound=BaseModel)
 
 
 def read_config(
@@ -23,6 +34,10 @@ def read_config(
     height_m: float | None = None,
 ) -> Config:
     """Read a configuration; what neither it nor the options name keeps its default."""
+    from pydantic import ValidationError
+
+    from ..config import Anatomy, ArmPrior, Config
+
     config = with_processes(read_settings(path, Config), processes)
     arm: dict[str, Any] = {} if anatomy is None else {"anatomy": Anatomy(anatomy)}
     if height_m is not None:
@@ -35,6 +50,10 @@ def read_config(
 
 def read_settings(path: Path | None, kind: type[Settings]) -> Settings:
     """Read settings of any kind; what the file does not name keeps its default."""
+    from pydantic import ValidationError
+
+    from ..runtime.inputs import check_input, read_toml
+
     if path is None:
         return kind()
     check_input(path)
@@ -71,32 +90,108 @@ def to_toml(config: BaseModel) -> str:
     lines: list[str] = []
     for name, field in type(config).model_fields.items():
         value = getattr(config, name)
-        if not isinstance(value, BaseModel):
+        if not hasattr(value, "model_fields"):
             lines.append(_line(name, value, field.description))
             continue
-        if lines:
-            lines.append("")
         summary = (type(value).__doc__ or "").strip().splitlines()
-        lines += [f"# {summary[0]}"] if summary else []
-        lines.append(f"[{name}]")
-        lines += [
-            _line(key, getattr(value, key), leaf.description)
-            for key, leaf in type(value).model_fields.items()
-        ]
+        lines += [*([""] if lines else []), *(f"# {each}" for each in summary[:1]), f"[{name}]"]
+        leaves = type(value).model_fields.items()
+        lines += [_line(key, getattr(value, key), leaf.description) for key, leaf in leaves]
     return "\n".join(lines) + "\n"
 
 
 def _line(name: str, value: Any, description: str | None) -> str:
+    """A setting; its strings, numbers and flags are written as JSON writes them."""
     comment = f"  # {description}" if description else ""
-    if value is None:
-        return f"# {name} ={comment}"
-    return f"{name} = {_value(value)}{comment}"
+    return f"# {name} ={comment}" if value is None else f"{name} = {_value(value)}{comment}"
 
 
 def _value(value: Any) -> str:
-    """A TOML value; its strings, numbers and flags are written as JSON writes them."""
-    if isinstance(value, (list, tuple)):
-        return "[" + ", ".join(_value(item) for item in value) + "]"
-    if isinstance(value, float):
-        return repr(value)
+    if isinstance(value, list | tuple):
+        return f"[{', '.join(map(_value, value))}]"
     return json.dumps(value, ensure_ascii=False)
+
+
+def config(out: Out, config_file: o.ConfigFile = None) -> None:
+    """Print the configuration as TOML.
+
+    Example: unocclude config > settings.toml
+    """
+    settings = read_config(config_file)
+    say(to_toml(settings).rstrip("\n"))
+    out.json(settings.model_dump(mode="json"))
+
+
+PACKAGES = (
+    *("unocclude", "gtsam", "numpy", "scipy", "vqf", "mcap", "protobuf", "foxglove-schemas-protobuf"),
+    *("pydantic", "typer", "rich", "plotly", "opencv-python-headless", OPEN3D),
+)
+
+
+def doctor(out: Out) -> None:
+    """Check the installation.
+
+    Example: unocclude doctor
+    """
+    from importlib import metadata  # slow to load, and every command loads this file
+
+    parts: dict[str, Callable[[], str]] = {
+        "python": lambda: f"{platform.python_version()} on {platform.platform()}",
+        **{name: partial(metadata.version, name) for name in PACKAGES},
+        "solver": solve_something,
+        "point clouds": use_open3d,
+        "cores": lambda: str(os.cpu_count() or 1),
+        "memory": memory,
+    }
+    figures: dict[str, dict[str, object]] = {}
+    for name, use in parts.items():
+        try:
+            figures[name] = {"ok": True, "found": use()}
+        except metadata.PackageNotFoundError:
+            figures[name] = {"ok": False, "found": "not installed"}
+        except Exception as error:  # a broken native library raises anything
+            figures[name] = {"ok": False, "found": " ".join(f"{type(error).__name__}: {error}".split())}
+    out.json(figures)
+    rows = [{"part": name, **found} for name, found in figures.items()]
+    show(tabulated("Installation", rows, "part ok found"))
+    if bad := [name for name, found in figures.items() if not found["ok"]]:
+        print(f"unocclude: not usable: {', '.join(bad)}; run `make setup`, or install again", file=sys.stderr)
+        raise typer.Exit(1)
+
+
+def solve_something() -> str:
+    """Fuse two measurements of a point with GTSAM."""
+    import gtsam
+    import numpy as np
+
+    graph, start = gtsam.NonlinearFactorGraph(), gtsam.Values()
+    for measured in (0.0, 2.0):
+        noise = gtsam.noiseModel.Isotropic.Sigma(3, 0.1)
+        graph.add(gtsam.PriorFactorPoint3(1, np.array([measured, 0.0, 0.0]), noise))
+    start.insert(1, np.array([5.0, 5.0, 5.0]))
+    answer = gtsam.LevenbergMarquardtOptimizer(graph, start).optimize().atPoint3(1)
+    if not np.allclose(answer, [1.0, 0.0, 0.0], atol=1e-6):
+        raise ArithmeticError(f"gtsam answers {answer} where (1, 0, 0) is right")
+    return "gtsam solves a small problem"
+
+
+def use_open3d() -> str:
+    """Import Open3D and cast a ray."""
+    from ..runtime.packages import load_open3d
+
+    open3d = load_open3d()
+    scene = open3d.t.geometry.RaycastingScene()
+    scene.add_triangles(open3d.t.geometry.TriangleMesh.from_legacy(open3d.geometry.TriangleMesh.create_box()))
+    ray = open3d.core.Tensor([[0.5, 0.5, -1.0, 0.0, 0.0, 1.0]], open3d.core.Dtype.Float32)
+    distance = float(scene.cast_rays(ray)["t_hit"].numpy()[0])
+    if abs(distance - 1.0) > 1e-4:
+        raise ArithmeticError(f"a ray hits at {distance} m where 1 m is right")
+    return "open3d casts a ray"
+
+
+def memory() -> str:
+    """Memory of this computer, if the system reports it."""
+    try:
+        return f"{os.sysconf('SC_PAGE_SIZE') * os.sysconf('SC_PHYS_PAGES') / 2**30:.1f} GiB"
+    except (AttributeError, ValueError, OSError):
+        return "not known on this system"

@@ -1,18 +1,22 @@
-"""`unocclude export`: a result in other formats. `unocclude methods`: as the methods section of a paper."""
+"""`unocclude export`, `methods`, `view`: a result in other formats, as a methods section, in Rerun."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+import os
+import signal
+import subprocess
+import tempfile
+from importlib.util import find_spec
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal, get_args
+from typing import TYPE_CHECKING, Annotated, Any, Literal, get_args
 
 import typer
 
 from ..errors import UnoccludeError
 from . import options as o
 from .arm_output import warn
-from .load import camera_frame_of, damage, load_recoveries
-from .output import check_outputs, print_notes, say, say_written, write_json, write_text
+from .load import ResultInput, camera_frame_of, damage
+from .output import Out, print_notes, say, say_written, write_text
 
 if TYPE_CHECKING:
     from ..array_types import FloatArray
@@ -28,10 +32,10 @@ NO_FORMATS = ("osim", "mcap", "html", "json", "toml", "mat", "xlsx")
 
 def export(
     result: o.Result,
-    output: o.Output,
+    output: Annotated[Path, o.value("FILE", "Output file.", "-o", "--output"), o.UNCHECKED],
+    arms: ResultInput,
+    out: Out,
     format_name: Annotated[Format, o.option("Format to write.", "--format")],
-    side: o.Side = None,
-    body: o.Body = None,
     frame: Annotated[
         Literal["camera", "opensim"] | None,
         o.option(
@@ -41,8 +45,6 @@ def export(
     ] = None,
     rate: Annotated[o.Number, o.value("HZ", "Rate of trc, mot and c3d.  [default: the IMU's]")] = None,
     origin: Annotated[Literal["camera", "shoulder"] | None, o.option("Of trc and c3d.")] = None,
-    json_file: o.Json = None,
-    force: o.Force = False,
     subject: Annotated[o.Text, o.rare_value("LABEL", "For bids.  [default: the result's name]")] = None,
     session: Annotated[str | None, o.rare_value("LABEL", "For bids: session.")] = None,
     task: Annotated[str | None, o.rare_value("LABEL", "For bids: task.  [default: arm]")] = None,
@@ -55,21 +57,39 @@ def export(
 
     Example: unocclude export recovered.mcap --format trc -o recovered.trc
     """
+    of_files = {"--frame": frame, "--origin": origin, "--rate": rate}
+    of_bids = {"--subject": subject, "--session": session, "--task": task, "--recording": recording}
+    _check(
+        format_name, output, rate, [name for name, value in (of_files | of_bids).items() if value is not None]
+    )
+    recoveries = arms.load(result)
+    if format_name == "bids":
+        figures, notes = _bids(recoveries, output, (subject, session, task), recording, out)
+    else:
+        figures, notes = _files(result, recoveries, output, format_name, frame, rate, origin, out)
+    warn(recoveries)
+    print_notes([*(note for recovery in recoveries for note in damage(recovery.notes)), *notes])
+    out.json(figures)
+
+
+def _files(
+    result: Path,
+    recoveries: list[Recovery],
+    output: Path,
+    format_name: str,
+    frame: str | None,
+    rate: float | None,
+    origin: str | None,
+    out: Out,
+) -> tuple[dict[str, Any], list[str]]:
+    """A file for each arm, or one for all; all arms are ready before the first is written."""
     from .. import __version__
     from ..io.export.prepare import DEFAULT_FRAME, prepare_export
     from ..result.untrusted import untrusted_sentences
 
-    only: dict[str, object] = {"--frame": frame, "--origin": origin, "--rate": rate}
-    only |= {"--subject": subject, "--session": session, "--task": task, "--recording": recording}
-    _check(format_name, output, rate, [option for option, value in only.items() if value is not None])
-    recoveries = load_recoveries(result, side, body)
-    if format_name == "bids":
-        _bids(result, recoveries, output, (subject, session, task), recording, json_file, force)
-        return
     together = format_name == "rrd"
-    files = [output] if together else output_names(output, recoveries)
-    check_outputs(force, [*files, json_file], [result])
-    # All arms are ready before the first is written.
+    paths = [output] if together else output_names(output, recoveries)
+    out.check(paths, [result])
     if together:
         exports = [prepared_rrd(result, recoveries)]
     else:
@@ -77,42 +97,35 @@ def export(
         level_down = _level_down(result, recoveries) if wants_up else None
         chosen = (format_name, frame, rate, level_down, __version__, origin or "camera")
         exports = [prepare_export(recovery, *chosen) for recovery in recoveries]
-    for path, ready in zip(files, exports, strict=True):
-        ready.write(path, force)
-    figures = []
-    shown = recoveries[:1] if together else recoveries  # of one file for all what is the same in all
-    for recovery, path, ready in zip(shown, files, exports, strict=True):
+    for path, ready in zip(paths, exports, strict=True):
+        ready.write(path, out.force)
         say(f"written: {path} ({ready.rows} row{'s' if ready.rows != 1 else ''})")
-        figures.append(
-            {
-                "file": str(path),
-                "rows": ready.rows,
-                "side": "" if together and len(recoveries) > 1 else recovery.side,
-                **({} if recovery.body is None else {"body": recovery.body}),
-                "rate_hz": ready.rate_hz,
-                "frame": ready.frame,
-                "origin_ns": recovery.origin_ns,
-                "trusted": recovery.estimates.trusted,
-                "verdict": recovery.estimates.verdict,
-                "untrusted": list(untrusted_sentences(recovery)),
-                "notes": [*damage(recovery.notes), *ready.notes],
-            }
-        )
-    warn(recoveries)
-    print_notes(note for recovery in recoveries for note in damage(recovery.notes))
-    print_notes(note for ready in exports for note in ready.notes)
-    write_json(json_file, {"files": figures}, force)
+    figures = [
+        {
+            "file": str(path),
+            "rows": ready.rows,
+            "side": "" if together and len(recoveries) > 1 else recovery.side,
+            **({} if recovery.body is None else {"body": recovery.body}),
+            "rate_hz": ready.rate_hz,
+            "frame": ready.frame,
+            "origin_ns": recovery.origin_ns,
+            "trusted": recovery.estimates.trusted,
+            "verdict": recovery.estimates.verdict,
+            "untrusted": list(untrusted_sentences(recovery)),
+            "notes": [*damage(recovery.notes), *ready.notes],
+        }
+        for recovery, path, ready in zip(recoveries, paths, exports, strict=False)
+    ]
+    return {"files": figures}, [note for ready in exports for note in ready.notes]
 
 
 def _bids(
-    result: Path,
     recoveries: list[Recovery],
     output: Path,
     labels: tuple[str | None, str | None, str | None],
     source: Path | None,
-    json_file: Path | None,
-    force: bool,
-) -> None:
+    out: Out,
+) -> tuple[dict[str, Any], list[str]]:
     """A session of a data set: the recording, where it is named, and the answer."""
     from .. import __version__
     from ..io import read_recordings
@@ -120,7 +133,6 @@ def _bids(
 
     subject, session, task = labels
     names = BidsNames(subject or label_of(recoveries[0].name), session or "", task or "arm")
-    check_outputs(force, [json_file], [result, source])
     wanted = {(recovery.side, recovery.body) for recovery in recoveries}
     recordings, notes = [], []
     if source is None:
@@ -131,12 +143,10 @@ def _bids(
             raise UnoccludeError(
                 f"{source} has none of the result's arms; name the recording it was made from"
             )
-    count = write_bids(output, names, recordings, recoveries, __version__, force)
+    count = write_bids(output, names, recordings, recoveries, __version__, out.force)
     say(f"written: {output} ({count} motion files of sub-{names.subject})")
-    warn(recoveries)
-    print_notes([*(note for recovery in recoveries for note in damage(recovery.notes)), *notes])
     figures = {"folder": str(output), "subject": names.subject, "session": names.session, "task": names.task}
-    write_json(json_file, figures | {"motion_files": count, "notes": notes}, force)
+    return figures | {"motion_files": count, "notes": notes}, notes
 
 
 def output_names(output: Path, recoveries: list[Recovery]) -> list[Path]:
@@ -152,7 +162,7 @@ def output_names(output: Path, recoveries: list[Recovery]) -> list[Path]:
     return names
 
 
-def _check(format_name: str, output: Path, rate: float | None, given: Iterable[str]) -> None:
+def _check(format_name: str, output: Path, rate: float | None, given: list[str]) -> None:
     """Refuse what cannot be meant, before any work is done for it."""
     from ..io.export.prepare import WITH_FRAME, WITH_RATE
 
@@ -188,14 +198,11 @@ def prepared_rrd(result: Path, recoveries: list[Recovery]) -> Export:
 
 def methods(
     result: o.Result,
+    arms: ResultInput,
+    out: Out,
     output: Annotated[
-        Path | None,
-        o.value("FILE", "Write Markdown instead of printing.", "-o", "--output"),
+        o.File, o.value("FILE", "Write Markdown instead of printing.", "-o", "--output"), o.WRITTEN
     ] = None,
-    side: o.Side = None,
-    body: o.Body = None,
-    json_file: o.Json = None,
-    force: o.Force = False,
 ) -> None:
     """Write a paper's methods section: text, table, references.
 
@@ -208,15 +215,93 @@ def methods(
     from ..io.result.read import read_origin
     from ..report.methods import methods_section
 
-    check_outputs(force, [output, json_file], [result])
-    recoveries = load_recoveries(result, side, body)
+    recoveries = arms.load(result)
     version, title = read_origin(result)
     is_simulated = title.lower().startswith("simulated")  # the title of `unocclude simulate`
     text, figures = methods_section(recoveries, version, title if is_simulated else "")
     if output is None:
         print(text, end="")
-    write_text(output, text, force)
-    write_json(json_file, figures, force)
+    write_text(output, text, out.force)
+    out.json(figures)
     warn(recoveries)
     if output is not None:
-        say_written(output, json_file)
+        say_written(output, out.json_file)
+
+
+#: Nobody but this machine may read what is shown: these are patients.
+LOOPBACK = "127.0.0.1"
+#: The port `discard`, where nothing answers.
+NOWHERE = f"http://{LOOPBACK}:9"
+INSTEAD = "`unocclude export --format rrd` writes a file that any Rerun viewer opens"
+
+
+def view(result: o.Result, arms: ResultInput) -> None:
+    """Show a result in Rerun: the arm in space, curves, gaps.
+
+    Needs rerun-sdk (`pip install '.[view]'`). It listens on 127.0.0.1 only and contacts no other
+    computer: no usage statistics, no update checks.
+
+    Example: unocclude view recovered.mcap
+    """
+    from ..io.export.rrd import rerun_module
+
+    recoveries = arms.load(result)
+    rerun_module()
+    warn(recoveries)
+    ready = prepared_rrd(result, recoveries)
+    with tempfile.TemporaryDirectory(prefix="unocclude-") as folder:
+        file = Path(folder) / f"{result.stem}.rrd"
+        ready.write(file, False)
+        say("the window of Rerun opens; close it to end")
+        show_window(window(file))
+
+
+def window(file: Path) -> list[str]:
+    """Command line of the viewer in a window."""
+    return [str(program()), "--bind", LOOPBACK, "--port", "auto", "--hide-welcome-screen", str(file)]
+
+
+def program() -> Path:
+    """Rerun's viewer itself: its wrapper in Python hides how it ended, and lives on when it is stopped."""
+    spec = find_spec("rerun_cli")
+    for folder in (spec.submodule_search_locations or ()) if spec else ():
+        for name in ("Rerun.app/Contents/MacOS/Rerun", "rerun", "rerun.exe"):
+            if (file := Path(folder) / name).is_file():
+                return file
+    raise UnoccludeError(f"rerun-sdk is installed without its viewer; {INSTEAD}")
+
+
+def environment() -> dict[str, str]:
+    """The viewer's environment, in which it communicates with this machine only.
+
+    Rerun reports its use to tel.rerun.io unless `CI` is set, and asks GitHub for newer versions whatever is
+    set: its way out leads to a proxy that is not there.
+    """
+    proxies = ("http_proxy", "https_proxy", "all_proxy", "no_proxy")
+    dropped = {"force_rerun_analytics", *proxies}
+    variables = {name: value for name, value in os.environ.items() if name.lower() not in dropped}
+    for name in proxies:
+        value = f"{LOOPBACK},localhost" if name == "no_proxy" else NOWHERE
+        variables |= {name: value, name.upper(): value}
+    return variables | {"CI": "true"}
+
+
+def show_window(arguments: list[str]) -> None:
+    """Run the viewer until it is closed."""
+    with tempfile.TemporaryFile("w+", encoding="utf-8", errors="replace") as words:
+        viewer = subprocess.Popen(arguments, env=environment(), stdout=words, stderr=subprocess.STDOUT)
+        # Ending this command ends the viewer, and the file with the patient's motion is deleted.
+        before = signal.signal(signal.SIGTERM, signal.default_int_handler)
+        try:
+            code = viewer.wait()
+        except KeyboardInterrupt:
+            return
+        finally:
+            signal.signal(signal.SIGTERM, before)
+            viewer.terminate()
+            viewer.wait()
+        words.seek(0)
+        lines = [line.strip() for line in words if line.strip()]
+    if code:
+        last = lines[-1][:300] if lines else "it said nothing"
+        raise UnoccludeError(f"Rerun's viewer ended with an error ({last}); {INSTEAD}")

@@ -14,17 +14,8 @@ import typer
 from ..errors import RecordingError, UnoccludeError
 from ..table import tabulated
 from . import options as o
-from .load import load_arm
-from .output import (
-    check_mcap,
-    check_outputs,
-    print_notes,
-    progress_bar,
-    say,
-    say_written,
-    show,
-    write_json,
-)
+from .load import ConfigInput, Which, load_arm
+from .output import Out, print_notes, progress_bar, say, show
 
 if TYPE_CHECKING:
     from ..io.files import FileReport, ImuFiles
@@ -52,9 +43,8 @@ ImuStarts = Annotated[o.Number, o.value("S", "First IMU sample, seconds after th
 def csv(
     folder: Annotated[Path, o.argument("FOLDER", "Folder with recording.toml and its tables.")],
     output: o.Output,
+    out: Out,
     template: o.Templates = None,
-    json_file: o.Json = None,
-    force: o.Force = False,
     outside: Annotated[bool, o.rare("Also read files outside FOLDER.", "--outside")] = False,
 ) -> None:
     """Import recording.toml with skeleton and IMU tables.
@@ -75,20 +65,17 @@ def csv(
     from ..io import open_csv
     from ..io.tables.recording_toml import read_templates
 
-    inputs = [path for path in folder.glob("*") if path.is_file()]
-    _check(output, json_file, force, *inputs, *(template or []))
     templates = read_templates(template or [])
-    write_imported(open_csv(folder, outside=outside, templates=templates), output, json_file, force)
+    write_imported(open_csv(folder, outside=outside, templates=templates), output, out)
 
 
 def broad(
     mat: Annotated[Path, o.argument("TRIAL.mat", "A trial of BROAD.")],
     output: o.Output,
+    out: Out,
     rate_hz: Annotated[float, o.option("Frame rate of the simulated camera.", min=1, max=1000)] = 30.0,
     noise_m: Annotated[float, o.option("Noise of that camera, m per axis.", min=0, max=1)] = 0.008,
     seed: o.Seed = 0,
-    json_file: o.Json = None,
-    force: o.Force = False,
 ) -> None:
     """Import a BROAD trial: real IMU, optical truth plus noise.
 
@@ -96,17 +83,14 @@ def broad(
     """
     from ..io import import_broad
 
-    _check(output, json_file, force, mat)
-    made = import_broad(mat, rate_hz=rate_hz, noise_m=noise_m, seed=seed)
-    write_imported(made, output, json_file, force)
+    write_imported(import_broad(mat, rate_hz=rate_hz, noise_m=noise_m, seed=seed), output, out)
 
 
 def utd_mhad(
     inertial: Annotated[Path, o.argument("INERTIAL.mat", "aA_sS_tT_inertial.mat")],
     output: o.Output,
+    out: Out,
     skeleton: Annotated[o.File, o.argument("[SKELETON.mat]", "Else found beside the first.")] = None,
-    json_file: o.Json = None,
-    force: o.Force = False,
 ) -> None:
     """Import a UTD-MHAD trial: Kinect v1 and one wrist IMU.
 
@@ -115,8 +99,8 @@ def utd_mhad(
     from ..io import import_utd_mhad
 
     skeleton = skeleton or _skeleton_beside(inertial)
-    _check(output, json_file, force, inertial, skeleton)
-    write_imported(import_utd_mhad(inertial, skeleton), output, json_file, force)
+    out.check([], [skeleton])
+    write_imported(import_utd_mhad(inertial, skeleton), output, out)
 
 
 def _skeleton_beside(inertial: Path) -> Path:
@@ -131,6 +115,7 @@ def _skeleton_beside(inertial: Path) -> Path:
 
 def files(
     output: o.Output,
+    out: Out,
     paths: Annotated[o.Files, o.argument("FOLDER", "Files of devices, or their folder.")] = None,
     skeleton: Annotated[
         list[str] | None,
@@ -151,8 +136,6 @@ def files(
         ),
     ] = None,
     template: o.Templates = None,
-    json_file: o.Json = None,
-    force: o.Force = False,
     skeleton_format: Annotated[str | None, o.rare_value("FORMAT", "Format, if recognised wrongly.")] = None,
     imu_format: Annotated[str | None, o.rare_value("FORMAT", "Format, if recognised wrongly.")] = None,
     one_session: OneSession = False,
@@ -170,9 +153,7 @@ def files(
     reader = FileReader(imu_format, skeleton_format, read_templates(template or []))
     named_skeletons = sorted((skeleton_file(text) for text in skeleton or []), key=lambda each: bool(each[0]))
     skeletons, imus = [path for _, path in named_skeletons], [imu_files(text) for text in imu or []]
-    named = [*skeletons, *(p for files in imus for p in files.paths), truth, intrinsics, *(paths or [])]
-    beside = (path for folder in paths or [] if folder.is_dir() for path in folder.glob("*"))
-    _check(output, json_file, force, *named, *filter(Path.is_file, beside))
+    out.check([output], [*skeletons, *(path for files in imus for path in files.paths)])
     more_skeletons, more_imus, passed_over = sort_files(paths or [], reader, output)
     file, reports = import_files(
         skeletons + more_skeletons,
@@ -185,12 +166,13 @@ def files(
     )
     if truth is not None:
         reports.append(add_truth(file, truth))
-    write_imported(file, output, json_file, force, reports, passed_over)
+    write_imported(file, output, out, reports, passed_over)
 
 
 def video(
     file: Annotated[Path, o.argument("FILE", "MP4, MOV, AVI or MKV of a fixed camera.")],
     output: o.Output,
+    out: Out,
     model: Annotated[o.File, o.value("FILE.task", "The model of MediaPipe's pose landmarker.")] = None,
     imu: ImuFile = None,
     imu_starts_at: ImuStarts = None,
@@ -198,8 +180,6 @@ def video(
     turn: Annotated[int, o.value("90|180|270", "Rotate the pictures clockwise, degrees.")] = 0,
     people: Annotated[int, o.option("Find at most this many people.", min=1, max=_MOST_PEOPLE)] = 2,
     template: o.Templates = None,
-    json_file: o.Json = None,
-    force: o.Force = False,
     one_session: OneSession = False,
 ) -> None:
     """Import a video as the camera; MediaPipe finds the joints.
@@ -217,7 +197,7 @@ def video(
     if turn not in TURNS:
         raise typer.BadParameter("--turn is 90, 180 or 270")
     imus = [imu_files(text) for text in imu or []]
-    _check(output, json_file, force, file, model, *(p for files in imus for p in files.paths))
+    out.check([output], [path for files in imus for path in files.paths])
     with progress_bar("opening the video") as progress:
         camera = pose_video(model, people, mirrored, turn, progress)
         reader = FileReader(templates=[camera, *read_templates(template or [])])
@@ -228,20 +208,13 @@ def video(
         recording, reports = import_files(
             [file], imus, imu_starts_at_s=imu_starts_at, reader=reader, one_session=one_session
         )
-    write_imported(recording, output, json_file, force, reports)
-
-
-def _check(output: Path, json_file: Path | None, force: bool, *inputs: Path | None) -> None:
-    """Refuse outputs that could not be written in the end."""
-    check_mcap(output)
-    check_outputs(force, [output, json_file], inputs)
+    write_imported(recording, output, out, reports)
 
 
 def write_imported(
     recording: Recording | RecordingFile,
     output: Path,
-    json_file: Path | None,
-    force: bool,
+    out: Out,
     reports: Sequence[FileReport] | None = None,
     passed_over: Sequence[str] = (),
 ) -> None:
@@ -251,10 +224,10 @@ def write_imported(
 
     for report in reports or ():
         say(report.sentence)
-    write_recording(recording, output, force=force)
+    write_recording(recording, output, force=out.force)
     about = describe(output)
     files = {} if reports is None else {"files": [vars(report) for report in reports]}
-    write_json(json_file, {**about.to_dict(), **files}, force)
+    out.json({**about.to_dict(), **files})
     show(topic_table(about))
     print_notes([*recording.notes, *passed_over], imported=reports is None)
 
@@ -276,23 +249,10 @@ def skeleton_file(text: str) -> tuple[str, Path]:
     return name, Path(rest)
 
 
-#: Where an IMU may be worn; it may also have another name.
-_ROLES = (
-    *(
-        f"{segment}_{side}"
-        for segment in ("forearm", "upper_arm", "hand", "wrist")
-        for side in ("left", "right")
-    ),
-    *("forearm", "upper_arm", "hand", "wrist", "trunk", "base"),
-)
-
-
-def _check_role(name: str) -> None:
-    """Refuse a misspelled place of an IMU, which would be taken for a name without meaning."""
-    near = get_close_matches(name.lower(), _ROLES, n=1, cutoff=0.8)
-    parts = set(re.split(r"[_\W\d]+", name.lower())) - {""}
-    if near and not parts <= {part for role in _ROLES for part in role.split("_")} | {"l", "r", "lower"}:
-        raise UnoccludeError(f"--imu {name}=: there is no such place; did you mean {near[0]}?")
+#: Where an IMU may be worn, and words that such a name may be made of; it may also have another name.
+_LIMBS = ("forearm", "upper_arm", "hand", "wrist")
+_ROLES = (*_LIMBS, *(f"{limb}_{side}" for limb in _LIMBS for side in ("left", "right")), "trunk", "base")
+_WORDS = {part for role in _ROLES for part in role.split("_")} | {"l", "r", "lower"}
 
 
 def imu_files(text: str) -> ImuFiles:
@@ -300,7 +260,10 @@ def imu_files(text: str) -> ImuFiles:
     from ..io.files import ImuFiles
 
     name, rest = named_file("--imu", text, "forearm_right=imu.csv")
-    _check_role(name)
+    # a misspelled place would be taken for a name without meaning
+    near = get_close_matches(name.lower(), _ROLES, n=1, cutoff=0.8)
+    if near and not set(re.split(r"[_\W\d]+", name.lower())) <= {*_WORDS, ""}:
+        raise UnoccludeError(f"--imu {name}=: there is no such place; did you mean {near[0]}?")
     sensor = ""
     marks = [at for at, mark in enumerate(rest) if mark == "#"]
     if not Path(rest).exists() and marks:
@@ -312,28 +275,24 @@ def imu_files(text: str) -> ImuFiles:
     return ImuFiles(tuple(Path(part) for part in parts), name, sensor)
 
 
-def formats(json_file: o.Json = None, force: o.Force = False) -> None:
+def formats(out: Out) -> None:
     """List the formats that `import files` recognises.
 
     Example: unocclude import formats
     """
     from ..io.registry import formats as importers
 
-    check_outputs(force, [json_file])
-    figures = [
-        {"format": each.key, "title": each.title, "kind": each.kind, "recognised_by": each.recognised_by}
-        for each in importers()
-    ]
-    write_json(json_file, {"formats": figures}, force)
+    keys = ("key", "title", "kind", "recognised_by")
+    figures = [{"format": each.key, **{key: getattr(each, key) for key in keys[1:]}} for each in importers()]
     show(tabulated("Formats of device files", figures, "format title=what_it_is kind=holds recognised_by"))
+    out.json({"formats": figures})
 
 
 def describe(
     paths: Annotated[list[Path], o.argument("FILE", "A table of text; several, or a folder, are listed.")],
+    out: Out,
     name: Annotated[str, o.value("NAME", "Of the IMU in recording.toml.")] = "forearm_right",
     template: o.Templates = None,
-    json_file: o.Json = None,
-    force: o.Force = False,
 ) -> None:
     """Guess a table's columns and units; print a recording.toml.
 
@@ -347,29 +306,26 @@ def describe(
     from ..io.tables.guess import toml_of
     from ..io.tables.recording_toml import read_templates
 
-    check_outputs(force, [json_file], [path for path in paths if not path.is_dir()])
     reader = FileReader(templates=read_templates(template or []))
     if len(paths) > 1 or paths[0].is_dir():
-        found = describe_files(paths, reader, json_file)
+        found = describe_files(paths, reader, out.json_file)
         _print_streams(found)
-        write_json(json_file, {"files": [each.to_dict() for each in found]}, force)
+        out.json({"files": [each.to_dict() for each in found]})
         return
     (path,) = paths
     importer, sheet, guess = guessed_table(path, reader)
+    figures: dict[str, object] = {"format": importer and importer.key, "recording_toml": None, "unsure": []}
     if importer is not None:
         option = "--skeleton" if importer.kind == "skeleton" else "--imu"
         say(f"# {path.name} is recognised as {importer.title}: unocclude import files {option} {path} ..")
-    if sheet is None or guess is None:
-        assert importer is not None
-        write_json(json_file, {"format": importer.key, "recording_toml": None, "unsure": []}, force)
-        return
-    text = toml_of(path, guess, name)
-    say(f"# {len(sheet):,} rows, {sheet.width} columns, parted by {sheet.separator!r}")
-    for sentence in (*sheet.notes, *(f"unsure: {each}" for each in guess.unsure)):
-        say(f"# {sentence}")
-    say(text)
-    key = None if importer is None else importer.key
-    write_json(json_file, {"format": key, "recording_toml": text, **asdict(guess)}, force)
+    if sheet is not None and guess is not None:
+        text = toml_of(path, guess, name)
+        say(f"# {len(sheet):,} rows, {sheet.width} columns, parted by {sheet.separator!r}")
+        for sentence in (*sheet.notes, *(f"unsure: {each}" for each in guess.unsure)):
+            say(f"# {sentence}")
+        say(text)
+        figures |= {"recording_toml": text, **asdict(guess)}
+    out.json(figures)
 
 
 def _print_streams(found: list[DescribedFile]) -> None:
@@ -395,18 +351,13 @@ RULER_SIGMA_M = 0.004
 def strap(
     recording_file: o.RecordingPath,
     output: o.Output,
+    which: Which,
+    settings: ConfigInput,
+    out: Out,
     calibration: o.Calibration = None,
     radius_m: Annotated[o.Number, o.option("Axis of the forearm to the sensor.", min=0.01, max=0.1)] = None,
-    json_file: o.Json = None,
-    force: o.Force = False,
-    imu: o.Imu = None,
-    skeleton: o.Skeleton = None,
-    side: o.Side = None,
-    body: o.Body = None,
-    config_file: o.ConfigFile = None,
     colour_topic: Annotated[str | None, o.rare_value("TOPIC", "Colour images to take.")] = None,
     depth_topic: Annotated[str | None, o.rare_value("TOPIC", "Depth images to take.")] = None,
-    processes: o.Processes = None,
 ) -> None:
     """Find the strap in colour images and add it as a joint.
 
@@ -425,34 +376,34 @@ def strap(
     from ..report.calibration_page import strap_verdict
     from ..smoothing import smooth
     from ..strap_search.search import import_strap
-    from .config import read_config
 
-    _check(output, json_file, force, recording_file, calibration, config_file)
-    config = read_config(config_file, processes)
-    recording, known = load_arm(recording_file, calibration, imu=imu, skeleton=skeleton, side=side, body=body)
+    config = settings.read()
+    recording, known = load_arm(recording_file, calibration, **which.chosen)
     check_images(recording_file, colour_topic, depth_topic)
     recovery = smooth(recording, known, config)
     radius = None if radius_m is None else Length(radius_m, RULER_SIGMA_M)
     if radius is None and calibration is not None:
         radius = held_radius(read_calibration(calibration), recording.side)
-    mounted = mounted_on(recovery, radius)
-    sigma = max((recovery.estimates.camera_sigma_m or {}).values(), default=0.008)
     found = import_strap(
         recording_file,
         output,
-        mounted,
+        mounted_on(recovery, radius),
         skeleton=recording.arm.name,
         side=recording.side,
-        joint_sigma_m=sigma,
+        joint_sigma_m=max((recovery.estimates.camera_sigma_m or {}).values(), default=0.008),
         colour_topic=colour_topic,
         depth_topic=depth_topic,
-        force=force,
+        force=out.force,
     )
-    sentences = strap_verdict(found)
-    notes = [*recording.notes, *found.notes]
-    good = [not reason for reason in found.reasons]
+    sentences, notes = strap_verdict(found), [*recording.notes, *found.notes]
+    good, total = [not reason for reason in found.reasons], len(found.reasons)
+    rows = [{"what": what, "images": n, "share": n / total} for what, n in sorted(found.counts.items())]
+    show(tabulated(f"The strap in {total} images", rows, "what images share"))
+    for sentence in sentences:
+        say(sentence)
+    print_notes(notes)
     figures = {
-        "images": len(found.reasons),
+        "images": total,
         "found": sum(good),
         "reasons": found.counts,
         "sigma_m": np.median(found.sigma_m[good], axis=0) if any(good) else None,
@@ -460,11 +411,4 @@ def strap(
         "colour_topic": found.topics[0],
         "depth_topic": found.topics[1],
     }
-    write_json(json_file, {**figures, "verdict": sentences, "notes": notes}, force)
-    total = len(found.reasons)
-    rows = [{"what": what, "images": n, "share": n / total} for what, n in sorted(found.counts.items())]
-    show(tabulated(f"The strap in {total} images", rows, "what images share"))
-    for sentence in sentences:
-        say(sentence)
-    print_notes(notes)
-    say_written(output, json_file)
+    out.end({**figures, "verdict": sentences, "notes": notes}, output)

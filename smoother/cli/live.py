@@ -16,7 +16,7 @@ import typer
 from ..errors import UnoccludeError
 from . import options as o
 from .live_lines import Lines
-from .output import check_mcap, check_outputs, print_notes, say, say_command, say_written, write_json
+from .output import Out, print_notes, say, say_command
 
 if TYPE_CHECKING:
     from ..streams.arrivals import Receiver, Source, SourceInfo
@@ -150,6 +150,7 @@ ALONE = {"--foxglove": "8765"}
 
 
 def live(
+    out: Out,
     imu: Annotated[
         list[str] | None,
         o.option(
@@ -169,15 +170,15 @@ def live(
     body: Annotated[str | None, o.option("Which of the skeleton's bodies.", metavar="N")] = None,
     calibration: o.Calibration = None,
     lag: Annotated[float, o.option("Delay of the settled result.", metavar="S", min=0, max=2)] = 0.2,
-    record: Annotated[Path | None, o.option("Record everything that arrives.", metavar="OUT.mcap")] = None,
+    record: Annotated[
+        o.File, o.value("OUT.mcap", "Record everything that arrives.", callback=o.as_mcap), o.WRITTEN
+    ] = None,
     replay: Annotated[Path | None, o.option("Replay a recording in real time.", metavar="REC.mcap")] = None,
     speed: Annotated[float, o.option("Of the replay; 0 = as fast as possible.", metavar="X", min=0)] = 1.0,
     foxglove: Annotated[
         int | None,
         o.option("Show it in Foxglove, on port 8765 (0: a free one).", metavar="[PORT]", min=0, max=65535),
     ] = None,
-    json_file: o.Json = None,
-    force: o.Force = False,
     config_file: o.ConfigFile = None,
     latency: Annotated[
         float | None, o.rare("Of a replay's camera.  [default: 0.1 s]", metavar="S", min=0, max=2)
@@ -211,9 +212,6 @@ def live(
     for option, named in (("--body", body), ("--gyro", gyro), ("a further --imu", further)):
         if named and replay is not None:
             raise typer.BadParameter(f"{option} is of a stream; a replay takes --imu and --skeleton")
-    if record is not None:
-        check_mcap(record)
-    check_outputs(force, [record, json_file], [calibration, config_file, replay])
     from calib.file import read_calibration
 
     from ..live.calibrations import InlineCalibrator
@@ -227,7 +225,7 @@ def live(
     from .config import read_config
 
     if record is not None:
-        check_recording(record, force)
+        check_recording(record, out.force)
     if replay is None or lsl_out is not None:
         lsl_module()
     if foxglove is not None:
@@ -261,7 +259,7 @@ def live(
             receivers.append(receiver)
         recording = None
         if record is not None:
-            recording = SessionRecording(record, infos, force, patient=not source.speed)
+            recording = SessionRecording(record, infos, out.force, patient=not source.speed)
             stack.callback(recording.close)  # whatever ends the sessions, their recording is whole
         engines = []
         for info, known in zip(infos, calibrations, strict=True):
@@ -277,11 +275,10 @@ def live(
         figures = [each.figures() for each in session.figures]
     arm_figures = [{"side": info.side, **own} for info, own in zip(infos, figures, strict=True)]
     several = {**arm_figures[0], "arms": arm_figures}
-    write_json(json_file, several if len(figures) > 1 else figures[0], force)
     for own in arm_figures:
         print_session(own, f"{own['side']} arm, " if len(sides) > 1 else "")
     has_recording = recording is not None and recording.has_samples
-    say_written(record if has_recording else None, json_file)
+    out.end(several if len(figures) > 1 else figures[0], record if has_recording else None)
     if record is not None and has_recording:
         arguments = ["smooth", str(record), "-o", str(record.with_name(f"{record.stem}_recovered.mcap"))]
         for option, value in (("--calibration", calibration), ("--config", config_file)):

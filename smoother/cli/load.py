@@ -12,11 +12,13 @@ import typer
 
 from ..errors import RecordingError, UnoccludeError
 from ..runtime.pool import check_allowance
-from .options import CLOCK_SIGMA_S
+from . import options as o
 from .output import say
 
 if TYPE_CHECKING:
     from ..calibration import ArmCalibration
+    from ..config import Config
+    from ..evaluation.methods import BaselineSettings
     from ..io.recording.choose import FileReading, Selection
     from ..measurements.clock import Clock
     from ..measurements.remedy import Remedy
@@ -50,18 +52,39 @@ def load_arms(
     return arms
 
 
-def load_recoveries(path: Path, side: str | None = None, body: int | None = None) -> list[Recovery]:
-    """The recoveries of a file, or those of a side or body."""
-    from ..io import read_recovery
+def choose(names: str) -> list[str]:
+    """The methods of a comma-separated list; "all" is every one."""
+    from ..evaluation.methods import METHODS
 
-    recoveries = read_recovery(path)
-    chosen = [one for one in recoveries if side in (None, one.side) and body in (None, one.body)]
-    if not chosen:
-        wanted = [f"--side {side}"] if side is not None else []
-        wanted += [f"--body {body}"] if body is not None else []
-        has = ", ".join(one.arm_label for one in recoveries) or "none"
-        raise UnoccludeError(f"{path}: there is no recovered arm for {' '.join(wanted)}; the file has: {has}")
-    return chosen
+    wanted = [name.strip() for name in names.split(",") if name.strip()]
+    if wanted == ["all"]:
+        return list(METHODS)
+    unknown = [name for name in wanted if name not in METHODS]
+    if unknown or not wanted:
+        what = f"there is no method '{unknown[0]}'" if unknown else "name a method"
+        raise typer.BadParameter(f"{what}; methods: {', '.join(METHODS)}")
+    return list(dict.fromkeys(wanted))
+
+
+def baseline_settings(names: Sequence[str], orientation: str | None) -> BaselineSettings:
+    """Check what was set for the baselines among the chosen methods."""
+    from ..baselines.registry import BASELINES, DEFAULT_ORIENTATION, LIVE_BASELINES
+    from ..evaluation.methods import BaselineSettings
+
+    known = BASELINES | LIVE_BASELINES
+    if orientation is not None and not any(known[name].needs_orientation for name in names if name in known):
+        raise typer.BadParameter(
+            "--orientation belongs to the methods that need a filter's orientation, such as rts; no such"
+            f" method was chosen, but {', '.join(names)}"
+        )
+    return BaselineSettings(orientation or DEFAULT_ORIENTATION)
+
+
+def usual_draws(draws: int | None) -> int:
+    """How many motions are drawn: as was said, or as usual."""
+    from ..result.draws import USUAL_DRAWS
+
+    return USUAL_DRAWS if draws is None else draws
 
 
 def refuse_twice(paths: Iterable[Path], option: str = "") -> None:
@@ -102,17 +125,83 @@ def camera_frame_of(path: Path) -> CameraFrame | None:
 
 
 @dataclass(frozen=True)
-class ArmInput:
+class ConfigInput:
+    """The settings of the method."""
+
+    config_file: o.ConfigFile = None
+    processes: o.Processes = None
+
+    def read(self) -> Config:
+        """The configuration; what neither its file nor an option names keeps its default."""
+        from .config import read_config
+
+        return read_config(self.config_file, self.processes)
+
+
+@dataclass(frozen=True)
+class PersonConfigInput(ConfigInput):
+    """The settings of the method, and what is known of the person."""
+
+    anatomy: o.Anatomy = None
+    body_height: o.BodyHeight = None
+
+    def read(self) -> Config:
+        """The configuration, with the person's limbs."""
+        from .config import read_config
+
+        return read_config(self.config_file, self.processes, self.anatomy, self.body_height)
+
+
+@dataclass(frozen=True)
+class ResultInput:
+    """Which arms of a result are taken."""
+
+    side: o.Side = None
+    body: o.Body = None
+
+    def load(self, path: Path) -> list[Recovery]:
+        """The recoveries of a file, or those of a side or body."""
+        from ..io import read_recovery
+
+        recoveries = read_recovery(path)
+        taken = [
+            each for each in recoveries if self.side in (None, each.side) and self.body in (None, each.body)
+        ]
+        if not taken:
+            wanted = [f"--{name} {value}" for name, value in vars(self).items() if value is not None]
+            has = ", ".join(each.arm_label for each in recoveries) or "none"
+            raise UnoccludeError(
+                f"{path}: there is no recovered arm for {' '.join(wanted)}; the file has: {has}"
+            )
+        return taken
+
+
+@dataclass(frozen=True)
+class Which:
+    """Which arms of a recording are taken, and by which sensors."""
+
+    imu: o.Imu = None
+    skeleton: o.Skeleton = None
+    side: o.Side = None
+    body: o.Body = None
+
+    @property
+    def chosen(self) -> Selection:
+        """The same for the readers."""
+        return {"imu": self.imu, "skeleton": self.skeleton, "side": self.side, "body": self.body}
+
+
+@dataclass(frozen=True)
+class ArmInput(Which):
     """Which arms of a recording are read, and what of their set-up is corrected; checked as it is made."""
 
-    calibration_file: Path | None = None  # Of the arm; its [clock], if any, is a measured clock
-    chosen: Selection | None = None
-    mirror: str | None = None
-    swap: str | None = None
-    negate: str | None = None
-    camera_frame: str | None = None
-    clock_offset: float | None = None  # s, measured
-    clock_sigma: float | None = None  # s
+    calibration_file: o.Calibration = None  # Of the arm; its [clock], if any, is a measured clock
+    mirror: o.Mirror = None
+    swap: o.Swap = None
+    negate: o.Negate = None
+    camera_frame: o.CameraAxes = None
+    clock_offset: o.ClockOffset = None
+    clock_sigma: o.ClockSigma = None
 
     def __post_init__(self) -> None:
         if self.clock_sigma is not None and self.clock_offset is None:
@@ -129,7 +218,7 @@ class ArmInput:
     @property
     def sigma_s(self) -> float:
         """Of the measured clock."""
-        return CLOCK_SIGMA_S if self.clock_sigma is None else self.clock_sigma
+        return o.CLOCK_SIGMA_S if self.clock_sigma is None else self.clock_sigma
 
     @property
     def swaps_sides(self) -> bool:
@@ -150,7 +239,7 @@ class ArmInput:
         self, path: Path, **reading: Unpack[FileReading]
     ) -> list[tuple[Recording, ArmCalibration | None]]:
         """Every arm, as `load_arms` reads it."""
-        reading.update(self.chosen or {})
+        reading.update(self.chosen)
         reading["swap_sides"] = self.swaps_sides
         return load_arms(path, self.calibration_file, self.remedy, **reading)
 

@@ -1,29 +1,21 @@
-"""`unocclude measures`: what a recovered motion measures, each with its interval."""
+"""`unocclude measures`, `progress`: what a recovered motion measures, and how that changes over sessions."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import fields
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
+from ..errors import UnoccludeError
 from ..table import Table, percent
 from . import options as o
 from .arm_output import arms_figures, say_arm
-from .load import damage, load_recoveries
-from .output import (
-    check_outputs,
-    part_of,
-    print_notes,
-    progress_bar,
-    say,
-    say_written,
-    show,
-    write_csv,
-    write_json,
-)
+from .load import ResultInput, damage
+from .output import Out, part_of, print_notes, progress_bar, say, show, write_csv
 
 if TYPE_CHECKING:
+    from ..evaluation.progress import PersonProgress
     from ..measures import BothArms, Measure, Measures, MeasureSettings
     from ..result import Recovery
 
@@ -68,13 +60,11 @@ def _interval(row: Measure) -> str:
 
 def measures(
     result: o.Result,
+    arms: ResultInput,
+    out: Out,
     config_file: Annotated[o.File, o.value("M.toml", "Thresholds (docs/measures.md).", "--config")] = None,
-    csv: Annotated[Path | None, o.value("FILE", "Also write every measure as a row.")] = None,
+    csv: o.Csv = None,
     report: o.Report = None,
-    json_file: o.Json = None,
-    force: o.Force = False,
-    side: o.Side = None,
-    body: o.Body = None,
     processes: o.Processes = None,
 ) -> None:
     """Measure range of motion, reach, speed, smoothness.
@@ -88,19 +78,17 @@ def measures(
     from ..measures import MeasureSettings
     from .config import read_settings
 
-    check_outputs(force, [csv, report, json_file], [result, config_file])
     settings = read_settings(config_file, MeasureSettings)
-    recoveries = load_recoveries(result, side, body)
+    recoveries = arms.load(result)
     rows, pairs = measured(recoveries, settings, processes or 0)
     if report is not None:
         from ..report.measures import measures_page
 
-        measures_page(rows, pairs).write(report, force)
-    write_csv(csv, csv_rows(rows, pairs), force)
+        measures_page(rows, pairs).write(report, out.force)
+    write_csv(csv, csv_rows(rows, pairs), out.force)
     figures = arms_figures(recoveries, [one.as_dict() for one in rows])
     if pairs:
         figures["symmetry"] = [{"body": both.left.body, "measures": both.as_dict()} for both in pairs]
-    write_json(json_file, figures, force)
     for recovery, one in zip(recoveries, rows, strict=True):
         say_arm(recovery, len(recoveries))
         print_arm(one, damage(recovery.notes))
@@ -108,7 +96,7 @@ def measures(
         of = "" if both.left.body is None else f" of body {both.left.body}"
         title = f"Right arm{of} against left: 0 = alike, above it the right has more"
         show(_table(title, "symmetry", both.rows))
-    say_written(csv, report, json_file)
+    out.end(figures, csv, report)
 
 
 def measured(
@@ -150,3 +138,112 @@ def print_arm(one: Measures, damaged: list[str]) -> None:
         say(f"not measured: {', '.join(names)}. {reason}")
     say(f"{len(one.movements)} movements, {len(one.repetitions)} repetitions: --csv, --json and the report")
     print_notes([*damaged, *one.notes])
+
+
+NO_DIAGNOSIS = (
+    "This is not a diagnosis: a clear change is one that the measurement error does not explain; a person"
+    " also varies from day to day."
+)
+
+
+def progress(
+    study: Annotated[Path, o.argument("STUDY", "The folder that `unocclude batch` wrote.")],
+    out: Out,
+    person: Annotated[str | None, o.value("NAME", "Only this person.")] = None,
+    sessions: Annotated[
+        Path | None,
+        o.value(
+            "FILE.csv",
+            "Person and date of each recording: file, person, session or date [, task]; without it"
+            " they are taken from folders: PERSON/SESSION.mcap or PERSON/SESSION/TASK.mcap.",
+        ),
+    ] = None,
+    mdc: Annotated[
+        Path | None,
+        o.value(
+            "FILE",
+            "Minimal detectable changes: what `validate --json` or `progress --reliability --json`"
+            " wrote, or a .toml with [mdc95].",
+        ),
+    ] = None,
+    reliability: Annotated[bool, o.option("No true change: print ICC, SEM, MDC.", "--reliability")] = False,
+    measure: Annotated[o.Texts, o.value("KEY", "Only this measure; may be repeated.")] = None,
+    report: o.Report = None,
+    csv: o.Csv = None,
+) -> None:
+    """Show how a person's measures changed over sessions.
+
+    A change is clear where it is larger than the 95 % interval of the difference and, with --mdc, than the
+    minimal detectable change. The study comes from `batch --measures`.
+
+    Example: unocclude progress recovered --person p12 --report p12.html
+    """
+    from ..evaluation.measure_agreement import read_detectable
+    from ..evaluation.progress import CSV_COLUMNS, FEWEST_PERSONS, reliability_of, reliability_table
+    from ..report.progress import progress_page
+    from ..study.progress import progress_of, read_rows, sessions_of
+
+    if not study.is_dir():
+        raise UnoccludeError(f"{study} is not a folder; name the one that `unocclude batch` wrote")
+    detectable = None if mdc is None else read_detectable(mdc)
+    rows = read_rows(study)
+    attendances, left_out = sessions_of(study, rows, sessions)
+    persons = progress_of(rows, attendances, detectable)
+    if person is not None:
+        has = ", ".join(each.person for each in persons[:20])
+        persons = [each for each in persons if each.person == person]
+        if not persons:
+            raise UnoccludeError(f"the study has no person {person}; it has: {has}")
+    known = {series.key for each in persons for series in each.series}
+    if unknown := ", ".join(sorted({*(measure or ())} - known)) if known else "":
+        examples = ", ".join(series.key for series in persons[0].main[:5])
+        raise UnoccludeError(f"the study has no measure {unknown}; measures are as {examples}")
+    if measure:
+        persons = [
+            replace(each, series=tuple(one for one in each.series if one.key in measure)) for each in persons
+        ]
+    if report is not None:
+        if len(persons) > 1:
+            names = ", ".join(each.person for each in persons[:20])
+            raise UnoccludeError(f"a page is of one person; choose one with --person: {names}")
+        progress_page(persons[0]).write(report, out.force)
+    repeated = reliability_of(persons) if reliability else []
+    if reliability and not repeated:
+        raise UnoccludeError(
+            f"--reliability needs {FEWEST_PERSONS} persons with two sessions each; no measure has them"
+        )
+    figures: dict[str, object] = {"persons": [each.to_dict() for each in persons], "left_out": left_out}
+    if reliability:
+        figures["reliability"] = repeated
+    write_csv(csv, (CSV_COLUMNS, *(row for each in persons for row in each.csv_rows())), out.force)
+    for each in persons:
+        print_person(each)
+    if reliability:
+        show(reliability_table(repeated))
+    print_notes(left_out)
+    say(NO_DIAGNOSIS)
+    out.end(figures, report, csv)
+
+
+def print_person(progress: PersonProgress) -> None:
+    """Print a person's table, and what takes no part."""
+    say(f"--- {progress.person}: {len(progress.sessions)} sessions ({', '.join(progress.sessions)}) ---")
+    if len(progress.sessions) > 1:
+        first, *_, last = progress.sessions
+        show(progress.table(f"Last session ({last}) against the first ({first})"))
+        say(_counted(progress))
+    elif progress.sessions:
+        say("One session only: nothing can be compared.")
+    print_notes([*progress.notes, *progress.limits, *progress.left_out])
+
+
+def _counted(progress: PersonProgress) -> str:
+    compared, clear = len(progress.compared), len(progress.clear)
+    text = f"{clear} of {compared} measures changed clearly"
+    if compared >= 5:
+        together = sum(each.change.p_together < 0.05 for each in progress.clear if each.change is not None)
+        text += (
+            f"; about {0.05 * compared:.1f} would be called so by chance without any change, and"
+            f" {together} of them remain clear after correction for their number (Holm)"
+        )
+    return f"{text}."

@@ -1,12 +1,22 @@
-"""Arguments and options that several commands share; an option of one command stands beside its parameter."""
+"""Arguments and options that several commands share; an option of one command stands beside its parameter.
+
+A path among them is read, unless its annotation says how it is written: the files of a command with `Out` are
+checked before it begins.
+"""
 
 from __future__ import annotations
 
+import shlex
 from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import typer
+
+from ..errors import UnoccludeError
+
+#: Of a path: it is written, replaced with --force alone; it is added to; the command itself checks it.
+WRITTEN, ADDED_TO, UNCHECKED = "written", "added to", "unchecked"
 
 ARM, SET_UP, ADVANCED = "Which arm", "Correct a wrong set-up", "Advanced"
 #: What a command's help has, in this order.
@@ -41,11 +51,12 @@ Count = int | None
 
 RecordingPath = Annotated[Path, argument("REC.mcap", "The recording.")]
 Result = Annotated[Path, argument("OUT.mcap", "What `smooth` wrote.")]
-Output = Annotated[Path, value("FILE", "Output file.", "-o", "--output")]
-CalibrationOutput = Annotated[Path, value("CAL.toml", "File to write or to add to.", "-o", "--output")]
+CalibrationOutput = Annotated[
+    Path, value("CAL.toml", "File to write or to add to.", "-o", "--output"), ADDED_TO
+]
 Calibration = Annotated[File, value("CAL.toml", "IMU mounting, lever arms, limb lengths.", "--calibration")]
 Known = Annotated[File, value("CAL.toml", "Calibration file with values to use as given.", "--known")]
-Json = Annotated[Path | None, value("FILE", "Also write the figures as JSON.", "--json")]
+Json = Annotated[Path | None, value("FILE", "Also write the figures as JSON.", "--json"), WRITTEN]
 Force = Annotated[bool, option("Overwrite outputs that exist.", "--force")]
 Strict = Annotated[bool, option("Exit with 3 where a result is not to be trusted.", "--strict")]
 Verbose = Annotated[bool, option("Print all estimates, gaps and notes.", "--verbose")]
@@ -101,8 +112,10 @@ Panel = Annotated[
     value("P.toml", "[panel] markers = [[x, y], ..], extent = [[xmin, ymin], [xmax, ymax]], m."),
 ]
 
-#: Endings of what a report is not.
+#: Endings of what a report is not, of what `unocclude export` writes, and of what else is no recording.
 _NO_PAGE = {".pdf", ".doc", ".docx", ".odt", ".png", ".json", ".csv", ".toml", ".txt", ".md"}
+_EXPORTED = {".csv", ".trc", ".mot", ".c3d", ".parquet", ".sto"}
+_NO_MCAP = _EXPORTED | {".html", ".json", ".toml", ".txt", ".mat", ".bag", ".rrd", ".osim", ".npz"}
 
 
 def _page(path: Path | None) -> Path | None:
@@ -113,4 +126,25 @@ def _page(path: Path | None) -> Path | None:
     return path
 
 
-Report = Annotated[File, value("OUT.html", "Also write a report, one HTML page.", callback=_page)]
+def as_mcap(path: Path | None) -> Path | None:
+    """Refuse to write MCAP to a file whose ending says something else."""
+    if path is not None and path.suffix.lower() in _NO_MCAP:
+        raise UnoccludeError(f"{path}: the output is MCAP; name it {path.with_suffix('.mcap')}")
+    return path
+
+
+def as_result(path: Path) -> Path | None:
+    """The same of a result, which can be exported."""
+    if (ending := path.suffix.lower()) in _EXPORTED:
+        mcap = path.with_suffix(".mcap")
+        command = shlex.join(["unocclude", "export", str(mcap), "--format", ending[1:], "-o", str(path)])
+        raise UnoccludeError(f"{path}: the result is MCAP; write it to {mcap}, then `{command}`")
+    return as_mcap(path)
+
+
+_out = partial(value, "FILE", "Output file.", "-o", "--output")
+Output = Annotated[Path, _out(callback=as_mcap), WRITTEN]
+ResultOutput = Annotated[Path, _out(callback=as_result), WRITTEN]
+FolderOutput = Annotated[Path, value("FOLDER", "Where results go.", "-o", "--output"), UNCHECKED]
+Report = Annotated[File, value("OUT.html", "Also write a report, one HTML page.", callback=_page), WRITTEN]
+Csv = Annotated[File, value("FILE", "Also write all values as a table.", "--csv"), WRITTEN]

@@ -12,12 +12,14 @@ import textwrap
 import time
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ..errors import UnoccludeError
 from ..runtime.printable import plain, printable
 from ..table import cell_text
+from . import options as o
 
 if TYPE_CHECKING:
     from ..runtime.pool import Progress
@@ -87,15 +89,23 @@ def progress_file(path: Path) -> Progress:
     return show
 
 
-def check_outputs(force: bool, outputs: Iterable[Path | None], inputs: Iterable[Path | None] = ()) -> None:
-    """Refuse outputs that could not be written in the end, before any work is done for them."""
+#: Files of a command; some may not be given.
+Paths = Iterable[Path | None]
+
+
+def check_outputs(force: bool, outputs: Paths, inputs: Paths = ()) -> None:
+    """Refuse outputs that could not be written in the end, before any work is done for them.
+
+    Of a folder that is read its files are.
+    """
     from ..runtime.inputs import check_input
     from ..runtime.outputs import check_output, is_stream, remove_stale_tempfiles
 
     read: set[object] = set()
     for path in (path for path in inputs if path is not None):
         check_input(path)
-        read |= _identity(path)
+        inside = path.glob("*") if path.is_dir() else ()
+        read |= {key for each in (path, *inside) for key in _identity(each)}
     written: set[object] = set()
     for path in (path for path in outputs if path is not None and not is_stream(path)):
         keys = _identity(path)
@@ -115,25 +125,6 @@ def _identity(path: Path) -> set[object]:
         about = path.stat()
         keys |= {(about.st_dev, about.st_ino)} if about.st_ino else set()
     return keys
-
-
-#: Endings of files of other formats than MCAP; those of `unocclude export` first.
-_OTHER_ENDINGS = ("csv", "trc", "mot", "c3d", "parquet", "sto")
-_NO_RESULT = ("html", "json", "toml", "txt", "mat", "bag", "rrd", "osim", "npz")
-
-
-def check_mcap(path: Path, exports: bool = False) -> None:
-    """Refuse to write MCAP to a file whose ending says something else.
-
-    `exports`: what is written is a result, which `unocclude export` writes in other formats.
-    """
-    ending = path.suffix.lower().removeprefix(".")
-    if exports and ending in _OTHER_ENDINGS:
-        mcap = path.with_suffix(".mcap")
-        command = shlex.join(["unocclude", "export", str(mcap), "--format", ending, "-o", str(path)])
-        raise UnoccludeError(f"{path}: the result is MCAP; write it to {mcap}, then `{command}`")
-    if ending in (*_OTHER_ENDINGS, *_NO_RESULT):
-        raise UnoccludeError(f"{path}: the output is MCAP; name it {path.with_suffix('.mcap')}")
 
 
 def write_text(path: Path | None, text: str, force: bool) -> None:
@@ -254,6 +245,32 @@ def _wrapped(line: str, width: int) -> str:
 def say_command(*words: object) -> None:
     """Print the command to try next, on one line, so that it can be copied."""
     print(f"try: {shlex.join(['unocclude', *map(str, words)])}")
+
+
+@dataclass(frozen=True)
+class Out:
+    """Where a command's figures go, and whether its outputs may be replaced."""
+
+    json_file: o.Json = None
+    force: o.Force = False
+
+    def check_files(self, written: Paths, added_to: Paths, read: Paths) -> None:
+        """Refuse files that could not be read or written in the end; what is added to is read as well."""
+        check_outputs(self.force, written, [*read, *added_to])
+        check_outputs(True, added_to, read)
+
+    def check(self, outputs: Paths, inputs: Paths = ()) -> None:
+        """Refuse further outputs, whose names follow from others."""
+        check_outputs(self.force, [*outputs, self.json_file], inputs)
+
+    def json(self, figures: dict[str, Any]) -> None:
+        """Write the figures, if they are wanted."""
+        write_json(self.json_file, figures, self.force)
+
+    def end(self, figures: dict[str, Any], *written: Path | None) -> None:
+        """Write the figures, and print what was written."""
+        self.json(figures)
+        say_written(*written, self.json_file)
 
 
 def say_written(*paths: Path | None) -> None:

@@ -14,25 +14,14 @@ import typer
 from ..table import Table, tabulated
 from . import options as o
 from .arm_output import arms_figures, say_arm
-from .load import ArmInput
-from .output import (
-    check_mcap,
-    check_outputs,
-    part_of,
-    print_notes,
-    progress_bar,
-    say,
-    say_written,
-    show,
-    write_json,
-)
+from .load import ArmInput, PersonConfigInput, Which
+from .output import Out, part_of, print_notes, progress_bar, say, show
 from .run import NOT_TRUSTED
 
 if TYPE_CHECKING:
     from ..calibration import ArmCalibration
     from ..config import Config
     from ..io.info import RecordingInfo
-    from ..io.recording.choose import Selection
     from ..measurements.clock import Clock
     from ..recording import Recording
 
@@ -40,24 +29,15 @@ if TYPE_CHECKING:
 MOST_ROWS = 25
 
 
-def info(
-    recording_file: o.RecordingPath,
-    json_file: o.Json = None,
-    force: o.Force = False,
-    imu: o.Imu = None,
-    skeleton: o.Skeleton = None,
-    side: o.Side = None,
-    body: o.Body = None,
-) -> None:
+def info(recording_file: o.RecordingPath, which: Which, out: Out) -> None:
     """Show streams, rates, clocks, gaps, and what is missing.
 
     Example: unocclude info session.mcap
     """
     from ..io import describe
 
-    check_outputs(force, [json_file], [recording_file])
-    about = describe(recording_file, imu=imu, skeleton=skeleton, side=side, body=body)
-    write_json(json_file, about.to_dict(), force)
+    about = describe(recording_file, **which.chosen)
+    out.json(about.to_dict())
     show(topic_table(about))
     show(Table("Streams", ("what", "found"), list(_streams(about))))
     print_missing(about)
@@ -128,11 +108,10 @@ def print_missing(about: RecordingInfo) -> None:
 
 def match(
     recording_file: o.RecordingPath,
+    out: Out,
     method: Annotated[Literal["motion", "joint-likelihood"], o.option("How pairs are compared.")] = "motion",
     clocks_apart_s: Annotated[float, o.value("S", "Clocks may differ by this, s.", min=0, max=60)] = 5.0,
     skeleton: Annotated[o.Text, o.value("TOPIC", "The skeleton, where there are several.")] = None,
-    json_file: o.Json = None,
-    force: o.Force = False,
 ) -> None:
     """Find which IMU is on which body and limb, by motion alone.
 
@@ -144,24 +123,23 @@ def match(
     from ..io import open_recording
     from ..io.recording.match import match_file
 
-    check_outputs(force, [json_file], [recording_file])
     file = open_recording(recording_file, truth=False)
     matches, notes = match_file(file, method, clocks_apart_s, skeleton=skeleton)
-    rows = [one.to_dict() | {"else": [f"{where} {p:.2f}" for where, p in one.others[:3]]} for one in matches]
+    figures = [one.to_dict() for one in matches]
+    others = [{"else": [f"{where} {p:.2f}" for where, p in one.others[:3]]} for one in matches]
+    rows = [mine | more for mine, more in zip(figures, others, strict=True)]
     show(tabulated(str(recording_file), rows, "imu body joint probability clock_offset_s else"))
     sure = sum(one.is_sure for one in matches)
     are = "is" if sure == 1 else "are"
     say(f"{sure} of {len(matches)} IMUs {are} matched with a probability above 0.95")
     print_notes([*file.notes, *notes])
-    figures = {"matches": [one.to_dict() for one in matches], "method": method}
-    write_json(json_file, figures, force)
+    out.json({"matches": figures, "method": method})
 
 
 def repair(
     broken_file: Annotated[Path, o.argument("BROKEN.mcap", "The damaged file; it is not changed.")],
-    output: Annotated[Path, o.value("WHOLE.mcap", "Where to write.", "-o", "--output")],
-    json_file: o.Json = None,
-    force: o.Force = False,
+    output: o.Output,
+    out: Out,
 ) -> None:
     """Salvage a damaged MCAP file and list what was lost.
 
@@ -173,18 +151,10 @@ def repair(
     from ..io.mcap.messages import plain_name
     from ..io.mcap.repair import repair_container
 
-    check_mcap(output)
-    check_outputs(force, [output, json_file], [broken_file])
-    report = repair_container(broken_file, output, force)
-    rows = [
-        {
-            "topic": plain_name(name),
-            "written": report.messages.get(name, 0),
-            "missing": report.missing.get(name, 0),
-        }
-        for name in sorted({*report.messages, *report.missing})
-    ]
-    show(tabulated(f"{report.source}: messages", rows, "topic written missing"))
+    report = repair_container(broken_file, output, out.force)
+    kept, lost = report.messages, report.missing
+    counts = [(plain_name(name), kept.get(name, 0), lost.get(name, 0)) for name in sorted({*kept, *lost})]
+    show(Table(f"{report.source}: messages", ("topic", "written", "missing"), counts))
     if not report.losses:
         say("no message before the end is lost" if report.notes else "nothing damaged was met")
     start = min((loss.first_ns for loss in report.losses if loss.first_ns is not None), default=0)
@@ -196,26 +166,23 @@ def repair(
     ]
     title = "What is damaged (s after the first damage)"
     show(tabulated(title, lines, "bytes from_s to_s what"), MOST_ROWS)
-    write_json(json_file, report.to_dict(), force)
     print_notes(report.notes)
     if report.attachments_left_out:
         say(f"note: {report.attachments_left_out} damaged attachments were left out.")
-    say_written(output, json_file)
+    out.end(report.to_dict(), output)
 
 
 def cut(
     recording_file: o.RecordingPath,
-    output: Annotated[Path, o.value("FILE", "The part; a folder with --trials.", "-o", "--output")],
+    output: Annotated[
+        Path, o.value("FILE", "The part; a folder with --trials.", "-o", "--output"), o.UNCHECKED
+    ],
+    which: Which,
+    out: Out,
     from_s: Annotated[o.Number, o.value("S", "Start, s.  [default: the recording's]", "--from")] = None,
     to_s: Annotated[o.Number, o.value("S", "End, s.  [default: the recording's]", "--to")] = None,
     trials: Annotated[o.File, o.value("TRIALS.csv", "Parts: name, start_s, end_s [, label].")] = None,
     label: Annotated[o.Texts, o.value("TEXT", "Only parts with this label; may be repeated.")] = None,
-    json_file: o.Json = None,
-    force: o.Force = False,
-    imu: o.Imu = None,
-    skeleton: o.Skeleton = None,
-    side: o.Side = None,
-    body: o.Body = None,
 ) -> None:
     """Cut a recording by time, or into the trials of a table.
 
@@ -227,55 +194,32 @@ def cut(
     """
     from ..io.recording.cut_file import Part, cut_file, read_trials
 
+    is_one = from_s is not None or to_s is not None
+    if is_one == (trials is not None):
+        raise typer.BadParameter("choose parts: --from S, --to S of one, or --trials TRIALS.csv")
     if trials is None:
-        if from_s is None and to_s is None:
-            raise typer.BadParameter("choose a part: --from S, --to S, or --trials TRIALS.csv")
         if label:
             raise typer.BadParameter("--label chooses among --trials; give the table too")
-        check_mcap(output)
+        o.as_mcap(output)
         start_s, end_s = from_s or 0.0, math.inf if to_s is None else to_s
         if not start_s < end_s:
             raise typer.BadParameter(f"--to {end_s:g} is not after --from {start_s:g}")
         parts = [Part(output.stem, output, start_s, end_s)]
     else:
-        if from_s is not None or to_s is not None:
-            raise typer.BadParameter(
-                "--from and --to are for one part; the table of --trials has its own times"
-            )
         each = read_trials(trials, label or ())
         parts = [Part(one.name, output / f"{one.name}.mcap", one.start_s, one.end_s) for one in each]
         if output.exists() and not output.is_dir():
             raise typer.BadParameter(f"{output} is a file; with --trials name a folder")
         output.mkdir(parents=True, exist_ok=True)
-    check_outputs(force, [*(part.path for part in parts), json_file], [recording_file, trials])
-    chosen: Selection = {"imu": imu, "skeleton": skeleton, "side": side, "body": body}
-    written, notes = cut_file(recording_file, parts, force=force, **chosen)
-    write_json(json_file, {"parts": written, "notes": notes}, force)
+    out.check((part.path for part in parts), [recording_file, trials])
+    written, notes = cut_file(recording_file, parts, force=out.force, **which.chosen)
+    out.json({"parts": written, "notes": notes})
     rows = [each | {"messages": sum(each["messages"].values())} for each in written]  # type: ignore[attr-defined]
     show(tabulated(f"Parts of {recording_file}", rows, "name from_s to_s messages file"), MOST_ROWS)
     print_notes(notes)
 
 
-def check(
-    recording_file: o.RecordingPath,
-    calibration: o.Calibration = None,
-    json_file: o.Json = None,
-    force: o.Force = False,
-    imu: o.Imu = None,
-    skeleton: o.Skeleton = None,
-    side: o.Side = None,
-    body: o.Body = None,
-    mirror: o.Mirror = None,
-    swap: o.Swap = None,
-    negate: o.Negate = None,
-    camera_frame: o.CameraAxes = None,
-    clock_offset: o.ClockOffset = None,
-    clock_sigma: o.ClockSigma = None,
-    config_file: o.ConfigFile = None,
-    anatomy: o.Anatomy = None,
-    body_height: o.BodyHeight = None,
-    processes: o.Processes = None,
-) -> None:
+def check(recording_file: o.RecordingPath, source: ArmInput, settings: PersonConfigInput, out: Out) -> None:
     """Test what a recording allows and what is wrong with its set-up.
 
     Checks every arm that has an IMU; of a long recording only the most informative excerpts. The exit code
@@ -283,28 +227,21 @@ def check(
 
     Example: unocclude check session.mcap --json check.json
     """
-    from .config import read_config
-
-    chosen: Selection = {"imu": imu, "skeleton": skeleton, "side": side, "body": body}
-    source = ArmInput(calibration, chosen, mirror, swap, negate, camera_frame, clock_offset, clock_sigma)
-    check_outputs(force, [json_file], [recording_file, calibration, config_file])
-    config = read_config(config_file, processes, anatomy, body_height)
+    config = settings.read()
     arms = source.load(recording_file, truth=False)
-    recordings = [recording for recording, _ in arms]
-    clocks = [source.clock(recording) for recording in recordings]
     with progress_bar("checking") as progress:
         findings = [
-            checked(*arm, config, clocks[place], part_of(progress, place, len(arms)))
+            checked(*arm, config, source.clock(arm[0]), part_of(progress, place, len(arms)))
             for place, arm in enumerate(arms)
         ]
         progress(1.0, "done")
+    recordings = [recording for recording, _ in arms]
     figures = arms_figures(recordings, findings)
-    write_json(json_file, figures, force)
     for recording, mine in zip(recordings, findings, strict=True):
         say_arm(recording, len(arms))
         print_check(mine)
         print_notes(recording.notes)
-    say_written(json_file)
+    out.end(figures)
     if not figures["trusted"]:
         raise typer.Exit(NOT_TRUSTED)
 

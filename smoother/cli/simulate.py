@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import tomllib
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -12,24 +12,14 @@ import typer
 from ..errors import UnoccludeError
 from ..table import Table
 from . import options as o
-from .output import (
-    check_mcap,
-    check_outputs,
-    progress_bar,
-    say,
-    say_command,
-    say_written,
-    show,
-    write_json,
-    write_text,
-)
+from .output import Out, progress_bar, say, say_command, show, write_text
 
 if TYPE_CHECKING:
     from pydantic.fields import FieldInfo
 
     from ..array_types import FloatArray
     from ..recording import ImuStream
-    from ..simulation import MarkerCapture
+    from ..simulation import MarkerCapture, SimulatedArm
     from ..simulation.config import RestPoses, StrapImages, TurningMagnetometer
     from ..simulation.panel import SimulatedPanel
     from ..simulation.rig import ClockSession
@@ -39,7 +29,7 @@ Preset = Annotated[
     str,
     o.option("Errors to start from, or a file of settings.", metavar="clean|white|realistic|azure|FILE.toml"),
 ]
-Folder = Annotated[Path, o.option("Folder to make.", "-o", "--output", metavar="FOLDER")]
+Folder = Annotated[Path, o.value("FOLDER", "Folder to make.", "-o", "--output"), o.UNCHECKED]
 #: What a calibration should find, further figures, and the command to try.
 Made = tuple[dict[str, Any], dict[str, Any], tuple[object, ...]]
 _TRUTH = "# Simulated: what the calibration of these files should find.\n"
@@ -56,8 +46,12 @@ def configured(
     fields = {
         name: field for kind in kinds for name, field in kind.model_fields.items() if name not in hidden
     }
+    if "list" in (given or ()):
+        rows = [(name, _shown(field.get_default()), field.description) for name, field in fields.items()]
+        show(Table("Settings", ("key", "default", "what it is"), rows))
+        raise typer.Exit
     start, own = read_preset(preset, fields) if preset else ("", {})
-    changes = usual | own | parsed_settings(given or (), fields)
+    changes = usual | own | dict(parsed_setting(text, fields) for text in given or ())
     try:
         made = []
         for kind in kinds:
@@ -85,28 +79,19 @@ def read_preset(name: str, fields: Mapping[str, FieldInfo]) -> tuple[str, dict[s
     return name, own
 
 
-def parsed_settings(given: list[str] | tuple[()], fields: Mapping[str, FieldInfo]) -> dict[str, Any]:
-    """What `--set KEY=VALUE` sets, by name; `list` prints the settings and ends."""
-    found: dict[str, Any] = {}
-    for text in given:
-        if text == "list":
-            rows = [(name, _shown(field.get_default()), field.description) for name, field in fields.items()]
-            show(Table("Settings", ("key", "default", "what it is"), rows))
-            raise typer.Exit
-        key, mark, value = (part.strip() for part in text.partition("="))
-        name = key.replace("-", "_")
-        if not mark or name not in fields:
-            why = f"there is no setting '{key}'" if mark else f"'{text}' is not KEY=VALUE"
-            raise typer.BadParameter(f"--set: {why}; `--set list` prints all")
-        found[name] = value
-        if isinstance(fields[name].get_default(), tuple):  # as 0.5,1; or as TOML has it: [[0.1, 0.2]]
-            try:
-                brackets = value if value.startswith("[") else f"[{value}]"
-                found[name] = tomllib.loads(f"x = {brackets}")["x"]
-            except tomllib.TOMLDecodeError:
-                message = f"setting {name} takes numbers, as 0.5,1; not '{value}'"
-                raise typer.BadParameter(message) from None
-    return found
+def parsed_setting(text: str, fields: Mapping[str, FieldInfo]) -> tuple[str, Any]:
+    """Name and value of `--set KEY=VALUE`."""
+    key, mark, value = (part.strip() for part in text.partition("="))
+    name = key.replace("-", "_")
+    if not mark or name not in fields:
+        why = f"there is no setting '{key}'" if mark else f"'{text}' is not KEY=VALUE"
+        raise typer.BadParameter(f"--set: {why}; `--set list` prints all")
+    if not isinstance(fields[name].get_default(), tuple):
+        return name, value
+    try:  # as 0.5,1; or as TOML has it: [[0.1, 0.2]]
+        return name, tomllib.loads(f"x = {value}" if value.startswith("[") else f"x = [{value}]")["x"]
+    except tomllib.TOMLDecodeError:
+        raise typer.BadParameter(f"setting {name} takes numbers, as 0.5,1; not '{value}'") from None
 
 
 def _shown(default: Any) -> str:
@@ -124,8 +109,9 @@ def truth_text(tables: dict[str, Any]) -> str:
 
 def arm(
     output: o.Output,
+    out: Out,
     calibration_out: Annotated[
-        Path | None, o.option("Also write the true calibration of the arm.", metavar="CAL.toml")
+        o.File, o.value("CAL.toml", "Also write the true calibration of the arm."), o.WRITTEN
     ] = None,
     preset: Preset = "white",
     seed: o.Seed = 0,
@@ -141,8 +127,6 @@ def arm(
     arms: Annotated[
         Literal["one", "both"], o.option("Both arms of one person; the setting `side` is the first.")
     ] = "one",
-    json_file: o.Json = None,
-    force: o.Force = False,
 ) -> None:
     """An arm with a wrist IMU before a depth camera.
 
@@ -155,31 +139,31 @@ def arm(
     from ..simulation import ArmSimulation, MocapSimulation, capture, simulate_arm, simulate_both_arms
 
     config, mocap_config = configured(settings, ArmSimulation, MocapSimulation, preset=preset)
-    if not mocap and mocap_config != MocapSimulation():
-        raise typer.BadParameter("the settings of markers and mocap need --mocap")
-    if config.cameras and arms == "both":
-        raise typer.BadParameter("cameras film one arm; leave out --arms both")
-    if config.rgb != "none" and (arms == "both" or mocap or "trunk" in config.imus):
-        raise typer.BadParameter("rgb goes with one arm and no motion capture; leave out the others")
-    if config.rgb == "further" and not config.cameras:
-        raise typer.BadParameter("rgb=further needs cameras, as in --set cameras=75")
-    if mocap and arms == "both":
-        raise typer.BadParameter("--mocap captures one arm; leave out --arms both")
+    two, rgb = arms == "both", config.rgb != "none"
+    wrong = {
+        "the settings of markers and mocap need --mocap": not mocap and mocap_config != MocapSimulation(),
+        "cameras film one arm; leave out --arms both": two and config.cameras,
+        "rgb goes with one arm and no motion capture; leave out the others": (
+            rgb and (two or mocap or "trunk" in config.imus)
+        ),
+        "rgb=further needs cameras, as in --set cameras=75": config.rgb == "further" and not config.cameras,
+        "--mocap captures one arm; leave out --arms both": two and mocap,
+    }
+    for sentence in (sentence for sentence, is_so in wrong.items() if is_so):
+        raise typer.BadParameter(sentence)
     markers: list[Path] = []
     if mocap:
         calibration_out = calibration_out or output.with_name(f"{output.stem}_calibration.toml")
         markers = [output.with_name(output.stem + end) for end in (".c3d", ".trc", "_markers.toml")]
-    check_mcap(output)
-    outputs = [output, calibration_out, *markers, json_file]
-    check_outputs(force, outputs)
-    both = simulate_both_arms(config, seed) if arms == "both" else (simulate_arm(config, seed),)
+        out.check([output, calibration_out, *markers])
+    both: Sequence[SimulatedArm] = simulate_both_arms(config, seed) if two else [simulate_arm(config, seed)]
     simulated, recording, captured = both[0], both[0].recording, None
     if mocap:
         try:
             captured = capture(simulated, mocap_config, seed)
         except ValueError as error:
             raise typer.BadParameter(str(error)) from error
-    write_recording([one.recording for one in both], output, force=force)
+    write_recording([one.recording for one in both], output, force=out.force)
     figures = {"seed": seed, "preset": preset, "config": config.model_dump(mode="json")}
     rows: list[tuple[str, object]] = [
         ("length, s", f"{recording.imu.t_s[-1] - recording.imu.t_s[0]:.1f}"),
@@ -190,23 +174,22 @@ def arm(
         angle = simulated.parameters["cameras"][camera.name]["angle_deg"]
         rows.append((f"frames of {camera.name}, at {angle:g} degrees", len(camera.arm)))
     for one in both:
-        which = f", {one.recording.side} arm" if len(both) > 1 else ""
+        which = f", {one.recording.side} arm" if two else ""
         rows.append((f"occluded frames{which}", int(one.occluded.sum())))
     extrinsics = None
     if captured is not None and calibration_out is not None:
-        write_mocap(captured, markers, calibration_out, force)
+        write_mocap(captured, markers, calibration_out, out.force)
         extrinsics = captured.extrinsics
         found = {"offset_s": captured.offset_s, "skew_ppm": captured.skew_ppm} | extrinsics
         figures["mocap"] = mocap_config.model_dump(mode="json") | found
         rows.append(("mocap frames, 15 markers", len(captured.position)))
     if calibration_out is not None:
-        write_calibration([one.calibration for one in both], extrinsics, calibration_out, force)
+        write_calibration([one.calibration for one in both], extrinsics, calibration_out, out.force)
     figures["parameters"] = simulated.parameters
-    if len(both) > 1:
+    if two:
         figures["arms"] = [{"side": one.recording.side, "parameters": one.parameters} for one in both]
-    write_json(json_file, figures, force)
     show(Table(recording.name, ("what", "value"), rows))
-    say_written(*outputs)
+    out.end(figures, output, calibration_out, *markers)
 
 
 _MAP_HEAD = """# Markers of {name}: the mean of a joint's markers is its centre. The plate on the IMU is
@@ -252,11 +235,10 @@ _NOT_OURS = (
 
 def people(
     output: o.Output,
+    out: Out,
     preset: Preset = "realistic",
     seed: o.Seed = 0,
     settings: o.Settings = None,
-    json_file: o.Json = None,
-    force: o.Force = False,
 ) -> None:
     """People with shuffled, unnamed IMUs, for `match`.
 
@@ -272,48 +254,33 @@ def people(
     usual: dict[str, Any] = {"protocol": "random", "duration_s": 20.0}
     kinds = (PeopleSimulation, ArmSimulation)
     crowd, config = configured(settings, *kinds, preset=preset, hidden=_NOT_OURS, **usual)
-    check_mcap(output)
-    check_outputs(force, [output, json_file])
     try:
         simulated = simulate_people(crowd, config, seed)
     except ValueError as error:
         raise typer.BadParameter(str(error)) from error
     streams = [one.stream for one in simulated.worn]
     session = as_session(simulated.name, streams, simulated.arms, simulated.camera_frame)
-    write_recording(session, output, force=force)
-    rows = [(one.stream.name, one.body, one.joint, one.clock_offset_s) for one in simulated.worn]
+    write_recording(session, output, force=out.force)
     keys = ("imu", "body", "joint", "clock_offset_s")
-    figures = {
-        "seed": seed,
-        "people": crowd.model_dump(mode="json"),
-        "config": config.model_dump(mode="json"),
-        "truth": [dict(zip(keys, row, strict=True)) for row in rows],
-    }
-    write_json(json_file, figures, force)
+    rows = [(one.stream.name, one.body, one.joint, one.clock_offset_s) for one in simulated.worn]
     show(Table(simulated.name, ("IMU", "body", "joint", "its clock is ahead, s"), rows))
-    say_written(output, json_file)
+    settings_used = {"people": crowd.model_dump(mode="json"), "config": config.model_dump(mode="json")}
+    truth = [dict(zip(keys, row, strict=True)) for row in rows]
+    out.end({"seed": seed, **settings_used, "truth": truth}, output)
 
 
 def _for_calibration(kind: str, make: Callable[[Any, int, Path, bool], Made]) -> Callable[..., None]:
     """The command of a recording that a calibration takes: its settings, its files, what to try next."""
 
-    def command(
-        output: o.Output,
-        seed: o.Seed = 0,
-        settings: o.Settings = None,
-        json_file: o.Json = None,
-        force: o.Force = False,
-    ) -> None:
+    def command(output: o.Output, out: Out, seed: o.Seed = 0, settings: o.Settings = None) -> None:
         import smoother.simulation.config as kinds
 
         (config,) = configured(settings, getattr(kinds, kind))
         truth_file = output.with_name(f"{output.stem}_truth.toml")
-        check_mcap(output)
-        check_outputs(force, [output, truth_file, json_file])
-        truth, figures, words = make(config, seed, output, force)
-        write_text(truth_file, truth_text(truth), force)
-        write_json(json_file, {"seed": seed, **figures, "truth": truth}, force)
-        say_written(output, truth_file, json_file)
+        out.check([output, truth_file])
+        truth, figures, words = make(config, seed, output, out.force)
+        write_text(truth_file, truth_text(truth), out.force)
+        out.end({"seed": seed, **figures, "truth": truth}, output, truth_file)
         say_command(*words)
 
     command.__doc__ = make.__doc__
@@ -410,16 +377,11 @@ def write_sensor(output: Path, stream: ImuStream, truth: dict[str, Any], force: 
 
 def panel(
     output: Folder,
-    mcap: Annotated[
-        Path | None, o.option("Also write the session as a recording.", metavar="REC.mcap")
-    ] = None,
-    panel: Annotated[
-        Path | None, o.option("Markers and extent of the panel to simulate.", metavar="PANEL.toml")
-    ] = None,
+    out: Out,
+    mcap: Annotated[o.File, o.value("REC.mcap", "Also write the session as a recording."), o.WRITTEN] = None,
+    panel: Annotated[o.File, o.value("PANEL.toml", "Markers and extent of the panel to simulate.")] = None,
     seed: o.Seed = 0,
     settings: o.Settings = None,
-    json_file: o.Json = None,
-    force: o.Force = False,
 ) -> None:
     """A marker panel with images, motion capture and IMUs.
 
@@ -443,8 +405,7 @@ def panel(
             usual |= {"marker_height_m": known.height_m, "marker_shape": "sphere"}
     hidden = ("markers", "extent")  # they are in the panel's own file
     (config,) = configured(settings, PanelSimulation, hidden=hidden, **usual)
-    check_folder(output, force)
-    check_outputs(force, [mcap, json_file], [panel])
+    check_folder(output, out.force)
     try:
         simulated = simulate_panel(config, seed)
     except ValueError as error:
@@ -456,23 +417,18 @@ def panel(
     lens = vars(simulated.lens) | {"distortion": list(simulated.lens.distortion)}
     truth = panel_truth(simulated)
     imus = [simulated.imu_panel, simulated.imu_base]
-    definition: dict[str, Any] = {
-        "markers": [list(marker) for marker in config.markers],
-        "extent": [list(corner) for corner in config.extent],
-    }
+    definition: dict[str, Any] = {name: [list(point) for point in getattr(config, name)] for name in hidden}
     if config.marker_shape == "sphere" and config.marker_height_m > 0:
         definition["marker_height"] = config.marker_height_m
     if mcap is not None:
-        write_panel_recording(mcap, shots, imus, lens, force=force)
+        write_panel_recording(mcap, shots, imus, lens, force=out.force)
     tables = {"intrinsics.toml": lens, "panel.toml": {"panel": definition}, "truth.toml": truth}
-    write_panel_folder(output, shots, imus, config.hold_s / 2, tables, force=force)
-    write_json(json_file, {"seed": seed, "config": config.model_dump(mode="json"), "truth": truth}, force)
-    rows = [
-        (name, f"{values['distance_m']:.2f}", f"{values['tilt_deg']:.0f}")
-        for name, values in truth["pose"].items()
+    write_panel_folder(output, shots, imus, config.hold_s / 2, tables, force=out.force)
+    poses = [
+        (name, f"{one['distance_m']:.2f}", f"{one['tilt_deg']:.0f}") for name, one in truth["pose"].items()
     ]
-    show(Table(str(output), ("pose", "distance, m", "tilt, deg"), rows))
-    say_written(output, mcap, json_file)
+    show(Table(str(output), ("pose", "distance, m", "tilt, deg"), poses))
+    out.end({"seed": seed, "config": config.model_dump(mode="json"), "truth": truth}, output, mcap)
 
 
 def panel_truth(simulated: SimulatedPanel) -> dict[str, Any]:
@@ -511,13 +467,7 @@ def _quaternion(R: FloatArray) -> list[float]:
     return quaternion
 
 
-def clock(
-    output: Folder,
-    seed: o.Seed = 0,
-    settings: o.Settings = None,
-    json_file: o.Json = None,
-    force: o.Force = False,
-) -> None:
+def clock(output: Folder, out: Out, seed: o.Seed = 0, settings: o.Settings = None) -> None:
     """A beep, broadcasts and motion with known clocks.
 
     Writes beep.wav, times.csv, session.mcap and truth.toml. The IMU's clock runs 390 ppm fast.
@@ -530,20 +480,16 @@ def clock(
     from ..simulation.rig import simulate_clock_session
 
     (config,) = configured(settings, ClockSources)
-    check_folder(output, force)
-    check_outputs(force, [json_file])
+    check_folder(output, out.force)
     session = simulate_clock_session(seed, **config.model_dump())
-    links = true_links(session)
-    truth = {"clock": {"links": links}}
-    sound = (session.sound, session.sound_rate_hz)
-    text = truth_text(truth)
-    write_clock_folder(output, *sound, session.receptions, session.recording, text, force=force)
-    write_json(json_file, {"seed": seed, "event_time_s": session.event_time_s, "truth": truth}, force)
+    truth = {"clock": {"links": (links := true_links(session))}}
+    text, sound = truth_text(truth), (session.sound, session.sound_rate_hz)
+    write_clock_folder(output, *sound, session.receptions, session.recording, text, force=out.force)
     rows = [(one["from"], one["to"], f"{one['offset_s']:+.6f}", f"{one['skew_ppm']:.2f}") for one in links]
     columns = ("from", "to", "offset, s", "skew, ppm")
     show(Table("True clocks at time 0: t_to = t_from + offset", columns, rows))
     say(f"the beep ended at {session.event_time_s:.7f} s on the base's clock")
-    say_written(output, json_file)
+    out.end({"seed": seed, "event_time_s": session.event_time_s, "truth": truth}, output)
     say_command(
         *("calibrate", "clock", "--sound", output / SOUND, "--event-time", f"{session.event_time_s:.7f}"),
         *("--broadcast", output / TIMES, "--motion", output / MOTION, "-o", "clock.toml"),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
@@ -11,61 +12,40 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from ..evaluation.methods import METHODS
+from ..errors import UnoccludeError
+from ..evaluation.methods import GRAPH, METHODS
 from ..table import tabulated
 from . import options as o
 from .arm_output import arms_figures, end_strictly, say_arm
-from .load import ArmInput, damage
-from .methods import baseline_settings, choose, drawn_motions, recover_arms, with_strap, with_strap_note
-from .output import (
-    check_mcap,
-    check_outputs,
-    is_imported,
-    progress_bar,
-    say,
-    say_more,
-    say_written,
-    show,
-    write_json,
-)
+from .load import ArmInput, PersonConfigInput, baseline_settings, choose, damage, usual_draws
+from .output import Out, is_imported, progress_bar, say, say_more, show
 
 if TYPE_CHECKING:
+    from ..calibration import ArmCalibration
     from ..config import Config
-    from ..io.recording.choose import Selection
+    from ..evaluation.methods import BaselineSettings
+    from ..measurements.clock import Clock
     from ..recording import Recording
-    from ..result import Recovery
+    from ..result import Recoveries, Recovery
+    from ..runtime.pool import Progress
 
 
 def smooth(
     recording_file: o.RecordingPath,
-    output: o.Output,
-    calibration: o.Calibration = None,
+    output: o.ResultOutput,
+    source: ArmInput,
+    settings: PersonConfigInput,
+    out: Out,
     session: Annotated[o.File, o.value("FOLDER", "Trials of the same strap, calibrated together.")] = None,
     method: Annotated[str, o.value("M", f"Method: {', '.join(METHODS)}.")] = "graph",
     report: o.Report = None,
     max_sigma_m: Annotated[o.Number, o.value("M", "Mark samples above this sigma (`usable` = 0).")] = None,
     strict: o.Strict = False,
     verbose: o.Verbose = False,
-    json_file: o.Json = None,
-    force: o.Force = False,
-    imu: o.Imu = None,
-    skeleton: o.Skeleton = None,
-    side: o.Side = None,
-    body: o.Body = None,
-    mirror: o.Mirror = None,
-    swap: o.Swap = None,
-    negate: o.Negate = None,
-    camera_frame: o.CameraAxes = None,
-    clock_offset: o.ClockOffset = None,
-    clock_sigma: o.ClockSigma = None,
-    config_file: o.ConfigFile = None,
     orientation: o.Orientation = None,
     solve_lever_arms: Annotated[
         bool, o.rare("Estimate the offset of strap and IMU, else zero.", "--solve-lever-arms")
     ] = False,
-    anatomy: o.Anatomy = None,
-    body_height: o.BodyHeight = None,
-    processes: o.Processes = None,
     draws: Annotated[o.Count, o.rare("Drawn motions; 0 = none.  [default: 64]", min=0, max=1000)] = None,
     seed: Annotated[int | None, o.rare("Seed of the drawn motions.  [default: 0]", min=0)] = None,
 ) -> None:
@@ -81,21 +61,15 @@ def smooth(
 
     from ..io import write_recovery
     from ..result import is_of_arm
-    from .config import read_config
-    from .methods import limit_sigma
 
     names = choose(method)
     if len(names) != 1:
         raise typer.BadParameter("--method takes one method; `unocclude compare` runs several")
-    settings = baseline_settings(names, orientation)
+    baselines = baseline_settings(names, orientation)
     if max_sigma_m is not None and not max_sigma_m > 0:
         raise typer.BadParameter("--max-sigma-m is a length above zero, in m")
     motions = drawn_motions(draws, seed, names[0])
-    chosen: Selection = {"imu": imu, "skeleton": skeleton, "side": side, "body": body}
-    source = ArmInput(calibration, chosen, mirror, swap, negate, camera_frame, clock_offset, clock_sigma)
-    check_mcap(output, exports=True)
-    check_outputs(force, [output, report, json_file], [recording_file, calibration, config_file])
-    config = read_config(config_file, processes, anatomy, body_height)
+    config = settings.read()
     with ExitStack() as ended:
         if session is not None:
             folder = Path(ended.enter_context(TemporaryDirectory(prefix="unocclude-")))
@@ -106,7 +80,7 @@ def smooth(
         given = [with_strap(known, recording) if solve_lever_arms else known for recording, known in arms]
         with progress_bar("recovering") as progress:
             recoveries = recover_arms(
-                recordings, names[0], given, clocks, config, settings, progress, motions, seed or 0
+                recordings, names[0], given, clocks, config, baselines, progress, motions, seed or 0
             )
         results = []
         for recovery in recoveries:
@@ -116,19 +90,15 @@ def smooth(
                 recovery = with_strap_note(recovery)
             results.append((recording, limit_sigma(recovery, max_sigma_m)))
         answers = [recovery for _, recovery in results]
-        write_recovery(answers, output, source=recording_file, force=force)
+        write_recovery(answers, output, source=recording_file, force=out.force)
         if report is not None:
             from ..report import write_arms_report
 
-            write_arms_report(results, report, force=force)
-        if json_file is not None:
-            figures = [smooth_figures(recording, recovery) for recording, recovery in results]
-            together = arms_figures(answers, figures)
-            write_json(json_file, together, force)
+            write_arms_report(results, report, force=out.force)
         for recording, recovery in results:
             say_arm(recovery, len(results))
             print_recovery(recording, recovery, verbose)
-    say_written(output, report, json_file)
+        out.end(arms_figures(answers, [smooth_figures(*each) for each in results]), output, report)
     if strict:
         end_strictly(recovery.estimates.trusted for recovery in answers)
 
@@ -145,7 +115,7 @@ def of_session(
         raise typer.BadParameter(f"--session is a folder of recordings; {session} is none")
     own = recording_file.resolve()
     trials = dict.fromkeys([*(path.resolve() for path in sorted(session.glob("*.mcap"))), own])
-    found = calibrate_session(trials, source.chosen or {}, config, config.windows.processes)
+    found = calibrate_session(trials, source.chosen, config, config.windows.processes)
     if found.sentence:
         say(f"{session}: {found.sentence}")
     if own not in found.arms:
@@ -250,3 +220,96 @@ MOST_ROWS, FEW_GAPS = 25, 4
 MOST_REMARKS, FEW_REMARKS = 25, 5
 #: A normal error is smaller than this many sigmas in 95 of 100 cases.
 SIGMAS_95 = 1.96
+
+
+def drawn_motions(draws: int | None, seed: int | None, method: str) -> int:
+    """How many motions are drawn from the posterior: as usual unless something else was said."""
+    if method != GRAPH:
+        if draws or seed is not None:
+            option = "--draws" if draws else "--seed"
+            raise typer.BadParameter(f"{option} belongs to the method {GRAPH}: '{method}' has no posterior")
+        return 0
+    if seed is not None and draws == 0:
+        raise typer.BadParameter("--seed is for the drawn motions, and --draws 0 draws none; leave one out")
+    return usual_draws(draws)
+
+
+def recover_arms(
+    recordings: Sequence[Recording],
+    name: str,
+    calibrations: Sequence[ArmCalibration | None],
+    clocks: Sequence[Clock | None],
+    config: Config,
+    settings: BaselineSettings,
+    progress: Progress,
+    draws: int = 0,
+    seed: int = 0,
+) -> Recoveries:
+    """The arms of a recording by one method; those that cannot be recovered are left out.
+
+    Motions are drawn from the graph's posterior only.
+    """
+    from ..evaluation.methods import make_methods
+    from ..several_arms import smooth_arms, together
+
+    if name == GRAPH:
+        return smooth_arms(recordings, calibrations, config, progress, clocks=clocks, draws=draws, seed=seed)
+    answers: list[Recovery | UnoccludeError] = []
+    for recording, calibration, clock in zip(recordings, calibrations, clocks, strict=True):
+        recover = make_methods([name], calibration, config, settings, progress, clock)[name]
+        try:
+            answers.append(recover(recording))
+        except UnoccludeError as error:
+            answers.append(error)
+    return together(recordings, answers)
+
+
+#: How far the camera's strap may lie from the IMU where that is to be found, m per axis.
+STRAP_SIGMA_M = 0.02
+
+
+def with_strap(calibration: ArmCalibration | None, recording: Recording) -> ArmCalibration:
+    """The calibration with the strap's lever arm as a variable, unless it contains one."""
+    import numpy as np
+
+    from ..calibration import ArmCalibration, LeverArm
+
+    calibration = calibration or ArmCalibration(side=recording.side)
+    if "strap" not in recording.arm.present:
+        raise typer.BadParameter(
+            "--solve-lever-arms is for recordings with a tracked strap;"
+            " lever arms of the joints are found without it"
+        )
+    strap = LeverArm(np.zeros(3), np.full(3, STRAP_SIGMA_M))
+    return replace(calibration, lever_arms={"strap": strap, **calibration.lever_arms})
+
+
+def with_strap_note(recovery: Recovery) -> Recovery:
+    """The recovery with a note that its positions are the IMU's, not the strap's."""
+    import numpy as np
+
+    arm = recovery.calibration
+    if arm is None or "strap" not in arm.lever_arms:
+        return recovery
+    lever = arm.lever_arms["strap"]
+    note = (
+        f"The tracked strap was found {1e3 * np.linalg.norm(lever.position_m):.1f} mm from the IMU; positions"
+        " are those of the IMU, and a reference of the strap is that far off."
+    )
+    return replace(recovery, notes=(*recovery.notes, note))
+
+
+def limit_sigma(recovery: Recovery, max_sigma_m: float | None) -> Recovery:
+    """Mark the samples whose position is less certain than asked for; they stay as they are."""
+    if max_sigma_m is None:
+        return recovery
+    from ..result.untrusted import certain
+
+    answered = int(certain(recovery).sum())
+    marked = replace(recovery, estimates=replace(recovery.estimates, max_sigma_m=float(max_sigma_m)))
+    below = int(certain(marked).sum())
+    note = (
+        f"{answered - below} of {answered} samples are less certain than {max_sigma_m:g} m (one standard"
+        " deviation) and are marked as not to be used: `usable` is 0 in the CSV export."
+    )
+    return replace(marked, notes=(*recovery.notes, note))

@@ -13,7 +13,7 @@ from commands import done
 
 from smoother import Config, smoothing
 from smoother.baselines.registry import BASELINES
-from smoother.cli.methods import choose
+from smoother.cli.load import choose
 from smoother.errors import SolveError
 from smoother.evaluation.compare import compare
 from smoother.evaluation.gaps import evaluate_gaps

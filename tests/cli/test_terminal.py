@@ -86,7 +86,7 @@ def test_closed_streams_are_the_null_device(tmp_path: Path, closed: str, words: 
 def test_no_output_gets_the_number_of_a_closed_stream(tmp_path: Path) -> None:
     """What is printed would be written into it."""
     code = (
-        "import os, sys\nimport smoother.cli.demo as d\n"
+        "import os, sys\nimport smoother.cli.config as d\n"
         "def write(*_):\n"
         "  with open('out', 'w') as file:\n"
         "    print('a'); os.write(1, b'b'); os.write(2, b'c'); assert file.fileno() > 2\n"

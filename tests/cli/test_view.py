@@ -10,7 +10,7 @@ import pytest
 from commands import done
 from results import made
 
-from smoother.cli import view as viewer
+from smoother.cli import export as viewer
 from smoother.errors import UnoccludeError
 from smoother.io import write_recovery
 
@@ -53,7 +53,7 @@ def test_a_file_is_shown_and_goes(needs_rerun, result, monkeypatch):
         file = Path(arguments[-1])
         shown.append((file, file.stat().st_size))
 
-    monkeypatch.setattr(viewer, "show", show)
+    monkeypatch.setattr(viewer, "show_window", show)
     done("view", result)
     ((file, size),) = shown
     assert file.name == "out.rrd"
@@ -63,5 +63,5 @@ def test_a_file_is_shown_and_goes(needs_rerun, result, monkeypatch):
 
 def test_a_viewer_that_fails_says_why():
     with pytest.raises(UnoccludeError, match="no display here"):
-        viewer.show([sys.executable, "-c", "print('no display here'); raise SystemExit(3)"])
-    viewer.show([sys.executable, "-c", "print('all is well')"])
+        viewer.show_window([sys.executable, "-c", "print('no display here'); raise SystemExit(3)"])
+    viewer.show_window([sys.executable, "-c", "print('all is well')"])

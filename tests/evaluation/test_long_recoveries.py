@@ -198,7 +198,7 @@ import sys
 from pathlib import Path
 import numpy as np
 from smoother.calibration import ArmCalibration, Length, LeverArm
-from smoother.cli.methods import limit_sigma
+from smoother.cli.smooth import limit_sigma
 from smoother.cli.smooth import print_recovery, smooth_figures
 from smoother.io import write_recovery
 from private_memory import PrivatePeak

@@ -218,7 +218,7 @@ def test_sigterm_removes_what_is_half_written(tmp_path: Path):
         # who runs the tests may ignore them, as nohup does, which a program then keeps to
         "signal.signal(signal.SIGINT, signal.default_int_handler)\n"
         "signal.signal(signal.SIGTERM, signal.SIG_DFL)\nsignal.signal(signal.SIGHUP, signal.SIG_DFL)\n"
-        "import smoother.cli.demo as d\nfrom smoother.runtime.outputs import writing\n"
+        "import smoother.cli.config as d\nfrom smoother.runtime.outputs import writing\n"
         "def wait(*_):\n"
         "  with writing(sys.argv[1]) as t:\n"
         "    t.write_text('half'); print('begun', flush=True)\n"

@@ -1,0 +1,457 @@
+"""`unocclude validate`, `compare`, `gaps`, `benchmark`: results and methods against a truth."""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+import typer
+
+from ..errors import CalibrationError, UnoccludeError
+from ..evaluation.methods import GRAPH, LIVE_METHODS, METHODS, make_methods
+from ..table import tabulated
+from . import options as o
+from .arm_output import arms_figures, each_arm, say_arm, warn
+from .load import (
+    ArmInput,
+    ConfigInput,
+    ResultInput,
+    baseline_settings,
+    camera_frame_of,
+    choose,
+    damage,
+    refuse_several,
+    refuse_twice,
+)
+from .output import (
+    Out,
+    part_of,
+    print_notes,
+    progress_bar,
+    say,
+    say_more,
+    say_written,
+    show,
+    write_csv,
+    write_json,
+    write_text,
+)
+
+if TYPE_CHECKING:
+    from calib.sigma_factor import LengthFactor
+
+    from ..calibration import ArmCalibration
+    from ..evaluation.compare import Comparison
+    from ..evaluation.gaps import GapTable
+    from ..evaluation.reference import ReferenceAlignment
+    from ..evaluation.validate import Validation
+    from ..recording import Recording, Truth
+    from ..result import Recovery
+
+
+#: More gaps than this are not printed, `--json` has them all; without --verbose this many notes and measures.
+_MOST_GAPS, FEW_NOTES, FEW_MEASURES = 40, 2, 4
+
+
+def validate(
+    result: o.Result,
+    arms: ResultInput,
+    out: Out,
+    truth: Annotated[
+        Path,
+        o.value(
+            "TRUTH",
+            "Markers of a motion capture (.c3d, .trc), or poses of the forearm IMU in the camera frame (.csv"
+            " with t_s,x,y,z,qw,qx,qy,qz, or .mcap).",
+        ),
+    ],
+    markers: Annotated[o.File, o.value("MAP.toml", "Which markers form a joint or are on the IMU.")] = None,
+    calibration: Annotated[
+        Path | None,
+        o.value("CAL.toml", "[camera_from_mocap]; else aligned by motion."),
+    ] = None,
+    align: o.Align = False,
+    pool: Annotated[o.Files, o.value("FILE.json", "Add the measures of an earlier --json file.")] = None,
+    verbose: o.Verbose = False,
+    report: o.Report = None,
+    processes: o.Processes = None,
+) -> None:
+    """Compare a result with motion capture or another reference.
+
+    With several arms, each is compared with its own truth (topics /truth/left, /truth/right); a truth
+    without a side belongs to one arm, chosen with --side.
+
+    Example: unocclude validate out.mcap --truth trial.c3d --markers map.toml --calibration rig.toml
+    """
+    from ..evaluation.measure_agreement import read_pairs, unique_pairs
+    from ..evaluation.reference import read_reference
+    from ..evaluation.validate import validate
+
+    pooled = unique_pairs(pair for path in pool or () for pair in read_pairs(path))
+    recoveries = arms.load(result)
+    refuse_several(recoveries, truth)
+    axes = camera_frame_of(result)
+    frame = None if calibration is None else axes
+    results = []
+    for recovery in recoveries:
+        own, alignment = read_reference(
+            truth, recovery, markers=markers, calibration=calibration, camera_frame=frame, align=align
+        )
+        with progress_bar("measuring") as progress:
+            validation = validate(recovery, own, alignment, pooled, processes or 0, progress)
+        if validation.measures is not None:
+            pooled = validation.measures.together
+        results.append((recovery, validation, own))
+    if report is not None:
+        from ..report import write_arms_report
+
+        write_arms_report([(None, *each) for each in results], report, camera_frame=axes, force=out.force)
+    validations, figures = [], []
+    for recovery, one, _ in results:
+        damaged = [note for note in damage(recovery.notes) if note not in one.notes]
+        validations.append(replace(one, notes=(*damaged, *one.notes)))
+        verdict = {"trusted": recovery.estimates.trusted, "verdict": recovery.estimates.verdict}
+        figures.append(validations[-1].to_dict() | verdict)
+    out.json(arms_figures(recoveries, figures))
+    warn(recoveries)
+    for recovery, validation in zip(recoveries, validations, strict=True):
+        say_arm(recovery, len(recoveries))
+        print_validation(validation, verbose)
+
+
+def print_validation(validation: Validation, verbose: bool = False) -> None:
+    """Print the figures of a validation: what matters in 40 lines, or all of them."""
+    from ..evaluation.measure_agreement import agreement_table, pair_table
+    from ..evaluation.words import first_of
+
+    show(validation.errors)
+    show(validation.joint_errors)
+    angles = validation.angle_errors
+    show(angles if verbose else replace(angles, rows=[row for row in angles.rows if row[1] != "visible"]))
+    if verbose:
+        show(validation.gap_errors, _MOST_GAPS)
+        if (bias := validation.all.position_bias_m) is not None:
+            say(f"bias of the position, x y z of the camera, cm: {' '.join(f'{100 * x:+.2f}' for x in bias)}")
+        if (lag_s := validation.lag_s) is not None:
+            say(f"lag of the answer behind the truth: {1000 * lag_s:+.1f} ms (peak of cross-correlation)")
+    if (comparison := validation.measures) is not None:
+        found = [one for by_key in comparison.agreements.values() for one in by_key.values()]
+        several = any(one["recordings"] > 1 for one in found)
+        session = [pair.key for pair in comparison.pairs if pair.scope == "session"]
+        chosen = None if verbose else first_of(session, FEW_MEASURES)
+        if verbose or not several:
+            show(pair_table(validation.alignment.titled("Measures of the session"), comparison, chosen))
+        if verbose or several:  # agreement is that of several recordings
+            title = "Agreement of the measures (answer minus truth) over recordings and movements"
+            show(agreement_table(validation.alignment.titled(title), comparison, chosen))
+    print_notes(validation.notes if verbose else validation.notes[:FEW_NOTES])
+    if not verbose:
+        say("--verbose prints every gap, part, measure and note; --json has them all")
+
+
+def compare(
+    recording_file: o.RecordingPath,
+    source: ArmInput,
+    settings: ConfigInput,
+    out: Out,
+    truth: Annotated[o.File, o.value("TRUTH", "As of `validate`; else the recording's own truth.")] = None,
+    methods: Annotated[str, o.value("M,M,..", f"Methods to compare, or all: {', '.join(METHODS)}.")] = "all",
+    markers: Annotated[o.File, o.value("MAP.toml", "Which markers of the truth form a joint.")] = None,
+    align: o.Align = False,
+    report: o.Report = None,
+    orientation: o.Orientation = None,
+    live: o.Live = False,
+    latency: o.Latency = 0.1,
+) -> None:
+    """Compare all methods on a recording with truth.
+
+    The graph runs once; the other methods get its calibration, its clock and the camera samples that it
+    accepted. No method sees the truth. With `--live` also what would have been shown live: by the live
+    smoother and by two simple methods.
+
+    Example: unocclude compare session.mcap --truth trial.c3d --markers map.toml --report c.html
+    """
+    from ..evaluation.compare import compare
+
+    names = [*choose(methods), *(LIVE_METHODS if live else ())]
+    baselines = baseline_settings(names, orientation)
+    if truth is None and (markers is not None or align):
+        raise typer.BadParameter("--markers and --align are for a truth named with --truth")
+    config = settings.read()
+    arms = source.load(recording_file)
+    recordings = [recording for recording, _ in arms]
+    if truth is not None:
+        refuse_several(recordings, truth)
+    elif any(recording.truth is None or not len(recording.truth) for recording in recordings):
+        raise UnoccludeError(
+            f"{recording_file} has no truth: name one with --truth, or hide visible stretches with"
+            " `unocclude gaps`"
+        )
+
+    def compare_arm(place: int) -> tuple[Recovery, Comparison]:
+        recording, given = arms[place]
+        blind, clock = replace(recording, truth=None), source.clock(recording)
+        first, second = (part_of(part_of(progress, place, len(arms)), half, 2) for half in (0, 1))
+        running = make_methods([GRAPH, *names], given, config, baselines, first, clock, latency)
+        graph = running[GRAPH](blind)
+        own, alignment = truth_for(recording, graph, truth, markers, source.calibration_file, align)
+        chosen = {name: running[name] for name in names}
+        return graph, compare(blind, graph, own, chosen, alignment, second, config.windows.processes)
+
+    with progress_bar("comparing") as progress:
+        answers, left_out = each_arm(recordings, compare_arm)
+    compared = [recording for recording, _ in answers]
+    if report is not None:
+        from ..report.method_comparison import comparison_page
+
+        pages = [(recording, comparison) for recording, (_, comparison) in answers]
+        comparison_page(pages).write(report, out.force)
+    warn([graph for _, (graph, _) in answers])
+    figures = []
+    for recording, (graph, comparison) in answers:
+        notes = list(dict.fromkeys([*recording.notes, *left_out, *comparison.notes]))
+        figures.append(
+            {"recording": recording.name, "side": recording.side, **comparison.to_dict()}
+            | {"trusted": graph.estimates.trusted, "verdict": graph.estimates.verdict, "notes": notes}
+        )
+        say_arm(recording, len(compared))
+        errors, joints, lags = comparison.tables
+        show(errors)
+        show(joints)
+        say(comparison.camera_words)
+        show(lags)
+        print_notes(notes)
+    out.end(arms_figures(compared, figures), report)
+
+
+def truth_for(
+    recording: Recording,
+    graph: Recovery,
+    truth_file: Path | None,
+    markers: Path | None,
+    calibration: Path | None,
+    align: bool,
+) -> tuple[Truth, ReferenceAlignment]:
+    """The truth for a comparison: the recording's own, or a file's, brought to it as `validate` does.
+
+    A calibration is used for the truth's frame where it contains [camera_from_mocap] and the truth needs one.
+    """
+    from calib.file import read_calibration
+
+    from ..evaluation.reference import ReferenceAlignment, read_reference
+    from ..io.tables.markers import MARKER_FORMATS
+
+    if truth_file is None:
+        assert recording.truth is not None
+        return recording.truth, ReferenceAlignment()
+    of_markers = truth_file.suffix.lower() in MARKER_FORMATS
+    frame = None
+    if calibration is not None and (of_markers or align):
+        frame = calibration if "camera_from_mocap" in read_calibration(calibration).tables else None
+    return read_reference(
+        truth_file,
+        graph,
+        markers=markers,
+        calibration=frame,
+        camera_frame=recording.camera_frame,
+        align=align,
+    )
+
+
+def gaps(
+    recording_files: Annotated[list[Path], o.argument("REC.mcap", "The recording, or several of a study.")],
+    source: ArmInput,
+    settings: ConfigInput,
+    out: Out,
+    lengths: Annotated[str, o.value("S,S,..", "Lengths of the gaps to hide, s.")] = "0.5,1,2,3",
+    methods: Annotated[str, o.value("M,M,..", f"Methods to try, or all: {', '.join(METHODS)}.")] = "graph",
+    seed: o.Seed = 0,
+    repetitions: Annotated[int, o.option("Repetitions, each with other gaps.", min=1)] = 1,
+    report: o.Report = None,
+    keep_in: Annotated[
+        o.File, o.value("CAL.toml", "Save sigma correction factors, for `smooth`."), o.ADDED_TO
+    ] = None,
+    orientation: o.Orientation = None,
+    live: o.Live = False,
+    latency: o.Latency = 0.1,
+    gaps_per_run: Annotated[int, o.rare("Most gaps hidden at the same time.", min=1)] = 6,
+) -> None:
+    """Hide visible stretches and measure the error by gap length.
+
+    The answer is compared with the recording's truth where it has one, else with the camera samples
+    that were hidden; these carry the camera's own noise. Also prints sigma correction factors,
+    which `--keep-in` saves in a calibration file. With `--live` also what would have been shown live, by
+    the time since the last frame. Every arm with an IMU is tested, and all together.
+
+    Example: unocclude gaps session.mcap --lengths 0.5,1,2,3 --seed 1 --json gaps.json
+    """
+    from calib.file import read_calibration
+    from calib.sigma_factor import factor_sentences
+
+    from ..evaluation.gaps import compare_real_gaps, evaluate_gaps, pooled, since_last_frame, since_table
+    from ..recording import arm_words
+    from .config import with_processes
+
+    lengths_s = parse_lengths(lengths)
+    names = [*choose(methods), *(LIVE_METHODS if live else ())]
+    baselines = baseline_settings(names, orientation)
+    if keep_in is not None and GRAPH not in names:
+        raise typer.BadParameter(f"--keep-in keeps what {GRAPH} needs; add it to --methods")
+    refuse_twice(recording_files)
+    if keep_in is not None and keep_in.exists():
+        read_calibration(keep_in)  # before the work: what cannot be read cannot be added to
+    config = settings.read()
+    side_by_side = config.windows.processes or os.cpu_count() or 1
+    inner = with_processes(config, max(side_by_side // (len(lengths_s) * repetitions), 1))
+    given: list[ArmCalibration | None] = []
+    recordings: list[Recording] = []
+    several = False
+    for arms in map(source.load, recording_files):
+        several = several or len(arms) > 1
+        for recording, known in arms:
+            name = f"{recording.name}, {recording.arm_label}" if len(arms) > 1 else recording.name
+            while name in [each.name for each in recordings]:
+                name += " (again)"
+            recordings.append(replace(recording, name=name))
+            # what is measured anew is not applied before
+            given.append(replace(known, sigma_factors=None) if keep_in and known is not None else known)
+
+    def hide_and_recover(place: int) -> GapTable:
+        recording, of_arm = recordings[place], part_of(progress, place, len(recordings))
+        clock = source.clock(recording)
+        running = make_methods(names, given[place], inner, baselines, clock=clock, latency_s=latency)
+        how = {"seed": seed, "repetitions": repetitions, "gaps_per_run": gaps_per_run}
+        return evaluate_gaps(recording, lengths_s, running, progress=of_arm, processes=side_by_side, **how)
+
+    with progress_bar("hiding and recovering") as progress:
+        evaluated, left_out = each_arm(recordings, hide_and_recover)
+    recordings, tables = [recording for recording, _ in evaluated], [own for _, own in evaluated]
+    table = pooled(tables)
+    real = compare_real_gaps(recordings, table)
+    factors = table.sigma_factors(GRAPH)
+    notes = [*left_out, *(note for recording in recordings for note in recording.notes), *table.notes]
+    sentences = [*factor_sentences(factors), real["sentence"]]
+    if report is not None:
+        from ..report.method_comparison import gap_curves_page
+
+        name = ", ".join(recording.name for recording in recordings)
+        gap_curves_page(table, name, (*sentences, *notes)).write(report, out.force)
+    figures = table.to_dict() | {"real_gaps": real, "notes": list(dict.fromkeys(notes))}
+    since = since_last_frame(table, names) if live else []
+    if live:
+        figures["since_last_frame"] = since
+    by_arm: dict[tuple[str, int | None], list[GapTable]] = {}  # of all recordings together
+    for recording, own in evaluated if several else ():
+        by_arm.setdefault((recording.side, recording.body), []).append(own)
+    each = {arm: pooled(by_arm[arm]) for arm in sorted(by_arm, key=str)}
+    if each:
+        figures["arms"] = [{"side": arm[0], "body": arm[1], **own.to_dict()} for arm, own in each.items()]
+    out.json(figures)
+    for arm, own in each.items():
+        show(own.table(f" ({arm_words(*arm)})"))
+    show(table.table(" (all arms together)" if each else ""))
+    show(since_table(since))
+    keys = "length_s=gap_s factor_50 factor_95 factor=applied count=hidden_gaps pooled=of_all_lengths"
+    show(tabulated("Sigma correction factor", factors, keys))
+    for sentence in sentences:
+        say(f"{sentence[0].upper()}{sentence[1:]}.")
+    print_notes(notes)
+    if keep_in is not None:
+        keep(factors, table.reference, [recording.name for recording in recordings], keep_in)
+    say_written(report, out.json_file, keep_in)
+
+
+def keep(factors: Sequence[LengthFactor], reference: str, names: list[str], path: Path) -> None:
+    """Add the factors of sigma to a calibration file."""
+    from calib.file import CalibrationFile, with_sigma_table, write_calibration
+    from calib.sigma_factor import LARGEST_FACTOR
+
+    if not factors:
+        raise CalibrationError(f"{path} was not written: no hidden gap has an answer with a sigma")
+    if (worst := max(row.factor for row in factors)) > LARGEST_FACTOR:
+        raise CalibrationError(
+            f"{path} was not written: sigma has to be multiplied by {worst:.0f}, so it is not sigma"
+            " that is wrong; check clock, axes and mounting"
+        )
+    rows = [
+        {name: value if isinstance(value, int) else round(value, 4) for name, value in row.to_dict().items()}
+        for row in factors
+    ]
+    write_calibration(path, with_sigma_table(CalibrationFile(), rows, reference, names))
+
+
+def parse_lengths(text: str) -> list[float]:
+    """Gap lengths of a comma-separated list, s."""
+    try:
+        lengths = [float(part) for part in text.split(",") if part.strip()]
+    except ValueError:
+        lengths = []
+    if not lengths or not all(0.05 <= length <= 600 for length in lengths):
+        raise typer.BadParameter(f"--lengths takes seconds between 0.05 and 600, as 0.5,1,2; not '{text}'")
+    return lengths
+
+
+#: Where the data sets lie, unless `--data` says.
+VARIABLE = "UNOCCLUDE_DATASETS"
+_FILES = ("benchmark.json", "benchmark.md", "gaps.csv")
+#: Notes on the terminal; all are in the JSON.
+_MOST_NOTES = 6
+
+
+def benchmark(
+    output: o.FolderOutput,
+    out: Out,
+    data: Annotated[o.File, o.value("FOLDER", f"One folder per data set.  [default: ${VARIABLE}]")] = None,
+    method: Annotated[str, o.value("M,M,..", f"Methods, or all: {', '.join(METHODS)}.")] = "all",
+    datasets: Annotated[str, o.value("D,D,..", "Data sets by folder, or all.")] = "all",
+    split: Annotated[Literal["development", "test", "all"], o.option("Which trials.")] = "all",
+    trials: Annotated[o.Count, o.option("At most this many trials per data set.", min=1)] = None,
+    seed: Annotated[int, o.option("Seed of the gaps; 0 is the published benchmark.", min=0)] = 0,
+    processes: o.Processes = None,
+) -> None:
+    """Score all methods on public data sets with hidden gaps.
+
+    The folder of --data contains broad/, utd_mhad/ and smartfallmm/ as published; missing ones are
+    named and left out. Splits and gaps are frozen: they depend only on a trial's name and the seed. Writes
+    benchmark.json, benchmark.md (the table) and gaps.csv (one row per gap).
+
+    Example: unocclude benchmark --data datasets -o benchmark
+    """
+    from .. import __version__
+    from ..evaluation.benchmark import digest, find_trials, gap_rows, plain, run_benchmark, summary
+    from ..evaluation.datasets import DATASETS, SPLITS
+
+    folder = data or (Path(os.environ[VARIABLE]) if os.environ.get(VARIABLE) else None)
+    if folder is None:
+        raise typer.BadParameter(f"name the folder of the data sets with --data, or in {VARIABLE}")
+    if not folder.is_dir():
+        raise UnoccludeError(f"{folder} is not a folder; name the folder that contains the data sets")
+    keys = list(dict.fromkeys(part.strip() for part in datasets.split(",") if part.strip()))
+    keys = list(DATASETS) if keys == ["all"] else keys
+    if not keys or set(keys) - set(DATASETS):
+        raise typer.BadParameter(f"--datasets takes {', '.join(DATASETS)} or all, not '{datasets}'")
+    splits = list(SPLITS) if split == "all" else [split]
+    names = tuple(choose(method))
+    files = [output / name for name in _FILES]
+    out.check(files if output.is_dir() else [])
+    found, missing = find_trials(folder, keys, splits, trials)
+    output.mkdir(parents=True, exist_ok=True)
+    began = time.perf_counter()
+    with progress_bar("benchmark") as progress:
+        run = run_benchmark(folder, found, names, progress, seed, processes or 0)
+    figures = plain(run, seed, __version__, digest(found))
+    tables = [summary(each) for each in figures["datasets"]]
+    write_json(files[0], figures, out.force)
+    write_text(files[1], "\n".join(f"### {each.title}\n\n{each.markdown()}" for each in tables), out.force)
+    write_csv(files[2], gap_rows(run), out.force)
+    for table in tables:
+        show(replace(table, title=f"{table.title}; median / rms in gaps, cm"))
+    notes = [*missing, *figures["notes"]]
+    print_notes(notes[:_MOST_NOTES])
+    say_more(len(notes), _MOST_NOTES, f"notes more in {files[0]}")
+    say(f"{len(found)} trials in {(time.perf_counter() - began) / 60:.1f} minutes")
+    out.end(figures, *files)
