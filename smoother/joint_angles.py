@@ -49,20 +49,6 @@ def recovery_angles(recovery: Recovery) -> dict[str, FloatArray]:
     return arm_angles(recovery.joints, len(recovery), R_K_F, recovery.side, recovery.gravity_direction)
 
 
-def elbow_bend(recovery: Recovery) -> FloatArray | None:  # -> (N, 3) rad
-    """The rotation that bends the straight arm, (N, 3), rad, in the IMU's axes {A}; its length is flexion."""
-    joints = recovery.joints
-    if not {"shoulder", "elbow", "wrist"} <= set(joints):
-        return None
-    upper, fore = unit(joints["elbow"] - joints["shoulder"]), unit(joints["wrist"] - joints["elbow"])
-    across = np.cross(upper, fore)
-    sine = np.linalg.norm(across, axis=1)
-    with np.errstate(invalid="ignore", divide="ignore"):
-        by_sine = np.where(sine > 1e-12, np.arctan2(sine, _dot(upper, fore)) / sine, 1.0)
-    R_K_A = forearm_axes(recovery.quaternion, np.eye(3))
-    return np.asarray(np.einsum("nji,nj->ni", R_K_A, by_sine[:, None] * across))
-
-
 def forearm_axes(
     quaternion: FloatArray,  # (N, 4)
     R_F_A: FloatArray,  # (3, 3)

@@ -149,8 +149,8 @@ def direction_variance(arm: Recovery) -> float:
 def shoulder_angles(arm: Recovery, trunk: TrunkMotion | None = None) -> Found:
     """The shoulder's angles by an IMU on the upper arm, the thorax upright or as it was found."""
     upper, calibration = arm.upper, arm.calibration
-    down, forward = (arm.gravity_direction, None) if trunk is None else (DOWN_T, FORWARD_T)
-    if upper is None or calibration is None or calibration.R_U_B is None or not np.isfinite(down).all():
+    has_down = trunk is not None or bool(np.isfinite(arm.gravity_direction).all())
+    if upper is None or calibration is None or calibration.R_U_B is None or not has_down:
         return _nothing(SHOULDER_NAMES, len(arm))
     R_K_U = forearm_axes(np.asarray(upper.quaternion), calibration.R_U_B)
     covariance = upper.pose_covariance[:, 3:, 3:] + rotate_covariance(
@@ -164,15 +164,22 @@ def shoulder_angles(arm: Recovery, trunk: TrunkMotion | None = None) -> Found:
 
     def turned(by: FloatArray) -> FloatArray:
         axes = (np.eye(3) + skew(by)) @ R_K_U
-        if thorax is not None:
-            axes = np.swapaxes(thorax, 1, 2) @ axes
-        up, lateral = axes[:, :, 1], axes[:, :, 2]
-        joints = {"shoulder": up, "elbow": np.zeros_like(up), "wrist": -up}
-        angles = arm_angles(joints, len(up), None, arm.side, down, forward=forward, flexion_axis=lateral)
-        return np.stack([angles[name] for name in SHOULDER_NAMES])
+        if thorax is None:
+            return humerus_angles(axes, arm.side, arm.gravity_direction)
+        return humerus_angles(np.swapaxes(thorax, 1, 2) @ axes, arm.side)
 
     values = turned(np.zeros(3))
     return _found(SHOULDER_NAMES, values, variances(slopes(turned, values), covariance))
+
+
+def humerus_angles(axes: FloatArray, side: str, down: FloatArray | None = None) -> FloatArray:
+    """The shoulder's angles (3, n), degrees, of humeri with axes (n, 3, 3) in {K}, or {T} without down."""
+    up, lateral = axes[:, :, 1], axes[:, :, 2]
+    joints = {"shoulder": up, "elbow": np.zeros_like(up), "wrist": -up}
+    forward = FORWARD_T if down is None else None
+    down = DOWN_T if down is None else down
+    angles = arm_angles(joints, len(up), None, side, down, forward=forward, flexion_axis=lateral)
+    return np.stack([angles[name] for name in SHOULDER_NAMES])
 
 
 def wrist_angles(samples: Recovery, mounting: ForearmMounting) -> Found:

@@ -103,14 +103,14 @@ def measured(
     recoveries: list[Recovery], settings: MeasureSettings, processes: int
 ) -> tuple[list[Measures], list[BothArms]]:
     """The measures of each arm, and the comparison of each person's two arms."""
-    from ..measures.measuring import Measuring, measures_of
+    from ..measures.measuring import Measuring
     from ..measures.symmetry import both_arms
 
     done: list[Measuring] = []
     with progress_bar("measuring") as progress:
         for number, recovery in enumerate(recoveries):
             of_arm = part_of(progress, number, len(recoveries))
-            done.append(Measuring.of(recovery, settings, processes, of_arm))
+            done.append(Measuring(recovery, settings, processes, of_arm))
         progress(1.0, "done")
     pairs = []
     for body in dict.fromkeys(one.recovery.body for one in done):
@@ -118,7 +118,7 @@ def measured(
         by_side = {one.recovery.side: one for one in arms}
         if len(arms) == 2 and by_side.keys() == {"left", "right"}:
             pairs.append(both_arms(by_side["left"], by_side["right"]))
-    return [measures_of(one) for one in done], pairs
+    return [one.measures() for one in done], pairs
 
 
 def print_arm(one: Measures, damaged: list[str]) -> None:

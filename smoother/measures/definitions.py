@@ -1,19 +1,19 @@
-"""What every measure is called, its unit, the values that it can take, and its interval."""
+"""The table of measures: names, units, the values they can take, of what they are; their intervals."""
 
 from __future__ import annotations
 
 import re
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, partial
+from typing import Literal
 
 import numpy as np
 
 from ..array_types import FloatArray
-from .angles import PERCENTILES
-from .motion import MEASURED_ANGLES
+from .measure import Scope
 
 INFINITE = float("inf")
-#: Names of the angles for people.
+#: The angles that are measured, in the order of the tables, and their names for people.
 ANGLE_WORDS = {
     "elbow_flexion": "elbow flexion",
     "pronation": "forearm pronation",
@@ -24,9 +24,12 @@ ANGLE_WORDS = {
     "shoulder_plane_trunk": "plane of shoulder elevation against the trunk",
     "shoulder_rotation_trunk": "shoulder rotation against the trunk",
 }
-
+MEASURED_ANGLES = tuple(ANGLE_WORDS)
 #: Angles between two directions: from 0 to 180 degrees.
 UNSIGNED = ("elbow_flexion", "shoulder_elevation", "shoulder_elevation_trunk")
+PERCENTILES = (5, 50, 95)
+ALL: tuple[Scope, ...] = ("session", "movement", "repetition")
+LONG: tuple[Scope, ...] = ("session", "repetition")
 
 
 @dataclass(frozen=True)
@@ -36,57 +39,87 @@ class MeasureDefinition:
     name: str  # In plain words
     unit: str  # "" for a pure number
     low: float = -INFINITE  # Values beyond these do not exist; an interval ends there
-    high: float = INFINITE  # Values beyond these do not exist; an interval ends there
+    high: float = INFINITE
     is_count: bool = False  # Whole numbers only
+    scopes: tuple[Scope, ...] = ALL  # What it is measured of
+    # Of a longer time it is this of those of the movements that a motion finds in itself
+    over_movements: Literal["", "mean", "median"] = ""
+    is_found: bool = False  # It depends on which movements or repetitions a motion finds in itself
+    why_not: str = "There is no movement of the hand to measure."  # Where it has no value
+    angle: str = ""  # Of which angle it is
 
 
+#: Of a longer time as a whole; of a session; of a longer time what it is of its movements on average.
+_long = partial(MeasureDefinition, scopes=LONG)
+_session = partial(MeasureDefinition, scopes=("session",))
+_mean = partial(MeasureDefinition, over_movements="mean", is_found=True)
+_NO_VOLUME = "The hand's positions have no volume."
+_NO_ARM = "Needs the arm's length: shoulder, elbow and wrist."
+_NO_ENDS = "No movement ends more than 5 cm from where it began."
+_NO_TRUNK = "Needs shoulder, elbow and wrist, and the direction of gravity."
+_FEW_ROUNDS = "Too few repetitions."
 _OF_HAND = {
     "hand_path_length_m": MeasureDefinition("path length of the hand", "m", 0.0),
-    "hand_path_ratio": MeasureDefinition("path ratio of the hand (1 = straight)", "", 1.0),
     "hand_peak_speed_m_s": MeasureDefinition("peak speed of the hand", "m/s", 0.0),
     "hand_mean_speed_m_s": MeasureDefinition("mean speed of the hand", "m/s", 0.0),
-    "hand_time_to_peak_s": MeasureDefinition("time to peak speed", "s", 0.0),
-    "hand_time_to_peak_percent": MeasureDefinition("time to peak speed, of the movement", "%", 0.0, 100.0),
-    "hand_reach_hull_l": MeasureDefinition("reach volume, convex hull", "l", 0.0),
-    "hand_reach_alpha_l": MeasureDefinition("reach volume, alpha shape", "l", 0.0),
-    "hand_reach_sphere_percent": MeasureDefinition(
-        "reach volume, of the sphere about the shoulder", "%", 0.0, 100.0
+    "hand_reach_hull_l": _long("reach volume, convex hull", "l", 0.0, why_not=_NO_VOLUME),
+    "hand_reach_alpha_l": _long("reach volume, alpha shape", "l", 0.0, why_not=_NO_VOLUME),
+    "hand_reach_sphere_percent": _long(
+        "reach volume, of the sphere about the shoulder", "%", 0.0, 100.0, why_not=_NO_ARM
     ),
-    "hand_to_mouth_reached": MeasureDefinition("hand to mouth reached", "", 0.0, 1.0, True),
-    "hand_to_mouth_distance_m": MeasureDefinition("nearest to the mouth's zone", "m", 0.0),
-    "hand_to_head_reached": MeasureDefinition("hand to head reached", "", 0.0, 1.0, True),
-    "hand_to_head_distance_m": MeasureDefinition("nearest to the head's zone", "m", 0.0),
-    "hand_behind_back_reached": MeasureDefinition("hand behind back reached", "", 0.0, 1.0, True),
-    "hand_behind_back_distance_m": MeasureDefinition("nearest to the zone behind the back", "m", 0.0),
-    "elbow_trunk_distance_max_m": MeasureDefinition("largest distance of the elbow from the trunk", "m", 0.0),
-    "elbow_trunk_distance_mean_m": MeasureDefinition("mean distance of the elbow from the trunk", "m", 0.0),
-    "sparc": MeasureDefinition("smoothness, spectral arc length (SPARC)", "", high=0.0),
-    "ldlj_v": MeasureDefinition("smoothness, log dimensionless jerk (LDLJ-V)", ""),
-    "velocity_peaks": MeasureDefinition("velocity peaks in a movement", "", 0.0, is_count=True),
-    "duration_s": MeasureDefinition("duration", "s", 0.0),
-    "movement_count": MeasureDefinition("movements", "", 0.0, is_count=True),
-    "movement_time_percent": MeasureDefinition("time in movement", "%", 0.0, 100.0),
-    "movement_duration_s": MeasureDefinition("duration of a movement, mean", "s", 0.0),
-    "repetition_count": MeasureDefinition("repetitions", "", 0.0, is_count=True),
-    "repetition_duration_s": MeasureDefinition("duration of a repetition, mean", "s", 0.0),
-    "repetition_duration_cv_percent": MeasureDefinition("variation of the repetitions' duration", "%", 0.0),
+    "hand_to_mouth_reached": _long("hand to mouth reached", "", 0.0, 1.0, True, why_not=_NO_TRUNK),
+    "hand_to_mouth_distance_m": _long("nearest to the mouth's zone", "m", 0.0, why_not=_NO_TRUNK),
+    "hand_to_head_reached": _long("hand to head reached", "", 0.0, 1.0, True, why_not=_NO_TRUNK),
+    "hand_to_head_distance_m": _long("nearest to the head's zone", "m", 0.0, why_not=_NO_TRUNK),
+    "hand_behind_back_reached": _long("hand behind back reached", "", 0.0, 1.0, True, why_not=_NO_TRUNK),
+    "hand_behind_back_distance_m": _long("nearest to the zone behind the back", "m", 0.0, why_not=_NO_TRUNK),
+    "elbow_trunk_distance_max_m": _long(
+        "largest distance of the elbow from the trunk", "m", 0.0, why_not=_NO_TRUNK
+    ),
+    "elbow_trunk_distance_mean_m": _long(
+        "mean distance of the elbow from the trunk", "m", 0.0, why_not=_NO_TRUNK
+    ),
+    "sparc": _mean("smoothness, spectral arc length (SPARC)", "", high=0.0),
+    "ldlj_v": _mean("smoothness, log dimensionless jerk (LDLJ-V)", ""),
+    "velocity_peaks": _mean("velocity peaks in a movement", "", 0.0, is_count=True),
+    "hand_time_to_peak_s": _mean("time to peak speed", "s", 0.0),
+    "hand_time_to_peak_percent": _mean("time to peak speed, of the movement", "%", 0.0, 100.0),
+    "hand_path_ratio": _mean(
+        "path ratio of the hand (1 = straight)", "", 1.0, over_movements="median", why_not=_NO_ENDS
+    ),
+    "duration_s": MeasureDefinition("duration", "s", 0.0, scopes=("movement",)),
+    "movement_count": _session("movements", "", 0.0, is_count=True),
+    "movement_time_percent": _session("time in movement", "%", 0.0, 100.0, is_found=True),
+    "movement_duration_s": _session("duration of a movement, mean", "s", 0.0, is_found=True),
+    "repetition_count": _session("repetitions", "", 0.0, is_count=True),
+    "repetition_duration_s": _session(
+        "duration of a repetition, mean", "s", 0.0, is_found=True, why_not=_FEW_ROUNDS
+    ),
+    "repetition_duration_cv_percent": _session(
+        "variation of the repetitions' duration", "%", 0.0, is_found=True, why_not=_FEW_ROUNDS
+    ),
 }
+#: Those that are means over the movements that a motion finds in itself.
+BY_MOVEMENT = (*(key for key, row in _OF_HAND.items() if row.over_movements), "movement_duration_s")
 
 
 @cache
 def definitions() -> dict[str, MeasureDefinition]:
-    """Every measure by its key, but for the zones of angles."""
+    """Every measure by its key, in the order of tables, but for the zones of angles."""
     by_key: dict[str, MeasureDefinition] = {}
-    for angle in MEASURED_ANGLES:
-        words = ANGLE_WORDS[angle]
+    for angle, words in ANGLE_WORDS.items():
         ends = (0.0, 180.0) if angle in UNSIGNED else (-INFINITE, INFINITE)
-        by_key[f"{angle}_range_deg"] = MeasureDefinition(f"{words}, range", "deg", 0.0, 360.0)
-        by_key[f"{angle}_min_deg"] = MeasureDefinition(f"{words}, smallest", "deg", *ends)
-        by_key[f"{angle}_max_deg"] = MeasureDefinition(f"{words}, largest", "deg", *ends)
-        for percentile in PERCENTILES:
-            which = "median" if percentile == 50 else f"{percentile}th percentile"
-            by_key[f"{angle}_p{percentile}_deg"] = MeasureDefinition(f"{words}, {which}", "deg", *ends)
-        by_key[f"{angle}_peak_speed_deg_s"] = MeasureDefinition(f"{words}, peak speed", "deg/s", 0.0)
+        of_angle = {
+            "range_deg": ("range", "deg", 0.0, 360.0),
+            "min_deg": ("smallest", "deg", *ends),
+            "max_deg": ("largest", "deg", *ends),
+            **{f"p{each}_deg": (f"{each}th percentile", "deg", *ends) for each in PERCENTILES},
+            "p50_deg": ("median", "deg", *ends),
+            "peak_speed_deg_s": ("peak speed", "deg/s", 0.0, INFINITE),
+        }
+        for what, (which, unit, low, high) in of_angle.items():
+            row = MeasureDefinition(f"{words}, {which}", unit, low, high, angle=angle)
+            by_key[f"{angle}_{what}"] = row
     return by_key | _OF_HAND
 
 

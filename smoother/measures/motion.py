@@ -4,15 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
-from ..angles import shoulder_angles
+from ..angles.found import SHOULDER_NAMES, humerus_angles
 from ..array_types import BoolArray, FloatArray
-from ..joint_angles import defined, elbow_bend, recovery_angles, torso_axes
-from ..linalg import by_columns, interpolate, median_rate_hz, nearest, runs
+from ..joint_angles import SINGULAR_DEG, arm_angles, defined, forearm_axes, torso_axes
+from ..linalg import by_columns, interpolate, median_rate_hz, nearest, runs, unit
 from ..result import Recovery
+from .definitions import MEASURED_ANGLES
 from .measure import Smoothing
 
 #: Samples further apart than this, in periods, do not belong to one run.
@@ -46,57 +47,6 @@ def grid_of(recovery: Recovery, settings: Smoothing) -> TimeGrid:
             places.append(slice(count, count + len(times[-1])))
             count += len(times[-1])
     return TimeGrid(np.concatenate(times) if times else np.empty(0), rate, tuple(places))
-
-
-def on_grid(recovery: Recovery, grid: TimeGrid, cutoff_hz: float) -> Recovery:
-    """The recovery at a grid's times, low-passed; its covariances are left out.
-
-    A second-order Butterworth filter run forth and back, so without delay (Winter, Biomechanics and Motor
-    Control of Human Movement, 2009, section 2.2.4.4). Quaternions are filtered by component, with one sign
-    all along, and brought back to length one.
-    """
-    # measures assume an upright trunk unless an IMU is on it
-    trunk = recovery.trunk if recovery.trunk is None or recovery.trunk.by_imu else None
-    tracks = {"position": recovery.position, "quaternion": recovery.quaternion}
-    tracks |= {f"joint {joint}": position for joint, position in recovery.joints.items()}
-    for name, motion in recovery.segments.items():
-        tracks |= {f"{name} position": motion.position, f"{name} quaternion": motion.quaternion}
-    if trunk is not None:
-        tracks["trunk quaternion"] = trunk.quaternion
-
-    def filtered(values: FloatArray) -> FloatArray:
-        return low_passed(interpolate(recovery.t_s, values, grid.t_s), grid, cutoff_hz)
-
-    turns = [name for name in tracks if name.endswith("quaternion")]
-    even = by_columns(filtered, tracks | {name: one_sign(tracks[name]) for name in turns})
-    with np.errstate(invalid="ignore"):
-        even |= {name: even[name] / np.linalg.norm(even[name], axis=1, keepdims=True) for name in turns}
-    n = len(grid.t_s)
-    if trunk is not None:
-        trunk = replace(trunk, quaternion=even["trunk quaternion"], covariance=_zeros(n, 3, 3))
-    return replace(
-        recovery,
-        t_s=grid.t_s,
-        occluded=recovery.occluded[nearest(recovery.t_s, grid.t_s)],
-        position=even["position"],
-        quaternion=even["quaternion"],
-        velocity=interpolate(recovery.t_s, recovery.velocity, grid.t_s),
-        pose_covariance=_zeros(n, 6, 6),
-        velocity_covariance=_zeros(n, 3, 3),
-        joints={joint: even[f"joint {joint}"] for joint in recovery.joints},
-        joint_covariance={joint: _zeros(n, 3, 3) for joint in recovery.joint_covariance},
-        segments={
-            name: replace(
-                motion,
-                position=even[f"{name} position"],
-                quaternion=even[f"{name} quaternion"],
-                pose_covariance=_zeros(n, 6, 6),
-            )
-            for name, motion in recovery.segments.items()
-        },
-        trunk=trunk,
-        draws=None,
-    )
 
 
 def low_passed(values: FloatArray, grid: TimeGrid, cutoff_hz: float) -> FloatArray:
@@ -135,22 +85,6 @@ def one_sign(quaternion: FloatArray) -> FloatArray:
     return even
 
 
-def _zeros(*shape: int) -> FloatArray:
-    """Zeros of that shape, which take no memory."""
-    return np.broadcast_to(np.zeros(()), shape)
-
-
-#: The angles that are measured, in the order of the tables.
-MEASURED_ANGLES = (
-    "elbow_flexion",
-    "pronation",
-    "shoulder_elevation",
-    "shoulder_plane",
-    "shoulder_rotation",
-    "shoulder_elevation_trunk",
-    "shoulder_plane_trunk",
-    "shoulder_rotation_trunk",
-)
 #: What represents the hand, the best first; the IMU's own place where there is none of them.
 HAND_JOINTS = ("hand", "wrist", "strap")
 
@@ -173,6 +107,11 @@ class Motion:
     bend: FloatArray | None = None
 
     @property
+    def hand_from_shoulder(self) -> FloatArray:
+        """The hand's places (n, 3) from the shoulder, where there is one, m."""
+        return self.hand - self.joints["shoulder"] if "shoulder" in self.joints else self.hand
+
+    @cached_property
     def speed(self) -> FloatArray:
         """(n,) of the hand, m/s."""
         return np.asarray(np.linalg.norm(self.velocity, axis=1))
@@ -187,79 +126,108 @@ class Motion:
 
 
 def motion_of(recovery: Recovery, grid: TimeGrid, cutoff_hz: float) -> Motion:
-    """The arrays of a recovery that measures are made of."""
-    even = on_grid(recovery, grid, cutoff_hz)
-    hand_joint = next((joint for joint in HAND_JOINTS if _is_there(even, joint)), "imu")
-    hand = even.position if hand_joint == "imu" else even.joints[hand_joint]
-    angles, missing = _angles(even)
+    """The arrays of a recovery that measures are made of, at a grid's times and low-passed.
+
+    A second-order Butterworth filter run forth and back, so without delay (Winter, Biomechanics and Motor
+    Control of Human Movement, 2009, section 2.2.4.4). Quaternions are filtered by component, with one sign
+    all along.
+    """
+    places = {"imu": recovery.position, **recovery.joints}
+    turns = {"forearm": recovery.quaternion}
+    if recovery.upper is not None:
+        turns["upper arm"] = recovery.upper.quaternion
+    if recovery.trunk is not None and recovery.trunk.by_imu:  # else it is assumed upright
+        turns["trunk"] = recovery.trunk.quaternion
+
+    def filtered(values: FloatArray) -> FloatArray:
+        return low_passed(interpolate(recovery.t_s, values, grid.t_s), grid, cutoff_hz)
+
+    even = by_columns(filtered, places | {f"R {name}": one_sign(turn) for name, turn in turns.items()})
+    joints = {joint: even[joint] for joint in recovery.joints if np.isfinite(even[joint]).any()}
+    hand_joint = next((joint for joint in HAND_JOINTS if joint in joints), "imu")
+    hand = even["imu"] if hand_joint == "imu" else joints[hand_joint]
+    axes = {name: forearm_axes(even[f"R {name}"], np.eye(3)) for name in turns}
+    angles, missing = _angles(recovery, joints, axes)
+    thorax = axes.get("trunk")
+    if (thorax is None or not np.isfinite(thorax).any()) and _knows_down(recovery):
+        thorax = torso_axes(recovery.gravity_direction)
     return Motion(
         grid,
-        even.occluded,
+        recovery.occluded[nearest(recovery.t_s, grid.t_s)],
         hand,
         hand_joint,
         slope(hand, grid),
-        {joint: place for joint, place in even.joints.items() if _is_there(even, joint)},
+        joints,
         angles,
         missing,
-        _thorax(even),
-        even.side,
-        elbow_bend(even),
+        thorax,
+        recovery.side,
+        elbow_bend(joints, axes["forearm"]),
     )
 
 
-def _is_there(recovery: Recovery, joint: str) -> bool:
-    return joint in recovery.joints and bool(np.isfinite(recovery.joints[joint]).any())
-
-
-def _angles(recovery: Recovery) -> tuple[dict[str, FloatArray], dict[str, str]]:
+def _angles(
+    recovery: Recovery, joints: dict[str, FloatArray], axes: dict[str, FloatArray]
+) -> tuple[dict[str, FloatArray], dict[str, str]]:
     """The angles (n,) where they are defined, and why the others are not known."""
-    angles = recovery_angles(recovery)
-    good = defined(angles)
-    measured = {name: np.where(good[name], angles[name], np.nan) for name in angles}
-    if recovery.upper is not None:  # the upper arm's own IMU shows its turning for a straight elbow, too
-        own, _ = shoulder_angles(recovery)
-        if recovery.trunk is not None:
-            to_trunk, _ = shoulder_angles(recovery, recovery.trunk)
-            own |= {f"{name}_trunk": values for name, values in to_trunk.items()}
-        own = {name: values for name, values in own.items() if np.isfinite(values).any()}
+    calibration, side, down = recovery.calibration, recovery.side, recovery.gravity_direction
+    mounting = None if calibration is None else calibration.R_F_A
+    R_K_F = None if mounting is None else axes["forearm"] @ mounting.T
+    angles = arm_angles(joints, len(axes["forearm"]), R_K_F, side, down)
+    measured = {name: np.where(good, angles[name], np.nan) for name, good in defined(angles).items()}
+    R_U_B = None if calibration is None else calibration.R_U_B
+    if "upper arm" in axes and R_U_B is not None:
+        # the upper arm's own IMU shows its turning for a straight elbow, too
+        humerus = axes["upper arm"] @ R_U_B.T
+        own = dict(zip(SHOULDER_NAMES, humerus_angles(humerus, side, down), strict=True))
+        if "trunk" in axes:
+            to_trunk = humerus_angles(np.swapaxes(axes["trunk"], 1, 2) @ humerus, side)
+            own |= {f"{name}_trunk": of for name, of in zip(SHOULDER_NAMES, to_trunk, strict=True)}
         for name, values in own.items():
             elevation = own[f"shoulder_elevation{'_trunk' if name.endswith('_trunk') else ''}"]
             with np.errstate(invalid="ignore"):
-                raised = (elevation >= 15.0) & (elevation <= 165.0)
-            measured[name] = (
-                values if name.startswith("shoulder_elevation") else np.where(raised, values, np.nan)
-            )
-    known = {name: values for name, values in measured.items() if name in MEASURED_ANGLES}
-    known = {name: values for name, values in known.items() if np.isfinite(values).any()}
-    missing = {name: _why(recovery, name) for name in MEASURED_ANGLES[:5] if name not in known}
-    return known, missing
+                raised = (elevation >= SINGULAR_DEG) & (elevation <= 180.0 - SINGULAR_DEG)
+            if np.isfinite(values).any():
+                measured[name] = np.where(raised | name.startswith("shoulder_elevation"), values, np.nan)
+    known = {
+        name: measured[name]
+        for name in MEASURED_ANGLES
+        if name in measured and np.isfinite(measured[name]).any()
+    }
+    usual = [name for name in MEASURED_ANGLES if not name.endswith("_trunk") and name not in known]
+    return known, {name: _why(recovery, name) for name in usual}
+
+
+def _knows_down(recovery: Recovery) -> bool:
+    return bool(np.isfinite(recovery.gravity_direction).all())
 
 
 def _why(recovery: Recovery, angle: str) -> str:
     """Why an angle is not known, in a sentence."""
     for joint in ("shoulder", "elbow", *(() if angle == "shoulder_elevation" else ("wrist",))):
-        if not _is_there(recovery, joint):
+        if joint not in recovery.joints or not np.isfinite(recovery.joints[joint]).any():
             return f"The recording has no {joint}."
     if angle == "pronation" and (recovery.calibration is None or recovery.calibration.R_F_A is None):
         return (
             "How the IMU is turned on the forearm (R_F_A) is not known: `unocclude calibrate forearm`"
             " measures it, `smooth --calibration` takes it."
         )
-    if angle.startswith("shoulder") and not np.isfinite(recovery.gravity_direction).all():
+    if angle.startswith("shoulder") and not _knows_down(recovery):
         return f"The method {recovery.method} does not solve the direction of gravity."
     return "The arm was never 15 degrees or more from the posture in which this angle is not determined."
 
 
-def _thorax(recovery: Recovery) -> FloatArray | None:
-    if recovery.trunk is not None and np.isfinite(recovery.trunk.quaternion).any():
-        axes = np.full((len(recovery), 3, 3), np.nan)
-        known = np.isfinite(recovery.trunk.quaternion).all(axis=1)
-        turns = Rotation.from_quat(recovery.trunk.quaternion[known], scalar_first=True)
-        axes[known] = turns.as_matrix()
-        return axes
-    if not np.isfinite(recovery.gravity_direction).all():
+def elbow_bend(joints: dict[str, FloatArray], R_K_A: FloatArray) -> FloatArray | None:  # -> (n, 3) rad
+    """The rotation that bends the straight arm, (n, 3), rad, in the IMU's axes {A}; its length is flexion."""
+    if not {"shoulder", "elbow", "wrist"} <= set(joints):
         return None
-    return torso_axes(recovery.gravity_direction)
+    upper, fore = unit(joints["elbow"] - joints["shoulder"]), unit(joints["wrist"] - joints["elbow"])
+    across = np.cross(upper, fore)
+    sine = np.linalg.norm(across, axis=1)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        angle = np.arctan2(sine, (upper * fore).sum(axis=1))
+        by_sine = np.where(sine > 1e-12, angle / sine, 1.0)
+    return np.asarray(np.einsum("nji,nj->ni", R_K_A, by_sine[:, None] * across))
 
 
 #: Stated variances of the error are good to this factor (one standard deviation of its logarithm).

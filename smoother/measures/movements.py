@@ -116,7 +116,7 @@ def _posture(motion: Motion) -> tuple[FloatArray, FloatArray]:
     grid = motion.grid
     if len(grid.t_s) < 2:
         return np.empty(0), np.empty((0, 3))
-    hand = motion.hand - motion.joints["shoulder"] if "shoulder" in motion.joints else motion.hand
+    hand = motion.hand_from_shoulder
     t = np.arange(grid.t_s[0], grid.t_s[-1], 1.0 / RATE_HZ)
     nearest = np.clip(np.searchsorted(grid.t_s, t), 0, len(grid.t_s) - 1)
     posture = hand[nearest].copy()

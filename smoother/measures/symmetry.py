@@ -11,9 +11,8 @@ from ..array_types import FloatArray
 from ..errors import UnoccludeError
 from ..result import Recovery
 from .definitions import definition_of, interval
-from .layout import SESSION
 from .measure import Measure, Measures, MeasureSettings
-from .measuring import Measuring, measures_of
+from .measuring import SESSION, Measuring
 
 #: Measures with a true zero, whose ratio means something.
 COMPARED = (
@@ -98,23 +97,21 @@ def measure_both(recoveries: Sequence[Recovery], settings: MeasureSettings | Non
         arms = ", ".join(recovery.arm_label for recovery in recoveries) or "none"
         raise UnoccludeError(f"symmetry needs the left and the right arm of one person; there is: {arms}")
     used = settings or MeasureSettings()
-    left, right = (Measuring.of(by_side[side], used) for side in ("left", "right"))
+    left, right = (Measuring(by_side[side], used) for side in ("left", "right"))
     return both_arms(left, right)
 
 
 def both_arms(left: Measuring, right: Measuring) -> BothArms:
     """The same of two arms that are measured already."""
-    of_left, of_right = measures_of(left), measures_of(right)
+    of_left, of_right = left.measures(), right.measures()
     rows = []
     for key in COMPARED:
         one, other = of_left.by_key.get(key), of_right.by_key.get(key)
         if one is None or other is None or not (one.is_known and other.is_known):
             continue
         value = float(symmetry_index(np.array([one.value]), np.array([other.value]))[0])
-        count = min(left.drawn.count, right.drawn.count)
-        drawn = symmetry_index(
-            left.drawn.values(SESSION, key)[:count], right.drawn.values(SESSION, key)[:count]
-        )
+        count = min(left.count, right.count)
+        drawn = symmetry_index(left.drawn(SESSION, key)[:count], right.drawn(SESSION, key)[:count])
         name = f"{key}_symmetry_percent"
         definition = definition_of(name)
         low, high, sigma = interval(value, drawn, definition)

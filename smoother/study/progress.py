@@ -18,7 +18,7 @@ from ..evaluation.progress import (
     without_like_movements,
 )
 from ..evaluation.words import is_main
-from ..measures.layout import BY_MOVEMENT
+from ..measures.definitions import BY_MOVEMENT
 from .folder import DONE, Row, StudyFolder
 from .inputs import SessionEntry, by_folders, in_order, read_sessions
 

@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 from measured_arms import minimum_jerk, recovery_of, simulated, with_draws
 
-from smoother.joint_angles import elbow_bend, recovery_angles
+from smoother.joint_angles import forearm_axes, recovery_angles
 from smoother.measures import MeasureSettings, measure
-from smoother.measures.hand import log_dimensionless_jerk, spectral_arc_length, velocity_peaks
-from smoother.measures.layout import BY_MOVEMENT
+from smoother.measures.definitions import BY_MOVEMENT
+from smoother.measures.figures import log_dimensionless_jerk, spectral_arc_length, velocity_peaks
 from smoother.measures.measure import MatchingRepetitions, SegmentingMovements
-from smoother.measures.motion import ElbowBend, grid_of, lessened, motion_of
+from smoother.measures.motion import ElbowBend, elbow_bend, grid_of, lessened, motion_of
 from smoother.measures.movements import find_movements, find_repetitions, match_cost
 from smoother.result import Recovery
 
@@ -191,11 +191,11 @@ def swinging(flexion_rad: np.ndarray, t_s: np.ndarray) -> dict[str, np.ndarray]:
 def test_the_bend_is_as_long_as_the_flexion_and_passes_straight_smoothly():
     signed = 0.3 * np.sin(1.3 * BEND_T)
     recovery = recovery_of(BEND_T, swinging(signed, BEND_T))
-    bend = elbow_bend(recovery)
+    bend = elbow_bend(recovery.joints, forearm_axes(recovery.quaternion, np.eye(3)))
     flexion = recovery_angles(recovery)["elbow_flexion"]
     np.testing.assert_allclose(np.degrees(np.linalg.norm(bend, axis=1)), flexion, atol=1e-9)
     np.testing.assert_allclose(bend[:, 2], -signed, atol=1e-9)  # from y towards x is about -z
-    assert elbow_bend(recovery_of(BEND_T, {"wrist": np.zeros((len(BEND_T), 3))})) is None
+    assert elbow_bend({"wrist": np.zeros((len(BEND_T), 3))}, np.eye(3)) is None
 
 
 def test_a_bent_elbow_stays_as_it_is():

@@ -13,8 +13,8 @@ from scipy.spatial.transform import Rotation
 from smoother.calibration import SegmentMounting
 from smoother.errors import UnoccludeError
 from smoother.measures import Measures, MeasureSettings, measure, measure_both
-from smoother.measures.angles import angle_figures, centre_of, centred, zone_figures
 from smoother.measures.definitions import MeasureDefinition, definition_of, interval
+from smoother.measures.figures import angle_figures, centre_of, centred, zone_figures
 from smoother.measures.symmetry import symmetry_index
 from smoother.result import Estimates, Recovery
 from smoother.result.segment_motion import SegmentMotion
@@ -238,10 +238,13 @@ def test_a_sinusoid():
 
 def test_time_in_zones_adds_up_and_ends_belong_above():
     figures = zone_figures("elbow_flexion", np.array([0.0, 9.999, 10.0, 15.0, np.nan, -0.001]), SEEN[:6])
-    assert {zone: figure.value for zone, figure in figures.items()} == {-10: 20.0, 0: 40.0, 10: 40.0}
+    zones = {"-10_to_0": 20.0, "0_to_10": 40.0, "10_to_20": 40.0}
+    assert {key: figure.value for key, figure in figures.items()} == {
+        f"elbow_flexion_zone_{zone}_percent": percent for zone, percent in zones.items()
+    }
     wide = zone_figures("shoulder_plane", 400.0 * T, SEEN)
     assert sum(figure.value for figure in wide.values()) == pytest.approx(100.0)
-    assert min(wide) == -180 and max(wide) == 170
+    assert {f"shoulder_plane_zone_{zone}_percent" for zone in ("-180_to_-170", "170_to_180")} < set(wide)
 
 
 def test_a_range_across_half_a_turn_does_not_jump():
@@ -264,7 +267,8 @@ def test_how_much_rests_on_what_was_not_seen():
     assert figures["elbow_flexion_min_deg"].share == 0.0
     assert figures["elbow_flexion_range_deg"].share == 0.5
     zones = zone_figures("elbow_flexion", angle, hidden)
-    assert zones[80].share > 0.9 and zones[30].share == 0.0
+    assert zones["elbow_flexion_zone_80_to_90_percent"].share > 0.9
+    assert zones["elbow_flexion_zone_30_to_40_percent"].share == 0.0
 
 
 def test_too_few_samples_are_no_angle():

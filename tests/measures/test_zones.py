@@ -7,7 +7,7 @@ import pytest
 from measured_arms import recovery_of, simulated
 
 from smoother.measures import Measure, measure
-from smoother.measures.hand import alpha_volume, reach_figures, voxel_means
+from smoother.measures.figures import alpha_volume, reach_figures, voxel_means
 
 T = np.arange(0.0, 3.0, 0.02)
 #: Of a stature of 1.75 m: upper arm and forearm are 0.186 and 0.146 of it.

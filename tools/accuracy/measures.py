@@ -45,9 +45,9 @@ from smoother.evaluation.progress import (
 )
 from smoother.evaluation.words import is_main
 from smoother.measures import Measure, MeasureSettings, measure
-from smoother.measures.layout import BY_MOVEMENT, SESSION
+from smoother.measures.definitions import BY_MOVEMENT
 from smoother.measures.measure import Reach
-from smoother.measures.measuring import Measuring
+from smoother.measures.measuring import SESSION, Measuring
 from smoother.measures.motion import motion_of
 from smoother.recording import Truth
 from smoother.result import Recovery
@@ -96,7 +96,7 @@ def recovered(simulated: SimulatedArm, draws: int, seed: int) -> Recovery:
 
 def samples_of(simulated: SimulatedArm, recovery: Recovery, settings: MeasureSettings) -> Iterator[Sample]:
     """Every measure of answer and truth."""
-    measuring = Measuring.of(recovery, settings)
+    measuring = Measuring(recovery, settings)
     assert simulated.recording.truth is not None
     true = motion_of(
         true_recovery(recovery, simulated.recording.truth),

@@ -1,56 +1,129 @@
-"""What is measured of the hand: its path, its smoothness, its reach, and zones about the trunk."""
+"""What is measured of some time of a motion: of its angles, the hand's path, smoothness, reach, and zones.
+
+A function gives the figures that it can; what it leaves out is not known.
+"""
 
 from __future__ import annotations
 
 import numpy as np
 
 from ..array_types import BoolArray, FloatArray, IntArray
-from .measure import UNKNOWN, Figure, Reach, share_of
+from ..joint_angles import wrapped_deg
+from ..linalg import runs
+from .definitions import PERCENTILES, zone_key
+from .measure import Figure, Reach, share_of
 from .motion import Motion
 
+Figures = dict[str, Figure]
+#: Width of a zone, degrees (Kee and Karwowski's and RULA's tables are coarser; studies differ).
+ZONE_DEG = 10
+#: An extreme rests on the samples this near to it, degrees; a peak speed on those this near to it, as a part.
+NEAR_DEG, NEAR_SHARE = 2.0, 0.05
+#: Fewer known samples than this do not determine an angle, s.
+SHORTEST_S = 0.3
 #: Ends nearer than this make no straight line to compare a path with, m.
 NEAREST_ENDS_M = 0.05
-#: A peak rests on the samples this near to it, as a part of it.
-NEAR_SHARE = 0.05
+
+
+def centred(angle: FloatArray, centre_deg: float) -> FloatArray:
+    """Angles (n,) brought to within half a turn of their centre, so that a range does not jump at 180."""
+    return np.asarray(centre_deg + wrapped_deg(angle - centre_deg))
+
+
+def centre_of(angle: FloatArray) -> float:
+    """What angles (n,) are counted from: half a turn from the middle of the widest empty arc, degrees."""
+    known = np.sort(wrapped_deg(angle[np.isfinite(angle)]))
+    if not len(known):
+        return float("nan")
+    arcs = np.diff(known, append=known[0] + 360.0)
+    widest = int(np.argmax(arcs))
+    if arcs[widest] < ZONE_DEG:
+        return float("nan")
+    return float(wrapped_deg(np.asarray(known[widest] + 0.5 * arcs[widest] + 180.0)))
+
+
+def angle_figures(
+    name: str,
+    angle: FloatArray,  # (n,) deg
+    occluded: BoolArray,  # bool (n,)
+    rate_hz: float,
+) -> Figures:
+    """Range, extremes, percentiles and peak speed of an angle over some time."""
+    known = np.isfinite(angle)
+    if known.sum() < SHORTEST_S * rate_hz:
+        return {}
+    values, hidden = angle[known], occluded[known]
+    low, high = float(values.min()), float(values.max())
+    share_low = share_of(hidden, values <= low + NEAR_DEG)
+    share_high = share_of(hidden, values >= high - NEAR_DEG)
+    figures = {
+        f"{name}_range_deg": Figure(high - low, 0.5 * (share_low + share_high)),
+        f"{name}_min_deg": Figure(low, share_low),
+        f"{name}_max_deg": Figure(high, share_high),
+    }
+    for percent, value in zip(PERCENTILES, np.percentile(values, PERCENTILES), strict=True):
+        away = np.abs(values - value)
+        near = away <= max(NEAR_DEG, float(away.min()))
+        figures[f"{name}_p{percent}_deg"] = Figure(float(value), share_of(hidden, near))
+    speed = np.full(len(angle), np.nan)  # within runs that are known; the angle may turn over in them
+    for run in runs(known):
+        if run.stop - run.start >= 3:
+            speed[run] = np.abs(np.gradient(np.unwrap(angle[run], period=360.0), 1.0 / rate_hz))
+    peak = float(np.nanmax(speed)) if np.isfinite(speed).any() else 0.0
+    near = np.nan_to_num(speed) >= (1.0 - NEAR_SHARE) * peak
+    return figures | {f"{name}_peak_speed_deg_s": Figure(peak, share_of(occluded, near))}
+
+
+def zone_figures(
+    name: str,
+    angle: FloatArray,  # (n,) deg
+    occluded: BoolArray,  # bool (n,)
+) -> Figures:
+    """Percent of the time that an angle is known in which it is in each zone of 10 degrees."""
+    known = np.isfinite(angle)
+    lower = (np.floor(wrapped_deg(angle[known]) / ZONE_DEG) * ZONE_DEG).astype(int)
+    hidden = occluded[known]
+    return {
+        zone_key(name, int(zone), ZONE_DEG): Figure(
+            100.0 * float((lower == zone).mean()), share_of(hidden, lower == zone)
+        )
+        for zone in np.unique(lower)
+    }
 
 
 def way_figures(
     hand: FloatArray, speed: FloatArray, occluded: BoolArray, rate_hz: float, runs: tuple[slice, ...]
-) -> dict[str, Figure]:
+) -> Figures:
     """Path length, peak and mean speed of the hand over some time."""
-    keys = ("hand_path_length_m", "hand_peak_speed_m_s", "hand_mean_speed_m_s")
     if not np.isfinite(speed).any():
-        return dict.fromkeys(keys, UNKNOWN)
+        return {}
     steps = np.zeros(len(hand))
     for run in runs:
         steps[run][1:] = np.nan_to_num(np.linalg.norm(np.diff(hand[run], axis=0), axis=1))
     share = share_of(occluded, steps)
     length, peak = float(steps.sum()), float(np.nanmax(speed))
-    with np.errstate(invalid="ignore"):
-        near = speed >= (1.0 - NEAR_SHARE) * peak
+    near = np.nan_to_num(speed) >= (1.0 - NEAR_SHARE) * peak
     seconds = max(sum(run.stop - run.start - 1 for run in runs), 1) / rate_hz
     return {
-        keys[0]: Figure(length, share),
-        keys[1]: Figure(peak, share_of(occluded, near)),
-        keys[2]: Figure(length / seconds, share),
+        "hand_path_length_m": Figure(length, share),
+        "hand_peak_speed_m_s": Figure(peak, share_of(occluded, near)),
+        "hand_mean_speed_m_s": Figure(length / seconds, share),
     }
 
 
-def straightness_figures(
-    hand: FloatArray, speed: FloatArray, occluded: BoolArray, rate_hz: float
-) -> dict[str, Figure]:
+def straightness_figures(hand: FloatArray, speed: FloatArray, occluded: BoolArray, rate_hz: float) -> Figures:
     """Path ratio (Cirstea and Levin, Brain 123:940-953, 2000) and time to peak (Alt Murphy et al. 2011)."""
     if len(hand) < 3 or not np.isfinite(hand).all():
-        return dict.fromkeys(("hand_path_ratio", "hand_time_to_peak_s", "hand_time_to_peak_percent"), UNKNOWN)
+        return {}
     steps = np.linalg.norm(np.diff(hand, axis=0), axis=1)
     straight = float(np.linalg.norm(hand[-1] - hand[0]))
     ratio = float(steps.sum()) / straight if straight >= NEAREST_ENDS_M else float("nan")
     peak = int(np.argmax(speed))
-    near = occluded[max(peak - 2, 0) : peak + 3]
+    share = share_of(occluded[max(peak - 2, 0) : peak + 3])
     return {
         "hand_path_ratio": Figure(ratio, share_of(occluded[1:], steps)),
-        "hand_time_to_peak_s": Figure(peak / rate_hz, share_of(near)),
-        "hand_time_to_peak_percent": Figure(100.0 * peak / (len(hand) - 1), share_of(near)),
+        "hand_time_to_peak_s": Figure(peak / rate_hz, share),
+        "hand_time_to_peak_percent": Figure(100.0 * peak / (len(hand) - 1), share),
     }
 
 
@@ -107,12 +180,11 @@ def velocity_peaks(
 
 
 LITRES = 1000.0
-REACH_KEYS = ("hand_reach_hull_l", "hand_reach_alpha_l", "hand_reach_sphere_percent")
 
 
 def reach_figures(
     place: FloatArray, occluded: BoolArray, arm_m: float, voxel_m: float, alpha_m: float
-) -> dict[str, Figure]:
+) -> Figures:
     """Volume of the hand's places: convex hull, alpha shape, and the hull over a ball of the arm's length.
 
     Edelsbrunner and Muecke, ACM Trans Graph 13:43-72 (1994); Kurillo et al., Hum Mov Sci 32:1191-1200 (2013).
@@ -124,14 +196,14 @@ def reach_figures(
     try:
         hull = ConvexHull(points)
     except (QhullError, ValueError):  # fewer than four places, or all in a plane
-        return dict.fromkeys(REACH_KEYS, UNKNOWN)
+        return {}
     share = share_of(hidden[hull.vertices])
     sphere = 4.0 / 3.0 * np.pi * arm_m**3
     places = voxel_means(points, voxel_m)
     return {
-        REACH_KEYS[0]: Figure(LITRES * float(hull.volume), share),
-        REACH_KEYS[1]: Figure(LITRES * alpha_volume(places, alpha_m), share),
-        REACH_KEYS[2]: Figure(100.0 * float(hull.volume) / sphere, share),
+        "hand_reach_hull_l": Figure(LITRES * float(hull.volume), share),
+        "hand_reach_alpha_l": Figure(LITRES * alpha_volume(places, alpha_m), share),
+        "hand_reach_sphere_percent": Figure(100.0 * float(hull.volume) / sphere, share),
     }
 
 
@@ -176,19 +248,16 @@ HALF_BREADTH, MOUTH_UP, HEAD_UP = 0.129, 0.075, 0.117
 MOUTH_AHEAD = 0.06
 HEAD_AXES = (0.055, 0.065, 0.044)
 #: Behind the back counts from the shoulder down, and this far beyond the midline's other side at most.
-ZONE_KEYS = ("hand_to_mouth", "hand_to_head", "hand_behind_back")
 
 
-def zone_figures_of(motion: Motion, rows: slice, settings: Reach) -> dict[str, Figure]:
+def zone_figures_of(motion: Motion, rows: slice, settings: Reach) -> Figures:
     """Whether the hand reached mouth, head and back, and how near it came; the elbow's distance."""
-    figures = {f"{key}_{what}": UNKNOWN for key in ZONE_KEYS for what in ("reached", "distance_m")}
-    figures |= {f"elbow_trunk_distance_{what}_m": UNKNOWN for what in ("max", "mean")}
     lengths = bone_lengths(motion)
     if not {"upper_arm", "forearm"} <= lengths.keys() or motion.R_K_T is None:
-        return figures
+        return {}
     stature = (lengths["upper_arm"] + lengths["forearm"]) / (UPPER_ARM + FOREARM)
     if not np.isfinite(stature):
-        return figures
+        return {}
     shoulder, elbow = motion.joints["shoulder"], motion.joints["elbow"]
     hand_T, elbow_T = motion.in_trunk(motion.hand - shoulder), motion.in_trunk(elbow - shoulder)
     assert hand_T is not None and elbow_T is not None
@@ -199,8 +268,13 @@ def zone_figures_of(motion: Motion, rows: slice, settings: Reach) -> dict[str, F
         "hand_to_head": head_distance(hand_T, stature) - settings.head_m,
         "hand_behind_back": back_distance(hand_T, stature, settings.behind_m),
     }
+    figures = {}
     for key, distance in distances.items():
-        figures |= _reached(key, distance, occluded)
+        if np.isfinite(distance).any():
+            least = float(np.nanmin(distance))
+            share = share_of(occluded, np.nan_to_num(distance, nan=np.inf) <= max(least, 0.0) + 0.01)
+            figures[f"{key}_reached"] = Figure(float(least <= 0.0), share)
+            figures[f"{key}_distance_m"] = Figure(max(least, 0.0), share)
     middle = np.array([0.0, -HALF_BREADTH * stature])
     away = np.linalg.norm(elbow_T[:, [0, 2]] - middle, axis=1)
     known = np.isfinite(away)
@@ -243,13 +317,3 @@ def back_distance(hand_T: FloatArray, stature: float, behind_m: float) -> FloatA
     )
     apart = np.linalg.norm(np.maximum(outside, 0.0), axis=1)
     return np.asarray(np.where(apart > 0.0, apart, outside.max(axis=1)))
-
-
-def _reached(key: str, distance: FloatArray, occluded: BoolArray) -> dict[str, Figure]:
-    """Whether a distance (n,) gets to zero, and the least of it."""
-    if not np.isfinite(distance).any():
-        return {}
-    least = float(np.nanmin(distance))
-    share = share_of(occluded, np.nan_to_num(distance, nan=np.inf) <= max(least, 0.0) + 0.01)
-    reached = Figure(float(least <= 0.0), share)
-    return {f"{key}_reached": reached, f"{key}_distance_m": Figure(max(least, 0.0), share)}
