@@ -11,11 +11,11 @@ import os
 import struct
 import zlib
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
-from typing import IO, Any, NamedTuple
+from typing import IO, Any
 
 import numpy as np
 import zstandard
@@ -32,12 +32,11 @@ from mcap.records import (
     MetadataIndex,
     Schema,
     Statistics,
-    SummaryOffset,
 )
 from numpy.typing import NDArray
 
 from ...array_types import IntArray
-from ..wire.layout import Buffer, copy_runs, runs
+from ..wire.protobuf_encode import Encoder
 from ..wire.schemas import schema_data
 from .container import CHUNK, HEAD, MAGIC, MESSAGE
 from .messages import Messages, Topic
@@ -66,26 +65,6 @@ class OutputStream:
         # Log times must not run back, or slices could not be cut; stamps inside stay as they are.
         if len(self.time_ns):
             self.time_ns = np.maximum(np.maximum.accumulate(self.time_ns), 0)
-
-
-class _Part(NamedTuple):
-    """Messages to be written: channels, numbers, log and publish times (4, n); payloads in a buffer."""
-
-    columns: IntArray
-    source: Buffer
-    start: IntArray  # (n,): Where in it each payload begins
-    size: IntArray  # (n,) bytes
-
-    @classmethod
-    def of(cls, channel: int, time_ns: IntArray, data: Encoded) -> _Part:
-        """Messages of our own, which have no numbers."""
-        columns = np.zeros((4, len(time_ns)), np.int64)
-        columns[0], columns[2:] = channel, time_ns
-        if isinstance(data, list):
-            sizes = np.fromiter(map(len, data), np.int64, len(data))
-            return cls(columns, b"".join(data), np.cumsum(sizes) - sizes, sizes)
-        sizes = np.full(len(data), data.shape[1])
-        return cls(columns, np.ascontiguousarray(data).reshape(-1).data, np.cumsum(sizes) - sizes, sizes)
 
 
 class Output:
@@ -173,56 +152,74 @@ class Output:
         for position in np.unique(messages.topic).tolist():
             channels[position] = self._channel(topics[position])
         columns = (channels[messages.topic], messages.sequence, messages.log_ns, messages.publish_ns)
-        size = messages.stop - messages.start
-        self._write([_Part(np.stack(columns), messages.chunk, messages.start, size)])
+        self._write(np.stack(columns), messages.payloads())
 
     def write(self, outgoing: Sequence[OutputStream]) -> None:
-        """Write streams by log time."""
+        """Write streams by log time, a batch at a time."""
         latest = dict(self._latest)
-        for stream in outgoing:  # streams that go on where an earlier part of them ended
-            if len(stream.time_ns):
-                stream.time_ns = np.maximum(stream.time_ns, latest.get(stream.channel, 0))
-                last = int(stream.time_ns[-1])
-                self._latest[stream.channel] = max(self._latest.get(stream.channel, 0), last)
-        for parts in _slices(outgoing):
-            self._write(parts)
+        streams = [stream for stream in outgoing if len(stream.time_ns)]
+        for stream in streams:  # streams that go on where an earlier part of them ended
+            stream.time_ns = np.maximum(stream.time_ns, latest.get(stream.channel, 0))
+            last = int(stream.time_ns[-1])
+            self._latest[stream.channel] = max(self._latest.get(stream.channel, 0), last)
+        longest = max((stream.time_ns for stream in streams), key=len, default=np.empty(0, np.int64))
+        starts = [0] * len(streams)
+        for edge in [*longest[SLICE::SLICE].tolist(), None]:
+            columns, payloads = [np.empty((4, 0), np.int64)], []
+            for i, stream in enumerate(streams):
+                stop = len(stream.time_ns) if edge is None else int(np.searchsorted(stream.time_ns, edge))
+                # a stream may be far denser here than the longest is: it is encoded in parts all the same
+                for start in range(starts[i], stop, SLICE):
+                    part = slice(start, min(start + SLICE, stop))
+                    time_ns = stream.time_ns[part]
+                    columns.append(
+                        np.stack([np.full_like(time_ns, stream.channel), 0 * time_ns, time_ns, time_ns])
+                    )
+                    payloads += _payloads(stream.encode(part))
+                starts[i] = stop
+            self._write(np.concatenate(columns, axis=1), payloads)
+
+    def stream(
+        self,
+        topic: str,
+        schema: str,
+        time_ns: IntArray,
+        constants: Mapping[str, Any],
+        columns: Callable[[slice], dict[str, NDArray]],
+    ) -> OutputStream:
+        """Protobuf messages of a topic, to be written, that differ in the columns of their rows alone."""
+        encode = Encoder(schema, constants)
+        return OutputStream(self.channel(topic, schema), time_ns, lambda part: encode(columns(part)))
 
     def flush(self) -> None:
         """Write all that was given so far, so that a reader of the unfinished file has it."""
         assert self._file is not None
         self._file.flush()
 
-    def _write(self, parts: list[_Part]) -> None:
-        """Write messages by log time, those of one time as they came, in chunks of about a megabyte."""
-        if not parts:
-            return
-        columns = np.concatenate([part.columns for part in parts], axis=1)
-        sizes = MESSAGE.itemsize + np.concatenate([part.size for part in parts])
+    def _write(self, columns: IntArray, payloads: list[bytes]) -> None:
+        """Write messages by log time, those of one time as they came, in chunks of about a megabyte.
+
+        Columns are channels, numbers, log and publish times (4, n).
+        """
         order = np.argsort(columns[2], kind="stable")
+        columns, payloads = columns[:, order], [payloads[row] for row in order.tolist()]
         heads = np.empty(len(order), MESSAGE)
-        heads["opcode"], heads["length"] = Opcode.MESSAGE, sizes - HEAD.size
+        heads["opcode"] = Opcode.MESSAGE
+        heads["length"] = MESSAGE.itemsize - HEAD.size + np.fromiter(map(len, payloads), np.int64, len(order))
         heads["channel"], heads["sequence"], heads["log"], heads["publish"] = columns
-        ends = np.cumsum(sizes[order])
-        place = np.empty_like(ends)
-        place[order] = ends - sizes[order]
-        records = np.empty(ends[-1] if len(ends) else 0, np.uint8).data
-        if len(order):
-            runs(records, MESSAGE.itemsize)[place] = heads.view(f"V{MESSAGE.itemsize}")
-        first = 0
-        for part in parts:
-            mine = place[first : first + len(part.size)] + MESSAGE.itemsize
-            first += len(mine)
-            copy_runs(part.source, part.start, part.size, records, mine)
-        channel, log_ns, start = columns[0][order], columns[2][order], 0
-        while start < len(ends):
+        packed, starts = heads.tobytes(), range(0, heads.nbytes, MESSAGE.itemsize)
+        records = [
+            packed[at : at + MESSAGE.itemsize] + data for at, data in zip(starts, payloads, strict=True)
+        ]
+        ends, start = np.cumsum(heads["length"].astype(np.int64) + HEAD.size), 0
+        while start < len(records):
             before = int(ends[start - 1]) if start else 0
             stop = max(int(np.searchsorted(ends, before + _CHUNK_BYTES, "right")), start + 1)
-            rows = slice(start, stop)
-            offsets = ends[rows] - sizes[order[rows]] - before
-            self._write_chunk(records[before : int(ends[stop - 1])], channel[rows], log_ns[rows], offsets)
+            rows, offsets = slice(start, stop), np.append(before, ends[start : stop - 1]) - before
+            self._write_chunk(b"".join(records[rows]), columns[0, rows], columns[2, rows], offsets)
             start = stop
 
-    def _write_chunk(self, data: memoryview, channel: IntArray, log_ns: IntArray, offsets: IntArray) -> None:
+    def _write_chunk(self, data: bytes, channel: IntArray, log_ns: IntArray, offsets: IntArray) -> None:
         first, last, name = int(log_ns.min()), int(log_ns.max()), _COMPRESSION.encode()
         packed = zstandard.ZstdCompressor(level=_LEVEL).compress(data)
         head = CHUNK.pack(first, last, len(data), zlib.crc32(data), len(name)) + name
@@ -255,7 +252,7 @@ class Output:
     def _finish(self) -> None:
         """Write the index that players look for at the file's end."""
         end = _packed(DataEnd(data_section_crc=0))
-        start = place = self._put(end) + len(end)
+        start = self._put(end) + len(end)
         statistics = Statistics(
             attachment_count=len(self._attachments),
             channel_count=len(self._channels),
@@ -267,22 +264,10 @@ class Output:
             metadata_count=len(self._metadata),
             schema_count=len(self._schemas),
         )
-        groups = {
-            Opcode.SCHEMA: _packed(*self._schemas.values()),
-            Opcode.CHANNEL: _packed(*self._channels.values()),
-            Opcode.STATISTICS: _packed(statistics),
-            Opcode.CHUNK_INDEX: self._chunk_indexes.end(),
-            Opcode.ATTACHMENT_INDEX: _packed(*self._attachments),
-            Opcode.METADATA_INDEX: _packed(*self._metadata),
-        }
-        offsets = []
-        for opcode, data in groups.items():
-            if data:
-                offsets.append(SummaryOffset(group_opcode=opcode, group_start=place, group_length=len(data)))
-            place += len(data)
-        summary = b"".join(groups.values()) + _packed(*offsets)
-        crc = zlib.crc32(struct.pack("<BQQQ", Opcode.FOOTER, 20, start, place), zlib.crc32(summary))
-        footer = Footer(summary_start=start, summary_offset_start=place, summary_crc=crc)
+        summary = _packed(*self._schemas.values(), *self._channels.values(), statistics)
+        summary += self._chunk_indexes.end() + _packed(*self._attachments, *self._metadata)
+        crc = zlib.crc32(struct.pack("<BQQQ", Opcode.FOOTER, 20, start, 0), zlib.crc32(summary))
+        footer = Footer(summary_start=start, summary_offset_start=0, summary_crc=crc)
         self._put(summary + _packed(footer) + MAGIC)
 
     def _put(self, data: bytes) -> int:
@@ -299,19 +284,8 @@ def _packed(*records: Any) -> bytes:
     return builder.end()
 
 
-def _slices(outgoing: Sequence[OutputStream]) -> Iterator[list[_Part]]:
-    """Yield messages of all streams a batch at a time."""
-    streams = [stream for stream in outgoing if len(stream.time_ns)]
-    longest = max((stream.time_ns for stream in streams), key=len, default=np.empty(0, np.int64))
-    edges = [*longest[SLICE::SLICE].tolist(), None]
-    starts = [0] * len(streams)
-    for edge in edges:
-        parts = []
-        for i, stream in enumerate(streams):
-            stop = len(stream.time_ns) if edge is None else int(np.searchsorted(stream.time_ns, edge))
-            # A stream may be far denser here than the longest is: encode it in parts all the same.
-            for start in range(starts[i], stop, SLICE):
-                part = slice(start, min(start + SLICE, stop))
-                parts.append(_Part.of(stream.channel, stream.time_ns[part], stream.encode(part)))
-            starts[i] = stop
-        yield parts
+def _payloads(data: Encoded) -> list[bytes]:
+    if isinstance(data, list):
+        return data
+    raw, size = data.tobytes(), data.shape[1]
+    return [raw[at : at + size] for at in range(0, len(raw), size)]

@@ -14,28 +14,19 @@ import numpy as np
 from ...array_types import FloatArray, IntArray
 from ...runtime.printable import printable
 from ...runtime.store import by_rows
-from ..wire.layout import Block, Buffer, MessageLayout
+from ..wire.layout import Buffer
 
 SECOND_NS = 1_000_000_000
 
 
-def seconds(
-    stamp_ns: IntArray,  # (n,) ns
-    origin_ns: int,
-) -> FloatArray:  # (n,) s
-    """Stamps as seconds after an origin; `nanoseconds` gives the same stamps back."""
+def seconds(stamp_ns: IntArray, origin_ns: int) -> FloatArray:
+    """Stamps (n,) as seconds after an origin; `nanoseconds` gives the same stamps back."""
     return by_rows(lambda stamp: (stamp - origin_ns) / 1e9, stamp_ns)
 
 
 def nanoseconds(t_s: FloatArray, origin_ns: int) -> IntArray:
     """Seconds (n,) after an origin as stamps in ns."""
     return np.rint(np.asarray(t_s) * 1e9).astype(np.int64) + origin_ns
-
-
-def ros_stamps(block: Block, layout: MessageLayout) -> IntArray:
-    """Stamps (rows,) of ROS messages with the fields `sec` and `nsec`, ns."""
-    seconds_part = layout.get(block, "sec")[:, 0].astype(np.int64)
-    return seconds_part * SECOND_NS + layout.get(block, "nsec")[:, 0].astype(np.int64)
 
 
 class DamageNote(str):
@@ -88,28 +79,22 @@ class Damage:
 def sentences(damage: Sequence[Damage], zero_ns: int | None) -> list[str]:
     """A clause for each of the first damages, and one for all others."""
     clauses = list(dict.fromkeys(each.sentence(zero_ns) for each in damage[:_MOST]))
-    if len(damage) > _MOST:
-        more = len(damage) - _MOST
+    if (more := len(damage) - _MOST) > 0:
         clauses.append(f"{more} places more are damaged; `unocclude repair` lists them all")
     return clauses
 
 
 def listed(counts: Mapping[str, int], of: Mapping[str, int] | None = None) -> str:
     """Messages by topic, for a sentence; `of` is their total where it is known."""
-    names = sorted(counts)
     texts = [
-        f"{counts[name]} of {'' if of is None else f'{of[name]} of '}{plain_name(name)}"
-        for name in names[:_MOST]
+        f"{counts[name]} of {f'{of[name]} of ' if of else ''}{plain_name(name)}"
+        for name in sorted(counts)[:_MOST]
     ]
-    if len(names) > _MOST:
-        texts.append(f"{len(names) - _MOST} topics more")
-    return ", ".join(texts)
+    return ", ".join(texts + ([f"{len(counts) - _MOST} topics more"] if len(counts) > _MOST else []))
 
 
 def plain_name(name: str) -> str:
     """A name that came from a file, fit for a message: no control characters, at most 80 letters."""
-    if len(name) <= _LONGEST_NAME and name.isprintable():
-        return name
     clean = printable(name[: 4 * _LONGEST_NAME])
     return clean if len(clean) <= _LONGEST_NAME else clean[: _LONGEST_NAME - 2] + ".."
 
@@ -173,3 +158,7 @@ class Messages(NamedTuple):
     def select(self, rows: slice | IntArray) -> Messages:
         """Some of the messages."""
         return Messages(*(each if each is self.chunk else each[rows] for each in self))  # type: ignore[arg-type]
+
+    def payloads(self) -> list[bytes]:
+        """The bytes of each message."""
+        return [bytes(self.chunk[a:b]) for a, b in zip(self.start.tolist(), self.stop.tolist(), strict=True)]

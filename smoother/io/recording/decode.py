@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from ...array_types import FloatArray, IntArray
 from ...recording import JOINTS, CameraFrame, JointState
 from ...runtime.store import GatheredRows, batches, large_array, sampled
-from ..mcap.messages import Messages, Topic, ros_stamps
+from ..mcap.messages import Messages, Topic
 from ..wire import cdr
 from ..wire import protobuf_decode as proto
 from ..wire.layout import Block, Grouper, MessageLayout, axes
@@ -39,14 +39,6 @@ _COLUMNS = {
 }
 
 
-def stamps_of(block: Block, layout: MessageLayout, log_ns: IntArray) -> IntArray:
-    """Stamps (rows,), ns; log times where they are zero."""
-    if "sec" not in layout.fields:
-        return proto.stamps(block, layout, log_ns)
-    stamp = ros_stamps(block, layout)
-    return np.where(stamp == 0, log_ns, stamp)
-
-
 @dataclass
 class PlainDecoder:
     """Decodes the IMU samples, magnetic fields or poses of one topic, a batch at a time."""
@@ -63,7 +55,7 @@ class PlainDecoder:
         for index, block, layout in self.grouper.groups_in(messages.chunk, messages.start, messages.stop):
             self.frame_id = layout.texts.get("frame_id", self.frame_id)
             log_ns = messages.log_ns[index]
-            stamp = stamps_of(block, layout, log_ns)
+            stamp = layout.stamps(block, log_ns)
             columns = (self._column(block, layout, *names) for names in _COLUMNS[self.kind])
             parts.append((index, stamp, log_ns - stamp, *columns))
         for column, values in enumerate(in_order(parts)):
@@ -261,7 +253,7 @@ class JointDecoder:
             path = f"{elements}.{i}"
             if (code := joint_code(layout.texts.get(f"{path}.name", ""))) is not None:
                 said.append((row, body, *code, *self._joint(block, layout, path)))
-        return proto.stamps(block, layout, log_ns), said
+        return layout.stamps(block, log_ns), said
 
     @property
     def is_flat(self) -> bool:
@@ -312,7 +304,7 @@ class MarkerDecoder(JointDecoder):
             row, column = np.nonzero(added & (azure == number) & (ids >= 0))
             state = np.full(len(row), int(JointState.TRACKED))
             said.append((row, ids[row, column] // 100, *code, state, position[row, column]))
-        return np.where(added.any(axis=1), stamps_of(block, layout, log_ns), 0), said
+        return np.where(added.any(axis=1), layout.stamps(block, log_ns), 0), said
 
     def arms(self) -> list[ArmFrames]:
         """All arms found, asked for once; none where the markers are of another kind."""

@@ -6,7 +6,6 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from calib.intrinsics import LARGEST_SHARE, SHARE_RANGE, Intrinsics
 
@@ -14,9 +13,7 @@ from ...array_types import FloatArray
 from ...errors import RecordingError
 from ...recording import JOINTS, CameraFrame, CameraPose, JointState, JointTracks
 from ...runtime.store import by_rows
-from ..mcap.merge import Encoded, Output, OutputStream
-from ..wire.protobuf_encode import encoded
-from .decode import INFERRED_SCORE, KEYPOINTS, TRACKED_SCORE
+from .decode import INFERRED_SCORE, TRACKED_SCORE
 from .decode import states_of_scores as states_of_scores
 from .streams import ArmFrames, KnownLens, RecordingFile
 
@@ -78,24 +75,6 @@ def pixels_of(tracks: JointTracks, lens: Intrinsics) -> FloatArray:
         np.asarray(tracks.state), [0.0, 0.5 * (INFERRED_SCORE + TRACKED_SCORE), 0.5 * (TRACKED_SCORE + 1.0)]
     )
     return position
-
-
-def keypoint_messages(output: Output, arm: ArmFrames) -> OutputStream:
-    """Messages of a camera without depth, on its topic; joints that are never there are left out."""
-    suffix = f"_{arm.side}" if arm.side else ""
-    present = np.flatnonzero((arm.state != JointState.NOT_TRACKED).any(axis=0)).tolist()
-    names = [{"name": JOINTS[i] + suffix} for i in present]
-
-    def encode(part: slice) -> Encoded:
-        values = np.nan_to_num(np.asarray(arm.position[part]))
-        values[np.asarray(arm.state[part]) == JointState.NOT_TRACKED] = 0.0
-        columns: dict[str, NDArray] = {"timestamp": arm.stamp_ns[part]}
-        for k, i in enumerate(present):
-            own = zip(("u", "v", "score"), values[:, i].T, strict=True)
-            columns |= {f"keypoints.{k}.{name}": column for name, column in own}
-        return encoded(KEYPOINTS, {"frame_id": arm.frame_id, "body": arm.body, "keypoints": names}, columns)
-
-    return OutputStream(output.channel(arm.topic, KEYPOINTS), arm.stamp_ns, encode)
 
 
 def lens_plain(lens: Intrinsics) -> dict[str, Any]:

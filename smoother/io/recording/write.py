@@ -17,11 +17,11 @@ from ...body import SEGMENTS
 from ...linalg import runs
 from ...recording import JOINTS, CameraFrame, CameraPose, ImuStream, JointState, JointTracks, Recording
 from ...runtime.outputs import writing
-from ..mcap.merge import Encoded, Output, OutputStream
+from ..mcap.merge import Output, OutputStream
 from ..mcap.messages import nanoseconds
-from ..wire.protobuf_encode import encoded
 from .camera_streams import CAMERA_TOPIC, cameras_plain
-from .keypoints import NAMED_TOPIC, TOPIC, keypoint_messages, lenses_plain, pixels_of
+from .decode import KEYPOINTS
+from .keypoints import NAMED_TOPIC, TOPIC, lenses_plain, pixels_of
 from .names import OTHER_SIDE
 from .read import CLOCKS_UNRELATED, METADATA
 from .streams import ArmFrames, CameraStream, ImuSamples, KnownLens, PoseSamples, RecordingFile
@@ -82,12 +82,8 @@ def recording_streams(output: Output, file: RecordingFile) -> list[OutputStream]
         metadata["truth_score"] = json.dumps(scores)
     output.metadata(METADATA, metadata)
     outgoing = [imu_messages(output, imu) for imu in file.imus]
-    outgoing += [
-        arm_messages(output, arm) if arm.lens is None else keypoint_messages(output, arm) for arm in file.arms
-    ]
-    for poses in file.poses:
-        outgoing += _poses(output, poses)
-    return outgoing
+    outgoing += [arm_messages(output, arm) for arm in file.arms]
+    return outgoing + [each for poses in file.poses for each in _pose_messages(output, poses)]
 
 
 def as_file(recording: Recording | Sequence[Recording]) -> RecordingFile:
@@ -215,13 +211,12 @@ def _free(topic: str, topics: set[str]) -> str:
 def imu_messages(output: Output, imu: ImuSamples) -> OutputStream:
     """Messages of an IMU, on its topic."""
 
-    def encode(part: slice) -> Encoded:
-        columns = {"linear_acceleration": imu.acc[part], "angular_velocity": imu.gyro[part]}
-        columns |= {} if imu.mag is None else {"magnetic_field": imu.mag[part]}
-        stamp = {"timestamp": imu.stamp_ns[part]}
-        return encoded("unocclude.Imu", {"frame_id": imu.frame_id}, stamp | columns)
+    def columns(part: slice) -> dict[str, NDArray]:
+        mag = {} if imu.mag is None else {"magnetic_field": imu.mag[part]}
+        sensors = {"linear_acceleration": imu.acc[part], "angular_velocity": imu.gyro[part]}
+        return {"timestamp": imu.stamp_ns[part]} | sensors | mag
 
-    return OutputStream(output.channel(imu.topic, "unocclude.Imu"), imu.stamp_ns, encode)
+    return output.stream(imu.topic, "unocclude.Imu", imu.stamp_ns, {"frame_id": imu.frame_id}, columns)
 
 
 def arm_messages(
@@ -230,25 +225,32 @@ def arm_messages(
     present: list[int] | None = None,
     strap_covariance: FloatArray | None = None,  # (F, 9) m^2
 ) -> OutputStream:
-    """Skeleton messages of an arm, on its topic; joints that are never there are left out."""
+    """Skeletons or keypoints of an arm, on its topic; joints that are never there are left out."""
     suffix = f"_{arm.side}" if arm.side else ""
     if present is None:
         present = joints_there(arm.state)
-    names = [{"name": JOINTS[i] + suffix} for i in present]
+    schema, field = ("unocclude.Skeleton", "joints") if arm.lens is None else (KEYPOINTS, "keypoints")
 
-    def encode(part: slice) -> Encoded:
-        columns: dict[str, NDArray] = {"timestamp": arm.stamp_ns[part]}
+    def columns(part: slice) -> dict[str, NDArray]:
+        values, state = arm.position[part], arm.state[part]
+        each: dict[str, NDArray] = {"timestamp": arm.stamp_ns[part]}
         for k, i in enumerate(present):
-            columns |= {
-                f"joints.{k}.position": arm.position[part, i],
-                f"joints.{k}.state": arm.state[part, i],
-            }
+            at, mine = f"{field}.{k}", values[:, i]
+            if arm.lens is None:
+                each |= {f"{at}.position": mine, f"{at}.state": state[:, i]}
+            else:
+                seen = np.where(state[:, i, None] == JointState.NOT_TRACKED, 0.0, np.nan_to_num(mine))
+                each |= {f"{at}.{name}": seen[:, k] for k, name in enumerate(("u", "v", "score"))}
             if strap_covariance is not None and JOINTS[i] == "strap":
-                columns[f"joints.{k}.position_covariance"] = np.nan_to_num(strap_covariance[part])
-        constants = {"frame_id": arm.frame_id, "body": arm.body, "joints": names}
-        return encoded("unocclude.Skeleton", constants, columns)
+                each[f"{at}.position_covariance"] = np.nan_to_num(strap_covariance[part])
+        return each
 
-    return OutputStream(output.channel(arm.topic, "unocclude.Skeleton"), arm.stamp_ns, encode)
+    constants = {
+        "frame_id": arm.frame_id,
+        "body": arm.body,
+        field: [{"name": JOINTS[i] + suffix} for i in present],
+    }
+    return output.stream(arm.topic, schema, arm.stamp_ns, constants, columns)
 
 
 def joints_there(state: NDArray[np.int8]) -> list[int]:
@@ -256,23 +258,19 @@ def joints_there(state: NDArray[np.int8]) -> list[int]:
     return np.flatnonzero((state != JointState.NOT_TRACKED).any(axis=0)).tolist()
 
 
-def _poses(output: Output, poses: PoseSamples) -> list[OutputStream]:
-    def encode(part: slice) -> Encoded:
-        columns: dict[str, NDArray] = {
-            "timestamp": poses.stamp_ns[part],
-            "pose.position": poses.position[part],
-            "pose.orientation": poses.quaternion[part][:, [1, 2, 3, 0]],
-        }
-        return encoded("foxglove.PoseInFrame", {"frame_id": poses.frame_id}, columns)
+def _pose_messages(output: Output, poses: PoseSamples) -> list[OutputStream]:
+    def columns(part: slice) -> dict[str, NDArray]:
+        turn = poses.quaternion[part][:, [1, 2, 3, 0]]
+        pose = {"pose.position": poses.position[part], "pose.orientation": turn}
+        return {"timestamp": poses.stamp_ns[part]} | pose
 
-    outgoing = [OutputStream(output.channel(poses.topic, "foxglove.PoseInFrame"), poses.stamp_ns, encode)]
+    stamp_ns, frame_id = poses.stamp_ns, poses.frame_id
+    outgoing = [output.stream(poses.topic, "foxglove.PoseInFrame", stamp_ns, {"frame_id": frame_id}, columns)]
     if poses.joints:
-        position = np.full((len(poses.stamp_ns), len(JOINTS), 3), np.nan)
+        position = np.full((len(stamp_ns), len(JOINTS), 3), np.nan)
         for joint, values in poses.joints.items():
             position[:, JOINTS.index(joint)] = values
         state = np.where(np.isfinite(position).all(axis=2), JointState.TRACKED, 0).astype(np.int8)
-        name, stamp_ns = f"{poses.topic}/joints", poses.stamp_ns
-        outgoing.append(
-            arm_messages(output, ArmFrames(name, poses.frame_id, 0, "", stamp_ns, position, state))
-        )
+        frames = ArmFrames(f"{poses.topic}/joints", frame_id, 0, "", stamp_ns, position, state)
+        outgoing.append(arm_messages(output, frames))
     return outgoing

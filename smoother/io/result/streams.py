@@ -15,12 +15,12 @@ from ...measurements.visibility import Gap
 from ...recording import JOINTS, JointState
 from ...result import GapVerdict, Recovery
 from ...rotation import Rotation
-from ..mcap.merge import Encoded, Output, OutputStream
+from ..mcap.merge import Output, OutputStream
 from ..mcap.messages import nanoseconds
 from ..recording.read import RESULT_PREFIX
 from ..recording.streams import ArmFrames
 from ..recording.write import arm_messages, joints_there
-from ..wire.protobuf_encode import alike, encoded
+from ..wire.protobuf_encode import alike
 from ..wire.schemas import message_class
 from . import drawing as scene
 from .drawing import AlikeRows, arm_point_clouds, world_transform
@@ -78,12 +78,8 @@ class _Streams:
     def _stream(self, topic: str, schema: str, stamp: IntArray, alike_rows: AlikeRows) -> OutputStream:
         """Some rows of stamps (n,) on a topic."""
         rows, constants, columns = alike_rows
-
-        def encode(part: slice) -> Encoded:
-            return encoded(schema, constants, columns(rows[part]))
-
-        channel = self.output.channel(f"{RESULT_PREFIX}{topic}{self.suffix}", schema)
-        return OutputStream(channel, stamp[rows] + self.shift, encode)
+        name, time_ns = f"{RESULT_PREFIX}{topic}{self.suffix}", stamp[rows] + self.shift
+        return self.output.stream(name, schema, time_ns, constants, lambda part: columns(rows[part]))
 
     def poses(self, r: Recovery) -> Iterator[OutputStream]:
         """Of the forearm's IMU, and where there are, of those on further segments and the trunk."""

@@ -25,7 +25,7 @@ from ...recording import ImuStream
 from ...runtime.outputs import check_output, writing, writing_folder
 from ..mcap.container import Container
 from ..mcap.merge import Output, OutputStream
-from ..mcap.messages import SECOND_NS, Topic, nanoseconds, ros_stamps, seconds
+from ..mcap.messages import SECOND_NS, Topic, nanoseconds, seconds
 from ..recording.choose import choose_imu
 from ..recording.clean import clean_imu
 from ..recording.read import open_recording
@@ -199,7 +199,7 @@ def _markers(path: Path) -> Iterator[tuple[int, str, FloatArray]]:
             layout = markers_of(message.topic.schema_data)(message.data)
             if layout.counts["markers"]:
                 block = np.frombuffer(message.data, np.uint8)[None]
-                stamp = int(ros_stamps(block, layout)[0]) or message.log_ns
+                stamp = int(layout.stamps(block, np.array([message.log_ns]))[0])
                 names, places = layout.many(block, "id")[0, :, 0], layout.many(block, "position")[0]
                 for name, place in zip(names.tolist(), places.astype(float), strict=True):
                     yield stamp, str(name), place

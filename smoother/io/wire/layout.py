@@ -19,6 +19,8 @@ from ...array_types import IntArray
 Block = NDArray[np.uint8]
 #: Bytes as a file has them, or put together here.
 Buffer = bytes | memoryview
+#: Times in nanoseconds end in the year 2262; what lies beyond does not fit.
+_LATEST_S = 9_000_000_000
 #: What a walk over a message that is cut off or not of its schema may raise.
 BROKEN = (struct.error, IndexError, ValueError, OverflowError)
 
@@ -76,6 +78,17 @@ class MessageLayout:
         for place in range(width):
             value |= (block[:, offset + place] & np.uint8(0x7F)).astype(np.uint64) << np.uint64(7 * place)
         return value.view(np.int64)
+
+    def stamps(self, block: Block, log_ns: IntArray) -> IntArray:
+        """Stamps (rows,) of a ROS header or a protobuf `timestamp`, ns; log times where it is not set."""
+        if "sec" in self.fields:
+            whole, nanos = (self.get(block, name)[:, 0].astype(np.int64) for name in ("sec", "nsec"))
+            stamp = whole * 1_000_000_000 + nanos
+            return np.where(stamp == 0, log_ns, stamp)
+        if not {"timestamp.seconds", "timestamp.nanos"} & self.varints.keys():
+            return log_ns
+        whole = np.clip(self.integer(block, "timestamp.seconds"), -_LATEST_S, _LATEST_S)
+        return whole * 1_000_000_000 + self.integer(block, "timestamp.nanos")
 
     def vector(self, block: Block, names: Sequence[str]) -> NDArray[np.float64]:
         """Doubles (rows, names), zero where a field is absent (protobuf leaves zeros out)."""
@@ -142,20 +155,9 @@ def cut_out(data: Buffer, start: IntArray, size: int) -> Block:
     """Bytes (n, size) from where they start (n,)."""
     if not size or not len(start):
         return np.empty((len(start), size), np.uint8)
-    return runs(data, size)[start].view(np.uint8).reshape(len(start), size)
-
-
-def copy_runs(source: Buffer, start: IntArray, size: IntArray, target: memoryview, place: IntArray) -> None:
-    """Copy n runs of bytes, each with its start and size in `source`, to its place in `target`."""
-    order = np.argsort(size, kind="stable")
-    for rows in np.split(order, np.flatnonzero(np.diff(size[order])) + 1):
-        if len(rows) and (length := int(size[rows[0]])):
-            runs(target, length)[place[rows]] = runs(source, length)[start[rows]]
-
-
-def runs(data: Buffer, size: int) -> NDArray[np.void]:
-    """All runs of `size` bytes in a buffer, indexed by their start; NumPy copies each as one item."""
-    return np.ndarray((len(data) - size + 1,), f"V{size}", data, strides=(1,))
+    # all runs of that many bytes, by their start: NumPy copies each as one item
+    runs = np.ndarray((len(data) - size + 1,), f"V{size}", data, strides=(1,))
+    return runs[start].view(np.uint8).reshape(len(start), size)
 
 
 def _cut(block: Block, offset: int, dtype: np.dtype, count: int) -> NDArray:

@@ -5,13 +5,7 @@ from __future__ import annotations
 import struct
 from typing import Any
 
-import numpy as np
-
-from ...array_types import IntArray
-from .layout import Block, MessageLayout
-
-#: Times in nanoseconds end in the year 2262.
-_LATEST_S = 9_000_000_000
+from .layout import MessageLayout
 
 
 def walk(data: bytes, message: Any) -> MessageLayout:
@@ -19,15 +13,6 @@ def walk(data: bytes, message: Any) -> MessageLayout:
     layout = MessageLayout.of(data)
     _walk(data, 0, len(data), message.DESCRIPTOR, "", layout)
     return layout
-
-
-def stamps(block: Block, layout: MessageLayout, log_ns: IntArray) -> IntArray:
-    """Stamps (rows,) of the field `timestamp`, ns; log times where it is zero."""
-    if not {"timestamp.seconds", "timestamp.nanos"} & layout.varints.keys():
-        return log_ns
-    seconds = layout.integer(block, "timestamp.seconds")
-    seconds = np.clip(seconds, -_LATEST_S, _LATEST_S)  # what lies beyond does not fit nanoseconds
-    return seconds * 1_000_000_000 + layout.integer(block, "timestamp.nanos")
 
 
 def _walk(data: bytes, position: int, stop: int, descriptor: Any, path: str, layout: MessageLayout) -> None:

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...array_types import IntArray
+from .layout import MessageLayout
 from .protobuf_decode import walk
 from .schemas import message_class
 
@@ -20,58 +21,66 @@ from .schemas import message_class
 _WIDE = {"seconds": -1, "nanos": 1 << 30}
 
 
-def encoded(
-    schema: str,
-    constants: Mapping[str, Any],  # Fields that are the same in all rows, as the library's class takes them
-    # By path (`joints.0.position`): stamps (rows,) ns, numbers (rows,), bytes or doubles (rows, n), and
-    # vectors and quaternions (rows, n) in the order of their fields
-    columns: Mapping[str, NDArray],
-) -> NDArray[np.uint8]:  # (rows, size)
-    """Wire form of a message a row; enums and whole numbers are below 128."""
-    message = message_class(schema)(**constants)
-    numbers: dict[str, NDArray] = {}
-    for path, values in columns.items():
-        numbers |= _placed(message, path, values)
-    data = message.SerializeToString(deterministic=True)
-    layout = walk(data, type(message))
-    rows = len(next(iter(columns.values())))
-    block = np.empty((rows, len(data)), np.uint8)
-    block[:] = np.frombuffer(data, np.uint8)
-    for name, values in numbers.items():
-        if name in layout.varints:
-            offset, width = layout.varints[name]
-            block[:, offset : offset + width] = _padded_varints(values, width)
-        else:
-            (offset,), dtype, count = layout.fields[name]
-            raw = np.ascontiguousarray(values.reshape(rows, count), dtype).view(np.uint8)
-            block[:, offset : offset + raw.shape[1]] = raw
-    return block
+class Encoder:
+    """Encodes messages of one schema with the same constant fields and the same columns."""
 
+    def __init__(self, schema: str, constants: Mapping[str, Any]) -> None:
+        self._message = message_class(schema)(**constants)
+        self._numbers: dict[str, list[str]] = {}  # by a column's path, those of its numbers
+        self._layout: MessageLayout | None = None
 
-def _placed(message: Any, path: str, values: NDArray) -> dict[str, NDArray]:
-    """Columns by the path of each number; these are not zero in the message, which would leave them out."""
-    *way, last = path.split(".")
-    for step in way:
-        message = message[int(step)] if step.isdigit() else getattr(message, step)
-    own = message[int(last)] if last.isdigit() else getattr(message, last)
-    if not hasattr(own, "DESCRIPTOR"):
+    def __call__(self, columns: Mapping[str, NDArray]) -> NDArray[np.uint8]:
+        """Wire form (rows, size) of a message a row; enums and whole numbers are below 128.
+
+        Columns by path (`joints.0.position`): stamps (rows,) ns, numbers (rows,), bytes or doubles (rows, n),
+        and vectors and quaternions (rows, n) in the order of their fields.
+        """
+        if self._layout is None:
+            self._numbers = {path: self._place(path, values) for path, values in columns.items()}
+            data = self._message.SerializeToString(deterministic=True)
+            self._layout = walk(data, type(self._message))
+        layout, rows = self._layout, len(next(iter(columns.values())))
+        block = np.empty((rows, len(layout.want)), np.uint8)
+        block[:] = layout.want
+        for path, values in columns.items():
+            names = self._numbers[path]
+            if names == [path]:
+                parts = [values]
+            else:
+                is_stamp = names[0].endswith(".seconds")
+                parts = list(np.divmod(values, 1_000_000_000) if is_stamp else values.T)
+            for name, part in zip(names, parts, strict=True):
+                if name in layout.varints:
+                    offset, width = layout.varints[name]
+                    block[:, offset : offset + width] = _padded_varints(part, width)
+                else:
+                    (offset,), dtype, count = layout.fields[name]
+                    raw = np.ascontiguousarray(part.reshape(rows, count), dtype).view(np.uint8)
+                    block[:, offset : offset + raw.shape[1]] = raw
+        return block
+
+    def _place(self, path: str, values: NDArray) -> list[str]:
+        """Give the fields a value, as zeros are left out; the paths of the numbers."""
+        *way, last = path.split(".")
+        message = self._message
+        for step in way:
+            message = message[int(step)] if step.isdigit() else getattr(message, step)
+        own = message[int(last)] if last.isdigit() else getattr(message, last)
+        if hasattr(own, "DESCRIPTOR"):
+            names = [part.name for part in own.DESCRIPTOR.fields]
+            wide = (
+                _WIDE if own.DESCRIPTOR.name == "Timestamp" else dict.fromkeys(names[: values.shape[-1]], 1.0)
+            )
+            for name, value in wide.items():
+                setattr(own, name, value)
+            return [f"{path}.{name}" for name in wide]
         if values.ndim == 1:
             setattr(message, last, 1)
         elif isinstance(own, bytes):
             setattr(message, last, b"\1" * values.shape[1])
         else:
             own[:] = [1.0] * values.shape[1]
-        return {path: values}
-    if own.DESCRIPTOR.name == "Timestamp":
-        for name, value in _WIDE.items():
-            setattr(own, name, value)
-        seconds, nanos = np.divmod(values, 1_000_000_000)
-        return {f"{path}.seconds": seconds, f"{path}.nanos": nanos}
-    parts = {}
-    for part, column in zip(own.DESCRIPTOR.fields, values.T, strict=False):
-        setattr(own, part.name, 1.0)
-        parts[f"{path}.{part.name}"] = column
-    return parts
+        return [path]
 
 
 def _padded_varints(values: NDArray, width: int) -> NDArray[np.uint8]:
@@ -83,8 +92,13 @@ def _padded_varints(values: NDArray, width: int) -> NDArray[np.uint8]:
 
 
 def alike(codes: NDArray) -> Iterator[tuple[tuple[int, ...], IntArray]]:
-    """Rows (n, k) of codes that are the same: what they are, and their numbers (m,)."""
-    if len(codes):
-        kinds, kind = np.unique(codes, axis=0, return_inverse=True)
-        for number, one in enumerate(kinds.tolist()):
-            yield tuple(one), np.flatnonzero(kind.reshape(-1) == number)
+    """Rows (n, k) of small whole numbers that are the same: what they are, and which rows (m,)."""
+    codes = np.asarray(codes, np.int64)
+    if not len(codes):
+        return
+    lowest, base = codes.min(), np.ptp(codes) + 1
+    key = (codes - lowest) @ base ** np.arange(codes.shape[1])[::-1]
+    _, first, kind = np.unique(key, return_index=True, return_inverse=True)
+    order = np.argsort(kind, kind="stable")
+    for number, rows in enumerate(np.split(order, np.cumsum(np.bincount(kind))[:-1])):
+        yield tuple(codes[first[number]].tolist()), rows

@@ -75,7 +75,7 @@ def test_what_is_no_protobuf(raw: bytes) -> None:
 def test_stamps(stamp: bytes, expected: int) -> None:
     stamp = bytes([stamp[0], len(stamp) - 2]) + stamp[2:]
     layout = decode.walk(stamp, Imu)
-    assert decode.stamps(np.frombuffer(stamp, np.uint8)[None], layout, np.array([77])).tolist() == [expected]
+    assert layout.stamps(np.frombuffer(stamp, np.uint8)[None], np.array([77])).tolist() == [expected]
 
 
 # -- written ------------------------------------------------------------------------------------------------
@@ -94,7 +94,7 @@ def test_a_skeleton_as_the_library_reads_it() -> None:
     columns = {"timestamp": stamps, "occluded": occluded, "joints.0.position": position}
     columns |= {"joints.0.state": state, "joints.0.position_covariance": covariance}
     columns |= {"joints.2.confidence": confidence, "joints.2.position": position[:, [2, 0, 1]]}
-    block = encode.encoded("unocclude.Skeleton", constants, columns)
+    block = encode.Encoder("unocclude.Skeleton", constants)(columns)
     assert block.dtype == np.uint8 and len(block) == 5
     for k, raw in enumerate(row.tobytes() for row in block):
         message = Skeleton.FromString(raw)
@@ -113,17 +113,17 @@ def test_a_skeleton_as_the_library_reads_it() -> None:
         assert layout.counts == {"joints": 3}
         assert one(layout, raw, "joints.0.position_covariance") == covariance[k].tolist()
         if abs(int(stamps[k])) < 2**61:
-            stamp = decode.stamps(np.frombuffer(raw, np.uint8)[None], layout, np.array([0]))
+            stamp = layout.stamps(np.frombuffer(raw, np.uint8)[None], np.array([0]))
             assert stamp[0] == stamps[k]
 
 
 def test_bytes_and_elements_of_a_list() -> None:
     data, at = np.arange(12, dtype=np.uint8).reshape(3, 4), np.array([0, 1, 2])
-    for k, row in enumerate(encode.encoded("foxglove.PointCloud", {"point_stride": 4}, {"data": data})):
+    for k, row in enumerate(encode.Encoder("foxglove.PointCloud", {"point_stride": 4})({"data": data})):
         assert message_class("foxglove.PointCloud").FromString(row.tobytes()).data == data[k].tobytes()
     constants = {"entities": [{"lines": [{"points": [{}, {}]}]}]}
     points = {"entities.0.timestamp": at, "entities.0.lines.0.points.1": np.arange(9.0).reshape(3, 3)}
-    for k, row in enumerate(encode.encoded("foxglove.SceneUpdate", constants, points)):
+    for k, row in enumerate(encode.Encoder("foxglove.SceneUpdate", constants)(points)):
         entity = message_class("foxglove.SceneUpdate").FromString(row.tobytes()).entities[0]
         first, last = entity.lines[0].points
         assert entity.timestamp.nanos == k and (first.x, last.x, last.z) == (0.0, 3.0 * k, 3.0 * k + 2.0)
