@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -84,15 +85,17 @@ def batch(
     from ..study.workers import cluster, local
     from .config import read_config
 
-    if scheduler is not None and processes is not None:
-        raise typer.BadParameter("--processes is for this machine; with --scheduler the workers decide")
-    if draws is not None and not measures:
-        raise typer.BadParameter("--draws is for the intervals of the measures; give --measures too")
-    if draws and draws < FEWEST_DRAWS:
-        raise typer.BadParameter(
+    too_few = 0 < (draws or 0) < FEWEST_DRAWS
+    o.refuse(
+        {
+            "--processes is for this machine; the workers of --scheduler decide": scheduler
+            and processes is not None,
+            "--draws is for the intervals of the measures; give --measures too": draws is not None
+            and not measures,
             f"--draws {draws} are too few for the intervals of the measures: {FEWEST_DRAWS} are needed, 64"
-            " are usual, 0 = no intervals"
-        )
+            " are usual, 0 = no intervals": too_few,
+        }
+    )
     folder = study_folder(output)
     page = None if report is None else Path(report) if report else folder.path / "report.html"
     settings = StudySettings(
@@ -111,8 +114,8 @@ def batch(
     # what is not a file, such as a pipe, fails by itself and stops no other
     inputs = [calibration_file, config_file, *(path for path in recordings if os.path.isfile(path))]
     check_outputs(True, [None if inside else page, json_file], inputs)
-    for path in (page, json_file):
-        if path is not None and path.is_file() and not _is_of_a_study(path):
+    for path, marks in ((page, _PAGE_MARKS), (json_file, _FIGURES_MARKS)):
+        if path is not None and path.is_file() and not _begins_with(path, marks):
             check_output(path, force)  # what an earlier run wrote is renewed, never another program's file
     workers = local(processes or 0) if scheduler is None else cluster(scheduler)
     try:
@@ -160,7 +163,7 @@ def write_reports(rows: pa.Table, folder: Path, processes: int, anew: bool) -> N
         page = folder / report_of(str(result.relative_to(folder)))
         if page.is_file() and not anew and page.stat().st_mtime >= result.stat().st_mtime:
             continue
-        if page.is_file() and _PAGE_MARKS[0] not in page.read_bytes()[:1000]:
+        if page.is_file() and not _begins_with(page, _PAGE_MARKS[:1]):
             check_output(page, force=False)  # another program's file is not replaced
         todo.append((result, page))
     with Pool(processes, frames=10**9 if len(todo) > 1 else 0) as workers:
@@ -177,11 +180,11 @@ def _write_report(files: tuple[Path, Path]) -> None:
     write_arms_report(arms, files[1], camera_frame=camera_frame_of(files[0]), force=True)
 
 
-def _is_of_a_study(path: Path) -> bool:
-    """Whether a file begins as the page or the figures of a study do."""
+def _begins_with(path: Path, marks: Sequence[bytes]) -> bool:
+    """Whether the first lines of a file have all these marks."""
     with open(path, "rb") as file:
         start = file.read(1000)
-    return all(mark in start for mark in _PAGE_MARKS) or all(mark in start for mark in _FIGURES_MARKS)
+    return all(mark in start for mark in marks)
 
 
 def study_figures(rows: pa.Table, tally: Tally) -> dict[str, Any]:
@@ -210,6 +213,7 @@ def study_figures(rows: pa.Table, tally: Tally) -> dict[str, Any]:
 
 def worst_arms(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
     """One row per arm, untrusted ones first, then the least certain; of several the name includes the arm."""
+    from ..evaluation.summary import trust_word
     from ..recording import arm_words
     from ..study.folder import arms_of, least_trusted
 
@@ -218,14 +222,15 @@ def worst_arms(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
         for arm in arms_of(row):
             which = f" ({arm_words(arm['side'], arm['body'])})" if row["arm_figures"] else ""
             arms.append(arm | {"recording": row["recording"] + which})
-    return sorted(arms, key=least_trusted)[:MOST_WORST]
+    worst = sorted(arms, key=least_trusted)[:MOST_WORST]
+    return [
+        arm | {"trusted": trust_word(arm["trusted"], arm["gaps"], arm["gaps_untrusted"])} for arm in worst
+    ]
 
 
 def _print(rows: pa.Table, tally: Tally, figures: dict[str, Any]) -> None:
     """Print what came of a study, the worst recordings first."""
     import pyarrow.compute as pc
-
-    from ..evaluation.summary import trust_word
 
     times = tally.recorded_s / tally.seconds if tally.computed else 0.0
     speed = f", {times:.1f} times real time by all processes together" if tally.computed else ""
@@ -238,8 +243,6 @@ def _print(rows: pa.Table, tally: Tally, figures: dict[str, Any]) -> None:
     few = done.select([*keys.split(), "gaps_untrusted", "arm_figures"])
     order = [("trusted", "ascending"), ("gaps_untrusted", "descending"), ("sigma_max_m", "descending")]
     worst = worst_arms(few.sort_by(order).slice(0, MOST_WORST).to_pylist())
-    for row in worst:
-        row["trusted"] = trust_word(row["trusted"], row["gaps"], row["gaps_untrusted"])
     title = "Recordings that are not to be trusted, then the least certain (sigma = one standard deviation)"
     show(tabulated(title, worst, keys))
     rest = "more; the results have them all"

@@ -1,53 +1,48 @@
-"""`unocclude live`: the arm while it moves."""
+"""`unocclude live`: the arm while it moves, and the lines that a session prints."""
 
 from __future__ import annotations
 
+import math
 import signal
 import sys
 import threading
-from collections.abc import Iterator, Sequence
-from contextlib import ExitStack
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
-from types import FrameType
+from queue import Full, Queue
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
 from ..errors import UnoccludeError
+from ..runtime.printable import printable
+from ..table import Table
 from . import options as o
-from .live_lines import Lines
-from .output import Out, print_notes, say, say_command
+from .output import Out, print_notes, say, say_command, show
 
 if TYPE_CHECKING:
+    from ..live.answers import LiveOutput
     from ..streams.arrivals import Receiver, Source, SourceInfo
     from ..streams.session import SessionCalibration
+    from ..streams.session_figures import SessionFigures, StreamHealth
 
 
-class StopRequest:
-    """Takes signals down; nothing is interrupted, so that the recording stays whole."""
-
-    def __init__(self) -> None:
-        self.wanted = False
-        self._before: dict[int, Any] = {}
-
-    def __enter__(self) -> StopRequest:
-        if threading.current_thread() is threading.main_thread():
-            for name in ("SIGINT", "SIGTERM", "SIGHUP", "SIGBREAK"):
-                number = getattr(signal, name, None)
-                if number is not None and signal.getsignal(number) is not signal.SIG_IGN:
-                    self._before[number] = signal.signal(number, self._end)
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        for number, handler in self._before.items():
+@contextmanager
+def stop_request() -> Iterator[Callable[[], bool]]:
+    """Whether a session is to end: a signal interrupts nothing, so that the recording stays whole."""
+    wanted: list[int] = []
+    before: dict[int, Any] = {}
+    if threading.current_thread() is threading.main_thread():
+        for name in ("SIGINT", "SIGTERM", "SIGHUP", "SIGBREAK"):
+            number = getattr(signal, name, None)
+            if number is not None and signal.getsignal(number) is not signal.SIG_IGN:
+                before[number] = signal.signal(number, lambda number, _: wanted.append(number))
+    try:
+        yield lambda: bool(wanted)
+    finally:
+        for number, handler in before.items():
             signal.signal(number, handler)
-
-    def __call__(self) -> bool:
-        """Whether the session is to end."""
-        return self.wanted
-
-    def _end(self, number: int, _: FrameType | None) -> None:
-        self.wanted = True
 
 
 def streams_of(given: Sequence[str], sides: Sequence[str | None]) -> dict[str | None, dict[str, str]]:
@@ -71,16 +66,6 @@ def streams_of(given: Sequence[str], sides: Sequence[str | None]) -> dict[str | 
             raise typer.BadParameter(f"--imu {text}: give PLACE=STREAM once for each place, of {known}")
         streams[side][segment] = name
     return streams
-
-
-def check_arms(infos: Sequence[SourceInfo], replay: Path) -> None:
-    """Refuse two arms of which one topic is to be both."""
-    names = [name for info in infos for name in info.imus.values()]
-    if len(set(names)) < len(names):
-        raise UnoccludeError(
-            f"{replay}: which IMU is on which arm does not show by the topics' names; give --imu right=TOPIC"
-            " --imu left=TOPIC"
-        )
 
 
 def receivers_of(
@@ -127,14 +112,11 @@ def print_session(figures: dict[str, Any], arm: str = "") -> None:
         f" {state['gap']:.1f} s, the longest {figures['longest_gap_s']:.1f} s; calibrating"
         f" {state['calibrating']:.1f} s, the IMU lost {state['lost']:.1f} s"
     )
-    streams = [("IMU", figures["imu"]), ("camera", figures["skeleton"])]
-    for segment, stream in figures.get("further", {}).items():
-        streams.append((f"IMU on the {SEGMENTS[segment].label}", stream))
-    for name, stream in streams:
-        words = f"{stream['count']} came, {stream['missing']} missing, {stream['late']} late"
-        if stream["lost_times"]:
-            words += f", lost {stream['lost_times']} times for {stream['lost_s']:.1f} s"
-        say(f"{name}: {words}")
+    streams = {"IMU": figures["imu"], "camera": figures["skeleton"]}
+    streams |= {f"IMU on the {SEGMENTS[name].label}": one for name, one in figures.get("further", {}).items()}
+    keys = ("count", "missing", "late", "lost_times", "lost_s")
+    rows = [(name, *(stream[key] for key in keys)) for name, stream in streams.items()]
+    show(Table("Streams", ("stream", "came", "missing", "late", "times lost", "lost, s"), rows))
     done = figures["frame_done"]
     if done["count"]:
         say(
@@ -165,7 +147,7 @@ def live(
     skeleton: Annotated[
         str | None, o.option("The skeleton's LSL stream; a topic with --replay.", metavar="STREAM")
     ] = None,
-    side: Annotated[Literal["left", "right"] | None, o.option("The arm that wears the IMU.")] = None,
+    side: o.Side = None,
     arms: Annotated[Literal["one", "both"], o.option("Both arms of a person, each with its IMU.")] = "one",
     body: Annotated[str | None, o.option("Which of the skeleton's bodies.", metavar="N")] = None,
     calibration: o.Calibration = None,
@@ -201,17 +183,18 @@ def live(
     both: list[str | None] = ["left", "right"] if side == "left" else ["right", "left"]
     sides = [side] if arms == "one" else both
     imus = streams_of(imu or (), sides)
-    if lsl_network and lsl_out is None:
-        raise typer.BadParameter("--lsl-network is of what --lsl-out sends; give it as well")
-    for option, given in (("--speed", speed != 1.0), ("--latency", latency is not None)):
-        if given and replay is None:
-            raise typer.BadParameter(f"{option} is of a replay; give --replay as well")
     further = any(set(streams) - {"forearm"} for streams in imus.values())
-    if arms == "both" and gyro is not None:
-        raise typer.BadParameter("--gyro is of one arm; with --arms both it is found by the --imu's name")
-    for option, named in (("--body", body), ("--gyro", gyro), ("a further --imu", further)):
-        if named and replay is not None:
-            raise typer.BadParameter(f"{option} is of a stream; a replay takes --imu and --skeleton")
+    o.refuse(
+        {
+            "--speed is of a replay; give --replay as well": replay is None and speed != 1.0,
+            "--latency is of a replay; give --replay as well": replay is None and latency is not None,
+            "--gyro is of one arm; with --arms both it is found by the --imu's name": gyro and arms == "both",
+            "--body is of a stream; a replay takes --imu and --skeleton": body and replay,
+            "--gyro is of a stream; a replay takes --imu and --skeleton": gyro and replay,
+            "a further --imu is of a stream; a replay takes --imu and --skeleton": further and replay,
+            "--lsl-network is of what --lsl-out sends; give it as well": lsl_network and lsl_out is None,
+        }
+    )
     from calib.file import read_calibration
 
     from ..live.calibrations import InlineCalibrator
@@ -234,19 +217,24 @@ def live(
     file = None if calibration is None else read_calibration(calibration)
     known_sides = [] if file is None else [name for name in file.arms if name != "any"]
     prefer = known_sides[0] if len(known_sides) == 1 else None
-    with StopRequest() as stop_request, ExitStack() as stack:
+    with stop_request() as stops, ExitStack() as stack:
         source: Source
         if replay is not None:
             topics = {each: own.get("forearm") for each, own in imus.items()}
             source = Replay(
                 replay, topics, skeleton, prefer, speed, CAMERA_LATENCY_S if latency is None else latency
             )
-            check_arms(source.infos, replay)
+            names = [name for info in source.infos for name in info.imus.values()]
+            if len(set(names)) < len(names):
+                raise UnoccludeError(
+                    f"{replay}: which IMU is on which arm does not show by the topics' names; give --imu"
+                    " right=TOPIC --imu left=TOPIC"
+                )
         else:
             source = received = LslSource(imus, skeleton, prefer, body, gyro)
             stack.callback(received.close)
             say(f"looking for the streams, at most {wait:g} s")
-            if not received.open(wait, stop_request, say):
+            if not received.open(wait, stops, say):
                 say("ended before the streams were there; nothing was recorded")
                 return
         infos = source.infos
@@ -271,7 +259,7 @@ def live(
         if sys.stdout.isatty():
             say("Ctrl-C ends")
         with Lines() as lines:
-            session.run(stop_request, lines.show)
+            session.run(stops, lines.show)
         figures = [each.figures() for each in session.figures]
     arm_figures = [{"side": info.side, **own} for info, own in zip(infos, figures, strict=True)]
     several = {**arm_figures[0], "arms": arm_figures}
@@ -284,3 +272,100 @@ def live(
         for option, value in (("--calibration", calibration), ("--config", config_file)):
             arguments += [] if value is None else [option, str(value)]
         say_command(*arguments)
+
+
+#: How often a line is printed, s.
+_LINE_S = 2.0
+#: How long a terminal is waited for in the end, s, and how many lines wait for it at most.
+_PATIENCE_S, _MOST_WAITING = 2.0, 1000
+
+
+class Lines:
+    """A line every two seconds for each arm, and one for whatever happens.
+
+    They are printed by a thread of its own: a slow terminal delays no answer.
+    """
+
+    def __init__(self) -> None:
+        self._last = -math.inf
+        self._events: dict[str, int] = {}
+        self._waiting: Queue[str | None] = Queue(_MOST_WAITING)
+        self._thread = threading.Thread(target=self._work, name="lines", daemon=True)
+
+    def __enter__(self) -> Lines:
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._put(None)
+        self._thread.join(_PATIENCE_S)
+
+    def show(self, *arms: SessionFigures) -> None:
+        """Print what happened to each arm since, and the line if it is time."""
+        is_time = time.monotonic() - self._last > _LINE_S
+        for figures in arms:
+            arm = f"{figures.side} arm: " if len(arms) > 1 else ""
+            new = figures.event_count - self._events.get(figures.side, 0)
+            for when, sentence in list(figures.events)[-new:] if new else ():
+                self._put(f"{when:8.1f} s  {arm}{sentence}")
+            self._events[figures.side] = figures.event_count
+            if is_time:
+                self._last = time.monotonic()
+                self._put(f"{figures.seconds:8.1f} s  {arm}{'; '.join(words(figures))}")
+
+    def _put(self, line: str | None) -> None:
+        with suppress(Full):
+            self._waiting.put_nowait(line)
+
+    def _work(self) -> None:
+        while (line := self._waiting.get()) is not None:
+            say(line)
+            sys.stdout.flush()
+
+
+def words(figures: SessionFigures) -> list[str]:
+    """The session in words: the answer, the streams, the clock, the load."""
+    output, camera = figures.output, figures.skeleton
+    imu, *further = figures.imus.values()
+    # the camera's delay is from a frame's moment, as soon as its clock is known
+    is_known = output is not None and math.isfinite(output.camera_latency_s)
+    latency_s = output.camera_latency_s if output is not None and is_known else camera.delay_s
+    streams = [
+        _stream_words("IMU", imu, imu.delay_s, figures.now_s),
+        _stream_words("camera", camera, latency_s, figures.now_s),
+        *(_stream_words(each.name, each, each.delay_s, figures.now_s) for each in further),
+    ]
+    load = f"load {100 * figures.load:.0f} %"
+    if output is None:
+        return ["nothing has come yet", *streams, load]
+    rest = []
+    if output.now is not None:
+        rest.append(f"sigma {100 * output.now.sigma_m:.1f} cm, {output.now.sigma_deg:.1f} degrees")
+    if math.isfinite(output.clock_offset_s):
+        offset = f"clock offset {1e3 * output.clock_offset_s:+.1f}"
+        rest.append(f"{offset} +- {1e3 * output.clock_sigma_s:.1f} ms")
+    if dropped := sum(output.dropped.values()):
+        rest.append(f"{dropped} dropped")
+    if math.isfinite(output.step_ms):
+        rest.append(f"step {output.step_ms:.1f} ms")
+    return [_state_words(figures, output), *streams, *rest, load]
+
+
+def _state_words(figures: SessionFigures, output: LiveOutput) -> str:
+    state = str(output.state)
+    if state == "calibrating":
+        return f"calibrating ({printable(output.calibration)})" if output.calibration else "calibrating"
+    if state == "lost":
+        is_lost = figures.imu.is_lost or figures.skeleton.is_lost
+        return "a stream is lost: no answer" if is_lost else "no answer: catching up with the streams"
+    if state == "gap" and output.now is not None and output.now.since_s is not None:
+        return f"gap since {output.now_s - output.now.since_s:.1f} s"
+    return state
+
+
+def _stream_words(name: str, stream: StreamHealth, delay_s: float, now_s: float) -> str:
+    if stream.is_lost:
+        return f"{name}: nothing comes"
+    delay = f"{1e3 * delay_s:.0f} ms" if math.isfinite(delay_s) else "-"
+    missing = f", {stream.missing} missing" if stream.missing else ""
+    return f"{name} {stream.rate_hz(now_s):.1f} /s, delay {delay}{missing}"

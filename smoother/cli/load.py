@@ -204,12 +204,16 @@ class ArmInput(Which):
     clock_sigma: o.ClockSigma = None
 
     def __post_init__(self) -> None:
-        if self.clock_sigma is not None and self.clock_offset is None:
-            raise typer.BadParameter("--clock-sigma belongs to --clock-offset: give the measured clock too")
-        if not (isfinite(self.clock_offset or 0) and isfinite(self.sigma_s) and self.sigma_s > 0):
-            raise typer.BadParameter("--clock-offset is a time in s, --clock-sigma one above zero")
-        if "" in (self.mirror, self.swap, self.negate):
-            raise typer.BadParameter("--mirror, --swap and --negate need a name each")
+        is_a_clock = isfinite(self.clock_offset or 0) and isfinite(self.sigma_s) and self.sigma_s > 0
+        o.refuse(
+            {
+                "--clock-sigma belongs to --clock-offset: give the measured clock too": (
+                    self.clock_sigma is not None and self.clock_offset is None
+                ),
+                "--clock-offset is a time in s, --clock-sigma one above zero": not is_a_clock,
+                "--mirror, --swap and --negate need a name each": "" in (self.mirror, self.swap, self.negate),
+            }
+        )
         try:
             _ = self.remedy
         except RecordingError as error:

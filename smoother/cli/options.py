@@ -7,6 +7,7 @@ checked before it begins.
 from __future__ import annotations
 
 import shlex
+from collections.abc import Mapping
 from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -111,6 +112,14 @@ Panel = Annotated[
     Path | None,
     value("P.toml", "[panel] markers = [[x, y], ..], extent = [[xmin, ymin], [xmax, ymax]], m."),
 ]
+
+
+def refuse(wrong: Mapping[str, object]) -> None:
+    """Refuse wrong use: the first sentence that holds."""
+    for sentence, holds in wrong.items():
+        if holds:
+            raise typer.BadParameter(sentence)
+
 
 #: Endings of what a report is not, of what `unocclude export` writes, and of what else is no recording.
 _NO_PAGE = {".pdf", ".doc", ".docx", ".odt", ".png", ".json", ".csv", ".toml", ".txt", ".md"}

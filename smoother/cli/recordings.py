@@ -194,22 +194,22 @@ def cut(
     """
     from ..io.recording.cut_file import Part, cut_file, read_trials
 
-    is_one = from_s is not None or to_s is not None
-    if is_one == (trials is not None):
-        raise typer.BadParameter("choose parts: --from S, --to S of one, or --trials TRIALS.csv")
+    is_one, (start_s, end_s) = trials is None, (from_s or 0.0, math.inf if to_s is None else to_s)
+    o.refuse(
+        {
+            "choose parts: --from S, --to S of one, or --trials TRIALS.csv": is_one
+            == (from_s is to_s is None),
+            "--label chooses among --trials; give the table too": label and is_one,
+            f"--to {end_s:g} is not after --from {start_s:g}": not start_s < end_s,
+            f"{output} is a file; with --trials name a folder": not is_one and output.is_file(),
+        }
+    )
     if trials is None:
-        if label:
-            raise typer.BadParameter("--label chooses among --trials; give the table too")
         o.as_mcap(output)
-        start_s, end_s = from_s or 0.0, math.inf if to_s is None else to_s
-        if not start_s < end_s:
-            raise typer.BadParameter(f"--to {end_s:g} is not after --from {start_s:g}")
         parts = [Part(output.stem, output, start_s, end_s)]
     else:
         each = read_trials(trials, label or ())
         parts = [Part(one.name, output / f"{one.name}.mcap", one.start_s, one.end_s) for one in each]
-        if output.exists() and not output.is_dir():
-            raise typer.BadParameter(f"{output} is a file; with --trials name a folder")
         output.mkdir(parents=True, exist_ok=True)
     out.check((part.path for part in parts), [recording_file, trials])
     written, notes = cut_file(recording_file, parts, force=out.force, **which.chosen)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import errno
 import io
 import os
 import signal
@@ -17,7 +16,7 @@ from typing import Any
 
 import typer
 
-from ..errors import DEBUG, UnoccludeError, debugging, is_out_of_memory
+from ..errors import debugging, sentence_of
 from ..runtime.packages import missing_package
 from ..runtime.printable import printable
 
@@ -114,16 +113,8 @@ def explain(error: BaseException) -> tuple[str, int]:
         return STOPPED, FAILED
     if hasattr(error, "format_message"):  # typer's errors of use
         return _usage(error), WRONG_USE
-    if isinstance(error, UnoccludeError):
-        return str(error).replace("force=True", "--force"), FAILED
-    if isinstance(error, OSError):
-        return _os_error(error), FAILED
-    if is_out_of_memory(error):
-        return "not enough memory for this recording; cut it, or use a larger machine", FAILED
-    if isinstance(error, ImportError) and (sentence := missing_package(error)):
-        return sentence, FAILED
-    kind = type(error).__name__
-    return f"an unexpected error, {kind}: {error} (set {DEBUG}=1 to see where it comes from)", FAILED
+    missing = missing_package(error) if isinstance(error, ImportError) else None
+    return missing or sentence_of(error).replace("force=True", "--force"), FAILED
 
 
 def _usage(error: BaseException) -> str:
@@ -131,20 +122,6 @@ def _usage(error: BaseException) -> str:
     context = getattr(error, "ctx", None)
     command = context.command_path if context is not None else "unocclude"
     return f"{text}; see {command} --help"
-
-
-#: What the system says of a file, as people say it.
-_OF_SYSTEM = {
-    errno.ENOSPC: "no space left on the disk; make room and run again",
-    errno.ENOENT: "there is no such file or folder",
-    errno.EACCES: "permission denied",
-    errno.EPERM: "permission denied",
-}
-
-
-def _os_error(error: OSError) -> str:
-    where = f"{error.filename}: " if error.filename is not None else ""
-    return where + (_OF_SYSTEM.get(error.errno or 0) or error.strerror or str(error))
 
 
 def _fail(text: str, code: int) -> int:

@@ -140,17 +140,18 @@ def arm(
 
     config, mocap_config = configured(settings, ArmSimulation, MocapSimulation, preset=preset)
     two, rgb = arms == "both", config.rgb != "none"
-    wrong = {
-        "the settings of markers and mocap need --mocap": not mocap and mocap_config != MocapSimulation(),
-        "cameras film one arm; leave out --arms both": two and config.cameras,
-        "rgb goes with one arm and no motion capture; leave out the others": (
-            rgb and (two or mocap or "trunk" in config.imus)
-        ),
-        "rgb=further needs cameras, as in --set cameras=75": config.rgb == "further" and not config.cameras,
-        "--mocap captures one arm; leave out --arms both": two and mocap,
-    }
-    for sentence in (sentence for sentence, is_so in wrong.items() if is_so):
-        raise typer.BadParameter(sentence)
+    o.refuse(
+        {
+            "the settings of markers and mocap need --mocap": not mocap and mocap_config != MocapSimulation(),
+            "cameras film one arm; leave out --arms both": two and config.cameras,
+            "rgb goes with one arm and no motion capture; leave out the others": (
+                rgb and (two or mocap or "trunk" in config.imus)
+            ),
+            "rgb=further needs cameras, as in --set cameras=75": config.rgb == "further"
+            and not config.cameras,
+            "--mocap captures one arm; leave out --arms both": two and mocap,
+        }
+    )
     markers: list[Path] = []
     if mocap:
         calibration_out = calibration_out or output.with_name(f"{output.stem}_calibration.toml")

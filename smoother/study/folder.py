@@ -212,26 +212,16 @@ def _number(value: float) -> float | None:
     return float(value) if np.isfinite(value) else None
 
 
-#: Of a measure itself; the other fields are of its arm.
-_OWN = tuple(name for name, *_ in MEASURE_FIELDS if name not in ("side", "body", "trusted"))
-
-
 def measure_rows(measured: Sequence[Measures]) -> list[dict[str, Any]]:
     """The measures of sessions, as the column `measures` holds them."""
+    arm_fields = ("side", "body", "trusted")
+    own = [name for name, *_ in MEASURE_FIELDS if name not in arm_fields]
     return [
-        {"side": arm.side, "body": arm.body, "trusted": arm.trusted}
-        | {name: plain(getattr(measure, name)) for name in _OWN}
+        {name: getattr(arm, name) for name in arm_fields}
+        | {name: plain(getattr(measure, name)) for name in own}
         for arm in measured
         for measure in arm.session
     ]
-
-
-def measured_arms(recoveries: Sequence[Recovery]) -> Row:
-    """The columns of measures: every arm of a recording with the usual settings."""
-    from ..measures import measure
-
-    measured = [measure(recovery) for recovery in recoveries]
-    return {"measures": measure_rows(measured)}
 
 
 @dataclass(frozen=True)

@@ -11,11 +11,19 @@ from pathlib import Path
 
 from .. import __version__
 from ..config import Config
-from ..errors import CalibrationError, RecordingError, SolveError, UnoccludeError, debugging, is_out_of_memory
+from ..errors import (
+    CalibrationError,
+    RecordingError,
+    SolveError,
+    UnoccludeError,
+    debugging,
+    is_out_of_memory,
+    sentence_of,
+)
 from ..io.recording.choose import Selection
 from ..result import is_of_arm
 from ..runtime.inputs import check_input
-from .folder import DONE, FAILED, Row, StudyFolder, figures_of_arms, measured_arms, text_hash
+from .folder import DONE, FAILED, Row, StudyFolder, figures_of_arms, measure_rows, text_hash
 from .inputs import file_hash, relative_day, without_places
 
 
@@ -67,22 +75,18 @@ class Job:
             "finished": datetime.now(UTC).replace(tzinfo=None),
             **more,
         }
-        names = self._names()
-        for column in ("error", "verdict"):
-            if text := row.get(column):
-                row[column] = without_places(str(text), names)
-        for column in ("note_texts", "damage"):
-            row[column] = [without_places(text, names) for text in row.get(column) or ()] or row.get(column)
-        return row
-
-    def _names(self) -> dict[str, str]:
-        """Paths as in rows: the name in the study, "." for the study's folder, else the last name."""
-        source, calibration = Path(self.source), Path(self.calibration)
-        names = {self.source: self.name, self.folder: "."}
+        # no paths: the name in the study, "." for the study's folder, else the last name
+        names = {self.source: self.name, self.folder: ".", str(Path(self.source).parent): ""}
         if self.calibration:
-            names |= {self.calibration: calibration.name, str(calibration.parent): ""}
-        names[str(source.parent)] = ""
-        return names
+            calibration = Path(self.calibration)
+            names = {str(calibration.parent): "", **names, self.calibration: calibration.name}
+        for column in ("error", "verdict", "note_texts", "damage"):
+            text = row.get(column)
+            if isinstance(text, str):
+                row[column] = without_places(text, names)
+            elif text:
+                row[column] = [without_places(each, names) for each in text]
+        return row
 
     def failed(self, sentence: str) -> Row:
         """The row of a recording that failed by its surroundings."""
@@ -98,46 +102,40 @@ def run_job(job: Job) -> Row:
     input_hash, folder = "", StudyFolder(Path(job.folder))
     try:
         _check_machine(job, folder)
-        check_output_place(job, folder)
         input_hash = file_hash(job.source)
         return _same(job, folder, input_hash) or _recover(job, folder, input_hash, began)
     except Exception as error:
         if debugging():
             raise
-        sentence, retry = explain(error)
-        return job.row(FAILED, input_hash, error=sentence, retry=retry, seconds=time.perf_counter() - began)
+        more = {"error": sentence_of(error), "retry": _may_pass(error)}
+        return job.row(FAILED, input_hash, **more, seconds=time.perf_counter() - began)
 
 
 def _check_machine(job: Job, folder: StudyFolder) -> None:
     """Refuse work that this machine could not do, or whose result could not be found."""
-    host = socket.gethostname()
-    if job.version != __version__:
-        raise _Surroundings(
-            f"{host} has unocclude {__version__} and the study was started with {job.version};"
-            " install the same version on all machines"
-        )
-    if folder.word() != job.word:
-        raise _Surroundings(
-            f"{host} does not see the study's folder {folder.path}; share it with all workers under this path"
-        )
-    check_input(job.source, RecordingError)
-    if os.path.isdir(job.source):
-        raise RecordingError(f"{job.source} is a folder; name the recordings in it")
-    if not os.path.isfile(job.source):
-        raise _Surroundings(
-            f"{host} does not see {job.source}; share the recordings with all workers under the same path"
-        )
-    if job.calibration and not os.path.isfile(job.calibration):
-        raise _Surroundings(
-            f"{host} does not see the calibration {job.calibration}; share it under the same path"
-        )
-
-
-def check_output_place(job: Job, folder: StudyFolder) -> None:
-    """Refuse to replace the recording by its result, where a link in the study's folder leads to it."""
-    output = folder.output(job.name)
-    if output.exists() and os.path.samefile(output, job.source):
-        raise _Surroundings(f"{output} is the recording itself (a link); give -o another folder")
+    host, output = socket.gethostname(), folder.output(job.name)
+    if job.version == __version__ and folder.word() == job.word:
+        check_input(job.source, RecordingError)
+        if os.path.isdir(job.source):
+            raise RecordingError(f"{job.source} is a folder; name the recordings in it")
+    wrong = {
+        f"{host} has unocclude {__version__} and the study was started with {job.version};"
+        " install the same version on all machines": job.version != __version__,
+        f"{host} does not see the study's folder {folder.path}; share it with all workers under this path": (
+            folder.word() != job.word
+        ),
+        f"{host} does not see {job.source}; share the recordings with all workers under the same path": (
+            not os.path.isfile(job.source)
+        ),
+        f"{host} does not see the calibration {job.calibration}; share it under the same path": (
+            job.calibration and not os.path.isfile(job.calibration)
+        ),
+        f"{output} is the recording itself (a link); give -o another folder": (
+            output.exists() and os.path.exists(job.source) and os.path.samefile(output, job.source)
+        ),
+    }
+    for sentence in (sentence for sentence, is_so in wrong.items() if is_so):
+        raise _Surroundings(sentence)
 
 
 def _same(job: Job, folder: StudyFolder, input_hash: str) -> Row | None:
@@ -156,6 +154,7 @@ def _recover(job: Job, folder: StudyFolder, input_hash: str, began: float) -> Ro
 
     from ..io import write_recovery
     from ..io.recording.read import read_arms
+    from ..measures import measure
     from ..several_arms import smooth_arms
 
     if job.calibration and file_hash(job.calibration) != job.calibration_hash:
@@ -170,7 +169,7 @@ def _recover(job: Job, folder: StudyFolder, input_hash: str, began: float) -> Ro
         recording, calibration = next(arm for arm in arms if is_of_arm(recovery, arm[0]))
         results.append((recording, with_given(recovery, calibration)))
     answers = [recovery for _, recovery in results]
-    measured = measured_arms(answers) if settings.measures else {"measures": None}
+    measured = [measure(recovery) for recovery in answers] if settings.measures else None
     # the result is that of `smooth --draws 0`
     answers = [replace(recovery, draws=None) for recovery in answers]
     output.parent.mkdir(parents=True, exist_ok=True)
@@ -183,7 +182,7 @@ def _recover(job: Job, folder: StudyFolder, input_hash: str, began: float) -> Ro
         output_hash=file_hash(output),
         output_bytes=os.stat(output).st_size,
         **figures_of_arms(results),
-        **measured,
+        measures=None if measured is None else measure_rows(measured),
         recorded_day=relative_day(
             job.word, job.name.rpartition("/")[0].partition("/")[0], answers[0].origin_ns
         ),
@@ -197,18 +196,8 @@ class _Surroundings(UnoccludeError):
     """The machine or its folders are at fault, not the recording."""
 
 
-def explain(error: Exception) -> tuple[str, bool]:
-    """One sentence for a failure, and whether its surroundings are at fault, so that it may pass."""
+def _may_pass(error: Exception) -> bool:
+    """Whether the surroundings of a recording are at fault, so that its failure may pass."""
     if isinstance(error, UnoccludeError):
-        text, retry = str(error), not isinstance(error, RecordingError | CalibrationError | SolveError)
-    elif is_out_of_memory(error):
-        text, retry = (
-            "not enough memory for this recording; use fewer processes per machine (--processes)",
-            True,
-        )
-    elif isinstance(error, OSError):
-        where = f"{error.filename}: " if error.filename is not None else ""
-        text, retry = f"{where}{error.strerror or error}", True
-    else:
-        text, retry = f"an unexpected error, {type(error).__name__}: {error}", False
-    return " ".join(text.split()), retry
+        return not isinstance(error, RecordingError | CalibrationError | SolveError)
+    return isinstance(error, OSError) or is_out_of_memory(error)

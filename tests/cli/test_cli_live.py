@@ -19,7 +19,7 @@ from live_engine import CameraEcho
 from made_recordings import make
 
 import smoother.live.smoother
-from smoother.cli.live_lines import Lines, words
+from smoother.cli.live import Lines, words
 from smoother.cli.run import run
 from smoother.io import read_recording, write_recording
 from smoother.live.answers import LiveOutput, LiveState
