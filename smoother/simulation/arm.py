@@ -103,11 +103,17 @@ def simulate_arm(config: ArmSimulation | None = None, seed: int = 0) -> Simulate
     config = config or ArmSimulation()
     if is_rgb(config, first=True):  # results are in the first camera's frame
         config = config.model_copy(update={"camera_frame": CameraFrame.OPTICAL})
+    return record_arm(config, f"simulated arm, seed {seed}", *draw_person(config, seed))
+
+
+def draw_person(
+    config: ArmSimulation, seed: int
+) -> tuple[BodyMeasures, Stage, Performance, list[np.random.Generator]]:
+    """Who moves how before the camera, and the streams of `record_arm`."""
     body_rng, *streams = random_streams(seed)
     measures = draw_measures(body_rng)
     stage = draw_stage(config.distance_m, config.camera_frame, body_rng)
-    performance = perform(config, body_rng)
-    return record_arm(config, f"simulated arm, seed {seed}", measures, stage, performance, streams)
+    return measures, stage, perform(config, body_rng), streams
 
 
 def random_streams(seed: int | list[int]) -> list[np.random.Generator]:
@@ -246,10 +252,7 @@ def simulate_both_arms(
     first = simulate_arm(config, seed)
     other_config = config.model_copy(update={"side": "left" if config.side == "right" else "right"})
     # what both share is drawn again from the first arm's streams: the person, the camera, its frames
-    body_rng, *streams_of_first = random_streams(seed)
-    measures = draw_measures(body_rng)
-    stage = draw_stage(config.distance_m, config.camera_frame, body_rng)
-    performance = perform(config, body_rng)
+    measures, stage, performance, streams_of_first = draw_person(config, seed)
     own_rng, *streams = random_streams([seed, 1])
     streams[3] = streams_of_first[3]  # one camera: the same frames
     if config.protocol == "random" and not config.still_all:

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import ros_bags as ros
 import skeleton_files as made
 from importers import turning
 from imu_files import motion
@@ -20,82 +21,46 @@ def write_bag(path: Path, *, samples: int = 200, frames: int = 60, joint_state: 
     from rosbags.rosbag1 import Writer as BagWriter
     from rosbags.typesys import Stores, get_typestore
 
-    store = get_typestore(Stores.ROS1_NOETIC)
-    types = store.types
-    time, header = types["builtin_interfaces/msg/Time"], types["std_msgs/msg/Header"]
-    vector, point = types["geometry_msgs/msg/Vector3"], types["geometry_msgs/msg/Point"]
-    turn = types["geometry_msgs/msg/Quaternion"]
+    store, connections = get_typestore(Stores.ROS1_NOETIC), {}
 
-    def head(ns: int, frame: str) -> Any:
-        return header(seq=0, stamp=time(sec=ns // 10**9, nanosec=ns % 10**9), frame_id=frame)
+    def typed(kind: str, value: Any) -> Any:
+        """A message of a dictionary; what it does not have is zero."""
+        fields = {}
+        for name, (node, of) in store.fielddefs[kind][1]:
+            one = value.get(name)
+            if node.name == "NAME":
+                fields[name] = typed(of, one or {})
+            elif node.name == "BASE":
+                fields[name] = one if one is not None else "" if of[0] == "string" else 0
+            elif of[0][0].name == "NAME":
+                fields[name] = [typed(of[0][1], each) for each in one]
+            else:
+                fields[name] = one if of[0][1][0] == "string" else np.array(one or [0.0] * of[1], of[0][1][0])
+        return store.types[kind](**fields)
 
     points = np.stack([made.optical(made.part(name, frames)) for name in AZURE], axis=1)
     t, acc, gyro = turning(samples, 100.0)
     with BagWriter(path) as bag:
 
-        def add(topic: str, kind: str) -> Any:
-            return bag.add_connection(topic, kind, typestore=store)
+        def add(topic: str, kind: str, ns: int, message: dict[str, Any]) -> None:
+            if topic not in connections:
+                connections[topic] = bag.add_connection(topic, kind, typestore=store)
+            bag.write(connections[topic], ns, store.serialize_ros1(typed(kind, message), kind))
 
-        imu, mag = (
-            add("/wrist/imu", "sensor_msgs/msg/Imu"),
-            add("/wrist/mag", "sensor_msgs/msg/MagneticField"),
-        )
-        body = add("/body_tracking_data", "visualization_msgs/msg/MarkerArray")
         for at in range(len(t)):
             ns = ZERO + round(t[at] * 1e9)
-            message = types["sensor_msgs/msg/Imu"](
-                header=head(ns, "wrist"),
-                orientation=turn(x=0.0, y=0.0, z=0.0, w=1.0),
-                orientation_covariance=np.zeros(9),
-                angular_velocity=vector(*gyro[at]),
-                angular_velocity_covariance=np.zeros(9),
-                linear_acceleration=vector(*acc[at]),
-                linear_acceleration_covariance=np.zeros(9),
-            )
-            bag.write(imu, ns, store.serialize_ros1(message, "sensor_msgs/msg/Imu"))
-            field = types["sensor_msgs/msg/MagneticField"](
-                header=head(ns, "wrist"),
-                magnetic_field=vector(1.0, float(at), 3.0),
-                magnetic_field_covariance=np.zeros(9),
-            )
-            bag.write(mag, ns, store.serialize_ros1(field, "sensor_msgs/msg/MagneticField"))
+            message = ros.imu_message(ns, "wrist", acc[at], gyro[at])
+            add("/wrist/imu", "sensor_msgs/msg/Imu", ns, message)
+            field = {"header": ros.header(ns, "wrist"), "magnetic_field": ros.xyz(np.array([1.0, at, 3.0]))}
+            add("/wrist/mag", "sensor_msgs/msg/MagneticField", ns, field)
         for at in range(frames):
             ns = ZERO + round(at / 30 * 1e9)
-            markers = []
-            for joint in range(32) if not 20 <= at < 25 else ():
-                markers.append(
-                    types["visualization_msgs/msg/Marker"](
-                        header=head(ns, "depth_camera_link"),
-                        ns="",
-                        id=300 + joint,
-                        type=2,
-                        action=0,
-                        pose=types["geometry_msgs/msg/Pose"](
-                            position=point(*points[at, joint]), orientation=turn(x=0.0, y=0.0, z=0.0, w=1.0)
-                        ),
-                        scale=vector(1.0, 1.0, 1.0),
-                        color=types["std_msgs/msg/ColorRGBA"](r=1.0, g=1.0, b=1.0, a=1.0),
-                        lifetime=types["builtin_interfaces/msg/Duration"](sec=0, nanosec=0),
-                        frame_locked=False,
-                        points=[],
-                        colors=[],
-                        text="",
-                        mesh_resource="",
-                        mesh_use_embedded_materials=False,
-                    )
-                )
-            message = types["visualization_msgs/msg/MarkerArray"](markers=markers)
-            bag.write(body, ns, store.serialize_ros1(message, "visualization_msgs/msg/MarkerArray"))
+            seen = () if 20 <= at < 25 else range(32)
+            markers = [ros.marker(ns, 300 + joint, points[at, joint]) for joint in seen]
+            add("/body_tracking_data", "visualization_msgs/msg/MarkerArray", ns, {"markers": markers})
         if joint_state:
-            state = add("/joint_states", "sensor_msgs/msg/JointState")
-            message = types["sensor_msgs/msg/JointState"](
-                header=head(ZERO, ""),
-                name=["elbow"],
-                position=np.ones(1),
-                velocity=np.zeros(0),
-                effort=np.zeros(0),
-            )
-            bag.write(state, ZERO, store.serialize_ros1(message, "sensor_msgs/msg/JointState"))
+            state = {"header": ros.header(ZERO, ""), "name": ["elbow"], "position": [1.0]}
+            add("/joint_states", "sensor_msgs/msg/JointState", ZERO, state)
 
 
 def write_opal(path: Path, version: int = 5, count: int = 200) -> None:

@@ -7,132 +7,25 @@ from pathlib import Path
 import numpy as np
 from mcap.writer import CompressionType
 from mcap_ros2.writer import Writer
+from rosbags.typesys import Stores, get_typestore
+from rosbags.typesys.store import Typestore
 
-_HEADER = """================================================================================
-MSG: std_msgs/Header
-builtin_interfaces/Time stamp
-string frame_id
-================================================================================
-MSG: builtin_interfaces/Time
-int32 sec
-uint32 nanosec
-"""
-_GEOMETRY = """================================================================================
-MSG: geometry_msgs/Vector3
-float64 x
-float64 y
-float64 z
-================================================================================
-MSG: geometry_msgs/Quaternion
-float64 x
-float64 y
-float64 z
-float64 w
-"""
-_POSE = """================================================================================
-MSG: geometry_msgs/Point
-float64 x
-float64 y
-float64 z
-================================================================================
-MSG: geometry_msgs/Pose
-geometry_msgs/Point position
-geometry_msgs/Quaternion orientation
-"""
-IMU = (
-    """std_msgs/Header header
-geometry_msgs/Quaternion orientation
-float64[9] orientation_covariance
-geometry_msgs/Vector3 angular_velocity
-float64[9] angular_velocity_covariance
-geometry_msgs/Vector3 linear_acceleration
-float64[9] linear_acceleration_covariance
-"""
-    + _HEADER
-    + _GEOMETRY
-)
-FIELD = (
-    """std_msgs/Header header
-geometry_msgs/Vector3 magnetic_field
-float64[9] magnetic_field_covariance
-"""
-    + _HEADER
-    + _GEOMETRY
-)
-POSE = "std_msgs/Header header\ngeometry_msgs/Pose pose\n" + _HEADER + _GEOMETRY + _POSE
-IMAGE = (
-    """std_msgs/Header header
-uint32 height
-uint32 width
-string encoding
-uint8 is_bigendian
-uint32 step
-uint8[] data
-"""
-    + _HEADER
-)
-_TEXTURE = """string texture_resource
-sensor_msgs/CompressedImage texture
-visualization_msgs/UVCoordinate[] uv_coordinates
-"""
+HUMBLE = get_typestore(Stores.ROS2_HUMBLE)
+
+
+def definition(kind: str, store: Typestore = HUMBLE) -> str:
+    """A message's definition with those that it needs, as a recorder writes it."""
+    return str(store.generate_msgdef(kind, ros_version=2)[0])
+
+
+IMU, FIELD, IMAGE = (definition(f"sensor_msgs/msg/{name}") for name in ("Imu", "MagneticField", "Image"))
+POSE = definition("geometry_msgs/msg/PoseStamped")
 
 
 def marker_array(textured: bool = True) -> str:
     """Definition of MarkerArray: of Humble and later, or of Foxy."""
-    return (
-        """visualization_msgs/Marker[] markers
-================================================================================
-MSG: visualization_msgs/Marker
-std_msgs/Header header
-string ns
-int32 id
-int32 type
-int32 action
-geometry_msgs/Pose pose
-geometry_msgs/Vector3 scale
-std_msgs/ColorRGBA color
-builtin_interfaces/Duration lifetime
-bool frame_locked
-geometry_msgs/Point[] points
-std_msgs/ColorRGBA[] colors
-"""
-        + (_TEXTURE if textured else "")
-        + "string text\nstring mesh_resource\n"
-        + ("visualization_msgs/MeshFile mesh_file\n" if textured else "")
-        + """bool mesh_use_embedded_materials
-================================================================================
-MSG: std_msgs/ColorRGBA
-float32 r
-float32 g
-float32 b
-float32 a
-================================================================================
-MSG: builtin_interfaces/Duration
-int32 sec
-uint32 nanosec
-"""
-        + (
-            """================================================================================
-MSG: sensor_msgs/CompressedImage
-std_msgs/Header header
-string format
-uint8[] data
-================================================================================
-MSG: visualization_msgs/UVCoordinate
-float32 u
-float32 v
-================================================================================
-MSG: visualization_msgs/MeshFile
-string filename
-uint8[] data
-"""
-            if textured
-            else ""
-        )
-        + _HEADER
-        + _GEOMETRY
-        + _POSE
-    )
+    store = HUMBLE if textured else get_typestore(Stores.ROS2_FOXY)
+    return definition("visualization_msgs/msg/MarkerArray", store)
 
 
 def stamp(ns: int) -> dict[str, int]:

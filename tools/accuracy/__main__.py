@@ -19,6 +19,7 @@ from tools.accuracy import (  # noqa: F401
     sessions,
 )
 from tools.accuracy.check import CHECKS
+from tools.reliability import setup_errors  # noqa: F401
 
 
 def main() -> None:

@@ -17,24 +17,11 @@ from calib.clock import clock_from_motion, solve_clocks
 from calib.sound import find_beeps
 from smoother.simulation import ArmSimulation, simulate_arm
 from smoother.simulation.rig import beep, broadcast
-from tools.accuracy.check import ONE_PROCESS, check, parts_option, rms, seeds_option
+from tools.accuracy.check import ONE_PROCESS, check, error_table, parts_option, seeds_option
 
 SKEW = 390e-6
-
-
-#: What is stated of an offset, s: how far off it is and its sigma; of a clock that runs fast, ppm off.
+#: What is stated of an offset: how far off it is and its sigma, s; of a clock that runs fast, ppm off.
 Stated = Iterator[tuple[float, float, float]]
-
-
-def row(name: str, found: Stated, of_skew: str = "") -> str:
-    """A line of figures."""
-    error, sigma, skew = np.array(list(found)).T * [[1e3], [1e3], [1.0]]
-    skews = {"rms": f"skew rms {rms(skew):.2f} ppm", "max": f"skew max {np.abs(skew).max():.1f} ppm off"}
-    return (
-        f"{name:34} rms {rms(error):7.3f} ms  max {np.abs(error).max():7.3f} ms  stated"
-        f" {np.median(sigma):6.3f} ms  squared error / sigma^2 {np.mean((error / sigma) ** 2):5.2f} "
-        f" {skews.get(of_skew, '')}"
-    )
 
 
 def beeps(seeds: range, rate_hz: int, quiet_db: float) -> Stated:
@@ -60,30 +47,29 @@ def moved(seeds: range, fast: float, **settings: Any) -> Stated:
         link = clock_from_motion(recording, None, ONE_PROCESS).link
         at_s = link.at_s if fast else 0.0
         true = (at_s + made.parameters["clock_offset_s"]) * (1 + fast) - at_s
-        yield link.offset_s - true, link.sigma_s, link.skew_ppm - 1e6 * fast
+        yield link.offset_s - true, link.sigma_s, link.skew_ppm - 1e6 * fast if fast else np.nan
 
 
-CLOCKS = ("sound", "broadcast", "motion", "skew")
-
-
-@check(
-    parts_option(*CLOCKS),
-    seeds_option("16"),
-)
+@check(parts_option("sound", "broadcast", "motion", "skew"), seeds_option("16"))
 def clock(options: argparse.Namespace) -> Iterator[str]:
     """Clock offsets by a beep, by broadcasts and by motion, against the simulated ones."""
-    parts, seeds = options.parts or CLOCKS, options.seeds
-    if "sound" in parts:
-        for rate_hz, quiet_db in ((16000, 25.0), (44100, 25.0), (16000, 10.0)):
-            name = f"sound, {rate_hz} Hz, noise -{quiet_db:.0f} dB"
-            yield row(name, beeps(seeds, rate_hz, quiet_db))
-    if "broadcast" in parts:
-        for nodes, rounds, span_s in ((2, 20, 900.0), (5, 20, 900.0), (3, 20, 5.0), (3, 8, 60.0)):
-            name = f"broadcast, {nodes} nodes, {rounds} in {span_s:.0f} s"
-            yield row(name, receptions(seeds, nodes, rounds, span_s), "rms")
-    if "motion" in parts:
-        yield row("motion, realistic arm", moved(seeds, 0.0))
-    if "skew" in parts:
-        few = seeds[: max(len(seeds) // 8, 2)]
-        found = moved(few, SKEW, protocol="random", duration_s=900.0)
-        yield row("motion, 15 minutes, 390 ppm", found, "max")
+    seeds = options.seeds
+    few = seeds[: max(len(seeds) // 8, 2)]
+    sources = [
+        (f"sound, {rate_hz} Hz, noise -{quiet_db:.0f} dB", beeps(seeds, rate_hz, quiet_db))
+        for rate_hz, quiet_db in ((16000, 25.0), (44100, 25.0), (16000, 10.0))
+    ]
+    sources += [
+        (f"broadcast, {nodes} nodes, {rounds} in {span_s:.0f} s", receptions(seeds, nodes, rounds, span_s))
+        for nodes, rounds, span_s in ((2, 20, 900.0), (5, 20, 900.0), (3, 20, 5.0), (3, 8, 60.0))
+    ]
+    sources.append(("motion, realistic arm", moved(seeds, 0.0)))
+    sources.append(("skew, 15 minutes, 390 ppm", moved(few, SKEW, protocol="random", duration_s=900.0)))
+    found = []
+    for name, stated in sources:
+        if not options.parts or name.split(",")[0] in options.parts:
+            error, sigma, skew = np.array(list(stated)).T
+            found.append({"source": name, "what": "offset, ms", "off": 1e3 * error, "sigma": 1e3 * sigma})
+            if np.isfinite(skew).any():
+                found.append({"source": name, "what": "skew, ppm", "off": skew, "sigma": np.nan})
+    yield from error_table(found, "source, what")

@@ -1,4 +1,4 @@
-"""What checks of accuracy share: how they are named, options, data sets of others, root mean squares."""
+"""What checks of accuracy share: how they are named, options, one table of errors, data sets of others."""
 
 from __future__ import annotations
 
@@ -6,18 +6,26 @@ import argparse
 import os
 import sys
 from ast import literal_eval
-from collections.abc import Callable, Iterator
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+import duckdb
 import numpy as np
+import pyarrow as pa
 from numpy.typing import ArrayLike
 
+from smoother.array_types import FloatArray
 from smoother.config import Config
+from smoother.errors import UnoccludeError
 
 #: The simulated cameras whose figures are published.
 PRESETS = ("white", "realistic", "azure")
 ONE_PROCESS = Config.model_validate({"windows": {"processes": 1}})
+#: Of a normal number 95 of 100 lie within this many standard deviations.
+Z_95 = 1.96
 
 #: From the options to the lines that are printed.
 Rows = Callable[[argparse.Namespace], Iterator[str]]
@@ -54,9 +62,7 @@ def seed_range(text: str) -> range:
     return range(int(first), int(last)) if last else range(int(first))
 
 
-PRESET = option("--preset", default="realistic", help="of `unocclude simulate arm` [realistic]")
 CHANGES = option("--set", nargs="*", default=[], metavar="NAME=VALUE", help="change the simulation")
-ONLY = option("--only", default="", help="trials whose name contains this")
 DRAWS = option("--draws", type=int, default=64, help="motions drawn of each recording [64]")
 
 
@@ -84,6 +90,56 @@ def datasets(name: str) -> Path:
     return Path(folder) / name
 
 
+@dataclass(frozen=True)
+class Run:
+    """What a recording adds to a row of the oracle: errors (n, 4) and counts."""
+
+    errors: list[FloatArray] = field(default_factory=list)
+    counts: Counter[str] = field(default_factory=Counter)
+
+
+def ended(error: Exception) -> Counter[str]:
+    """What is counted of a recording without an answer; a traceback is a finding."""
+    refused = isinstance(error, UnoccludeError)
+    print("" if refused else f"{type(error).__name__}: {error}\n", end="", file=sys.stderr)
+    return Counter({"recordings": 1, "refused" if refused else "crashed": 1})
+
+
 def rms(values: ArrayLike) -> float:
     """Root mean square."""
     return float(np.sqrt(np.mean(np.square(values))))
+
+
+def table(sql: str, found: Iterable[dict[str, Any]]) -> Iterator[str]:
+    """The answer of SQL on the rows called `found`, as a table of Markdown."""
+    found = pa.Table.from_pylist(list(found))
+    answer = duckdb.sql(sql)
+    yield f"| {' | '.join(answer.columns)} |\n|{'---|' * len(answer.columns)}"
+    for row in answer.fetchall():
+        cells = (
+            f"{cell:.4g}" if isinstance(cell, float) else "" if cell is None else str(cell) for cell in row
+        )
+        yield f"| {' | '.join(cells)} |"
+
+
+def error_table(errors: Iterable[dict[str, Any]], by: str) -> Iterator[str]:
+    """Errors `off` (n,) with their `sigma` (n,), and the labels of `by`: a line for each group.
+
+    `squared`, the squared error over the variance, is of the two if it is not given; so is `inside`, whether
+    the error lies inside its 95 % interval.
+    """
+    rows = []
+    for each in errors:
+        with np.errstate(invalid="ignore", divide="ignore"):
+            ratio = np.where(np.isfinite(each["sigma"]), np.abs(each["off"]) / each["sigma"], np.nan)
+        inside = np.where(np.isfinite(ratio), ratio < Z_95, np.nan)
+        columns = {"squared": ratio**2, "inside": inside} | each
+        values = [np.broadcast_to(value, ratio.shape).ravel().tolist() for value in columns.values()]
+        known = [[None if one != one else one for one in column] for column in values]
+        rows += [dict(zip(columns, row, strict=True)) for row in zip(*known, strict=True)]
+    return table(
+        f"""select {by}, count(off) as n, sqrt(avg(off * off)) as rms, avg(off) as bias,
+        max(abs(off)) as worst, median(sigma) as sigma, avg(squared::double) as NEES,
+        100 * avg(inside::double) as "inside %" from found group by {by} order by {by}""",
+        rows,
+    )

@@ -9,17 +9,17 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Iterator
-from itertools import pairwise
+from typing import Any
 
 import numpy as np
 
 from smoother.evaluation.methods import arrivals
-from smoother.evaluation.metrics import lag_s, squared_sigmas
+from smoother.evaluation.metrics import CHI2_95_3, lag_s, squared_sigmas
 from smoother.live.answers import LiveOutput, LiveState
 from smoother.live.calibrations import InlineCalibrator
 from smoother.live.smoother import LiveSmoother
 from smoother.simulation import ArmSimulation, SimulatedArm, simulate_arm
-from tools.accuracy.check import check, option, rms, seeds_option
+from tools.accuracy.check import check, error_table, option, seeds_option
 
 LATENCY_S, OFFSET_S = 0.1, -0.02
 #: Borders of the time since the last frame, s.
@@ -28,38 +28,28 @@ BORDERS_S = (0.0, 0.25, 0.5, 1.0, 1.5, 2.2)
 FIRST_S = 7.0
 
 
-def scored(simulation: SimulatedArm, outputs: list[LiveOutput], kind: str) -> tuple[np.ndarray, float | None]:
-    """Of each answer (n, 4): time since the last frame, s (0 where visible), error, m, squared error over
-    variance / 3, time since the first answer, s; and the lag left where the arm was visible, s.
-    """
+def scored(
+    simulation: SimulatedArm, outputs: list[LiveOutput], kind: str
+) -> tuple[dict[str, Any], float | None]:
+    """Of each answer the time since the last frame, s, and its error, cm; the lag in view, s."""
     estimates = [each for each in (getattr(output, kind) for output in outputs) if each is not None]
     t_s = np.array([each.t_s for each in estimates])
     true = simulation.motion.imu_pose(t_s)[1]
     shown = np.array([each.position for each in estimates])
     covariance = np.array([each.pose_covariance[:3, :3] for each in estimates])
-    since = [0.0 if each.since_s is None else each.t_s - each.since_s for each in estimates]
-    nees = squared_sigmas(shown - true, covariance) / 3.0
-    rows = np.column_stack([since, np.linalg.norm(shown - true, axis=1), nees, t_s - t_s[0]])
+    since = np.array([-1.0 if each.since_s is None else each.t_s - each.since_s for each in estimates])
+    squared = squared_sigmas(shown - true, covariance)
+    found = {
+        "answer": kind,
+        "since_s": np.array([-1.0, *BORDERS_S])[np.searchsorted(BORDERS_S, since, "right")],
+        "first": t_s - t_s[0] < FIRST_S,
+        "off": 100 * np.linalg.norm(shown - true, axis=1),
+        "sigma": 100 * np.sqrt(np.trace(covariance, axis1=1, axis2=2)),
+        "squared": squared / 3.0,
+        "inside": squared <= CHI2_95_3,
+    }
     shown[[each.state is not LiveState.VISIBLE for each in estimates]] = np.nan
-    return rows, lag_s(t_s, shown, true)
-
-
-def table(kind: str, rows: np.ndarray) -> Iterator[str]:
-    """Errors by the time since the last frame."""
-
-    def figures(title: str, part: np.ndarray) -> str:
-        return f"{title}: {100 * rms(rows[part, 1]):.2f} cm, NEES {rows[part, 2].mean():.2f}"
-
-    visible = rows[:, 0] == 0.0
-    yield figures(f"{kind}, visible", visible)
-    for least, most in pairwise(BORDERS_S):
-        part = ~visible & (rows[:, 0] >= least) & (rows[:, 0] < most)
-        if part.any():
-            yield figures(f"  gap since {least:g} to {most:g} s", part) + f", {part.sum()} answers"
-    first = visible & (rows[:, 3] < FIRST_S)
-    for title, part in ((f"  visible, first {FIRST_S:g} s", first), ("  all gaps", ~visible)):
-        if part.any():
-            yield figures(title, part)
+    return found, lag_s(t_s, shown, true)
 
 
 def play(simulation: SimulatedArm) -> list[LiveOutput]:
@@ -99,19 +89,19 @@ def live(options: argparse.Namespace) -> Iterator[str]:
         occlusion_lengths_s=tuple(options.gap_s),
         imus=options.imus,
     )
-    found: dict[str, list[np.ndarray]] = {"now": [], "settled": []}
-    step_ms, lags_s = list[float](), list[float]()
+    found, step_ms, lags_s = [], list[float](), list[float]()
     for seed in options.seeds:
         simulation = simulate_arm(config, seed)
         outputs = play(simulation)
-        for kind, rows in found.items():
-            own, lag = scored(simulation, outputs, kind)
-            rows.append(own)
+        for kind in ("now", "settled"):
+            errors, lag = scored(simulation, outputs, kind)
+            found.append(errors)
             lags_s += [lag] if kind == "now" and lag is not None else []
         step_ms += [output.step_ms for output in outputs if output.now is not None]
         yield f"seed {seed} done"
-    for kind, rows in found.items():
-        yield from table(kind, np.concatenate(rows))
+    yield "errors, cm, by the time since the last frame (-1: visible), and of the first seconds"
+    yield from error_table(found, "answer, since_s")
+    yield from error_table(found, "answer, first")
     ms = np.array(step_ms)
     yield f"lag left while visible, by arm: {np.round(1e3 * np.array(lags_s), 1)} ms"
     yield (

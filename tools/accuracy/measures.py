@@ -4,19 +4,16 @@
 its bias; occlusions are those of the simulated body. The truth is measured by the same functions: a session's
 means over movements are of the truth's own movements, a movement's measures are over the same samples. The
 elbow's measures are repeated for an arm that moves about with a straight, stiff elbow (0 to 7 degrees); and
-SPARC's bias from recovered samples.
+SPARC's errors by the share of recovered samples.
 
 `movements`: for several kinds of sessions, how often the interval of a mean over movements contains the mean
 over the truth's own movements, and between all pairs of sessions how often `progress` calls a change, and
 how often one in the wrong direction.
 
 `progress`: simulated persons, each with three sessions: the same motion twice (other sensor errors, another
-mounting of the sensor, other errors of the camera), then with the elbow bending less. Each session is
-recovered from its recording and measured; a change is called as `unocclude progress` calls it.
-
-- False alarms: calls between the first two sessions, though their motion is the same.
-- Found: calls of the elbow's range between the first and the third session.
-- Held: how often the interval of a difference contains the true one (both pairs).
+mounting of the sensor, other errors of the camera), then with the elbow bending less. A change is called as
+`unocclude progress` calls it. False alarms: calls between the first two sessions. Found: calls of the elbow's
+range between the first and the third. Held: how often the interval of a difference contains the true one.
 """
 
 from __future__ import annotations
@@ -29,7 +26,7 @@ from collections.abc import Collection, Iterator
 from dataclasses import replace
 from itertools import combinations
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -52,31 +49,14 @@ from smoother.measures.motion import motion_of
 from smoother.recording import Truth
 from smoother.result import Recovery
 from smoother.simulation import ArmSimulation, simulate_arm
-from smoother.simulation.arm import SimulatedArm, random_streams, record_arm
-from smoother.simulation.motion import FLEXION, draw_measures, draw_stage, perform
+from smoother.simulation.arm import SimulatedArm, draw_person, random_streams, record_arm
+from smoother.simulation.motion import FLEXION
 from smoother.smoothing import smooth
-from tools.accuracy.check import DRAWS, PRESET, check, option, rms, seeds_option
+from tools.accuracy.check import DRAWS, Z_95, check, error_table, option, seeds_option, table
 
 MEASURED = ("realistic", "azure")
 #: How far a straight elbow bends, rad.
 STRAIGHT_RAD = (0.01, 0.11)
-
-
-class Sample(NamedTuple):
-    """One measure of one recording: answer, truth, interval."""
-
-    key: str
-    scope: str
-    value: float
-    truth: float
-    share: float
-    low: float
-    high: float
-
-    @property
-    def off(self) -> float:
-        """Answer less truth."""
-        return self.value - self.truth
 
 
 def true_recovery(recovery: Recovery, truth: Truth) -> Recovery:
@@ -86,106 +66,65 @@ def true_recovery(recovery: Recovery, truth: Truth) -> Recovery:
     return replace(recovery, position=at.position, quaternion=at.quaternion, joints=joints, draws=None)
 
 
-def recovered(simulated: SimulatedArm, draws: int, seed: int) -> Recovery:
-    """The recording smoothed without its truth; the forearm's axes in the IMU are given."""
-    recording = replace(simulated.recording, truth=None)
+def recovered(simulated: SimulatedArm, draws: int, seed: int) -> tuple[Recovery, Recovery]:
+    """The recording smoothed, the forearm's axes in the IMU given, and its truth in a recovery's place."""
+    recording, truth = replace(simulated.recording, truth=None), simulated.recording.truth
     recovery = smooth(recording, processes=1, draws=draws, seed=seed)
-    assert recovery.calibration is not None
-    return replace(recovery, calibration=replace(recovery.calibration, R_F_A=simulated.calibration.R_F_A))
+    assert recovery.calibration is not None and truth is not None
+    calibration = replace(recovery.calibration, R_F_A=simulated.calibration.R_F_A)
+    recovery = replace(recovery, calibration=calibration)
+    return recovery, true_recovery(recovery, truth)
 
 
-def samples_of(simulated: SimulatedArm, recovery: Recovery, settings: MeasureSettings) -> Iterator[Sample]:
-    """Every measure of answer and truth."""
+def errors_of(recovery: Recovery, truth: Recovery) -> Iterator[dict[str, Any]]:
+    """Every measure of an answer against the truth's: zones of an angle by one name."""
+    settings = MeasureSettings()
     measuring = Measuring(recovery, settings)
-    assert simulated.recording.truth is not None
-    true = motion_of(
-        true_recovery(recovery, simulated.recording.truth),
-        measuring.motion.grid,
-        settings.smoothing.cutoff_hz,
-    )
+    true = motion_of(truth, measuring.motion.grid, settings.smoothing.cutoff_hz)
     by_place = measuring.layout.figures(true)
     for place, figures in measuring.answer.items():
         if place[0] == "repetition":
             continue
         zones = {key for key in by_place[place] if "_zone_" in key} if place == SESSION else set()
         for key in (*figures, *(zones - figures.keys())):
-            absent = 0.0 if "_zone_" in key else np.nan
+            name, in_zone, _ = key.partition("_zone_")
+            absent = 0.0 if in_zone else np.nan
             value, share = figures.get(key, (0.0, 0.0))
-            truth = by_place[place][key].value if key in by_place[place] else absent
+            right = by_place[place][key].value if key in by_place[place] else absent
             low, high, _ = measuring.interval(place, key, value)
-            yield Sample(key, place[0], value, truth, share, low, high)
+            yield {
+                "scope": place[0],
+                "measure": f"{name}_zones_percent" if in_zone else key,
+                "off": value - right,
+                "sigma": (high - low) / (2 * Z_95),
+                "inside": low - 1e-9 <= right <= high + 1e-9 if np.isfinite(low) else np.nan,
+                "recovered": share,
+            }
 
 
-def accuracy(config: ArmSimulation, seeds: range, draws: int) -> list[Sample]:
-    """The samples of some seeds."""
-    samples: list[Sample] = []
+def accuracy(config: ArmSimulation, seeds: range, draws: int) -> list[dict[str, Any]]:
+    """The errors of some seeds."""
+    errors = []
     for seed in seeds:
-        simulated = simulate_arm(config, seed)
-        samples += samples_of(simulated, recovered(simulated, draws, seed), MeasureSettings())
+        errors += errors_of(*recovered(simulate_arm(config, seed), draws, seed))
         print(f"seed {seed}: done", file=sys.stderr, flush=True)
-    return samples
+    return [each for each in errors if np.isfinite(each["off"])]
 
 
-#: Of a measure in a scope: cases, share inside the interval, rms error, bias, width of the interval, truth.
-Coverage = dict[tuple[str, str], tuple[int, float, float, float, float, float]]
-
-
-def coverage_of(samples: list[Sample]) -> Coverage:
-    """By scope and key; zones of an angle together."""
-    groups: dict[tuple[str, str], list[Sample]] = defaultdict(list)
-    for sample in samples:
-        key = f"{sample.key.partition('_zone_')[0]}_zones_percent" if "_zone_" in sample.key else sample.key
-        if np.isfinite(sample.off):
-            groups[sample.scope, key].append(sample)
-    found: Coverage = {}
-    for place, group in groups.items():
-        stated = [each for each in group if np.isfinite(each.low)]
-        held = [each.low - 1e-9 <= each.truth <= each.high + 1e-9 for each in stated]
-        off, widths = np.array([each.off for each in group]), [each.high - each.low for each in stated]
-        coverage, width = (float(np.mean(each)) if each else math.nan for each in (held, widths))
-        truth = float(np.mean([each.truth for each in group]))
-        found[place] = len(group), coverage, rms(off), float(off.mean()), width, truth
-    return found
-
-
-def coverage_rows(title: str, found: Coverage, keys: str = "") -> Iterator[str]:
-    """A table for sessions and one for movements, of the measures whose name begins so."""
-    for scope in ("session", "movement"):
-        yield f"\n{title}, {scope}"
-        yield f"{'measure':44} cases  covered   rms error      bias  interval's width    mean"
-        for (of, key), (cases, coverage, off, bias, width, truth) in found.items():
-            if of == scope and key.startswith(keys):
-                figures = f"{cases:5} {100 * coverage:6.0f} % {off:11.4g} {bias:+9.3g}"
-                yield f"{key:44} {figures} {width:14.4g} {truth:11.4g}"
-
-
-def sparc_bias(preset: str, samples: list[Sample]) -> Iterator[str]:
-    """SPARC of movements that are recovered by half or more, and of those that the camera saw."""
-    rows = [s for s in samples if s.scope == "movement" and s.key == "sparc" and np.isfinite(s.off)]
-    for words, low, high in (
-        ("recovered by half or more", 0.5, 1.0),
-        ("with recovered samples", 1e-9, 1.0),
-        ("seen", 0.0, 0.0),
-    ):
-        off = np.array([s.off for s in rows if low <= s.share <= high])
-        if len(off):
-            figures = f"bias {off.mean():+.4f}, rms {off.std():.4f}, {len(off)}"
-            yield f"{preset}: SPARC, movements {words}: {figures}"
-
-
-def accuracy_csv(tables: dict[str, Coverage]) -> str:
+def accuracy_csv(found: dict[str, list[dict[str, Any]]]) -> str:
     """docs/tables/measures_accuracy.csv: by measure how often its interval holds, and its rms error."""
-    columns = ("sessions_inside_percent", "sessions", "movements_inside_percent", "movements", "sessions_rms")
-    lines = [["measure", *(f"{preset}_{column}" for preset in tables for column in columns)]]
-    for key in dict.fromkeys(key for found in tables.values() for _, key in found):
-        cells = [key]
-        for found in tables.values():
-            both = [found.get((scope, key)) for scope in ("session", "movement")]
-            for row in both:
-                cells += [f"{100 * row[1]:.0f}", f"{row[0]}"] if row else ["", ""]
-            cells.append(f"{both[0][2]:.2g}" if both[0] else "")
-        lines.append(cells)
-    return "\n".join(map(",".join, lines))
+    columns = []
+    for preset in found:
+        for scope in ("session", "movement"):
+            own = f"filter (where preset = '{preset}' and scope = '{scope}')"
+            columns.append(f"round(100 * avg(inside::double) {own})::int as {preset}_{scope}s_inside_percent")
+            columns.append(f"count(*) {own} as {preset}_{scope}s")
+        own = f"filter (where preset = '{preset}' and scope = 'session')"
+        columns.append(f"sqrt(avg(off * off) {own})::float as {preset}_sessions_rms")
+    rows = [{"preset": preset} | each for preset, errors in found.items() for each in errors]
+    lines = table(f"select measure, {', '.join(columns)} from found group by measure order by measure", rows)
+    head, *body = (line.partition("\n")[0].strip("| ").replace(" | ", ",") for line in lines)
+    return "\n".join([head, *body]) + "\n"
 
 
 @check(
@@ -196,18 +135,22 @@ def accuracy_csv(tables: dict[str, Coverage]) -> str:
 )
 def measures(options: argparse.Namespace) -> Iterator[str]:
     """How often the 95 % interval of a measure contains the truth's, its rms error and its bias."""
-    tables = {}
+    found = {}
     for preset in options.presets:
-        samples = accuracy(ArmSimulation.preset(preset), options.seeds, options.draws)
-        tables[preset] = coverage_of(samples)
-        yield from coverage_rows(preset, tables[preset])
-        yield from sparc_bias(preset, samples)
-        # an arm that moves about with a straight elbow
+        found[preset] = accuracy(ArmSimulation.preset(preset), options.seeds, options.draws)
         straight = ArmSimulation.preset(preset, protocol="random", flexion_rad=STRAIGHT_RAD)
-        found = coverage_of(accuracy(straight, options.seeds, options.draws))
-        yield from coverage_rows(f"{preset}, a straight and stiff elbow", found, "elbow_flexion")
+        stiff = accuracy(straight, options.seeds, options.draws)
+        stiff = [each for each in stiff if each["measure"].startswith("elbow_flexion")]
+        sparc = [each for each in found[preset] if each["measure"] == "sparc" and each["scope"] == "movement"]
+        sparc = [each | {"recovered": float(np.ceil(2 * each["recovered"]) / 2)} for each in sparc]
+        yield f"\n{preset}"
+        yield from error_table(found[preset], "scope, measure")
+        yield f"\n{preset}, a straight and stiff elbow"
+        yield from error_table(stiff, "scope, measure")
+        yield f"\n{preset}, SPARC of movements by the share of recovered samples, up to"
+        yield from error_table(sparc, "recovered")
     if options.csv is not None:
-        options.csv.write_text(accuracy_csv(tables) + "\n", encoding="utf-8")
+        options.csv.write_text(accuracy_csv(found), encoding="utf-8")
 
 
 #: Of the elbow's bending that is left in the third session.
@@ -216,10 +159,7 @@ BENDING = 0.75
 
 def sessions_of(config: ArmSimulation, seed: int) -> list[SimulatedArm]:
     """A person's sessions: body and motion of the seed, errors of each session's own."""
-    body_rng, *_ = random_streams(seed)
-    measures = draw_measures(body_rng)
-    stage = draw_stage(config.distance_m, config.camera_frame, body_rng)
-    performance = perform(config, body_rng)
+    measures, stage, performance, _ = draw_person(config, seed)
     posture = performance.posture.copy()
     middle = np.median(posture[:, FLEXION])
     posture[:, FLEXION] = middle + BENDING * (posture[:, FLEXION] - middle)
@@ -232,7 +172,10 @@ def sessions_of(config: ArmSimulation, seed: int) -> list[SimulatedArm]:
     ]
 
 
-def measured(simulated: SimulatedArm, draws: int) -> tuple[dict[str, Measure], dict[str, Measure]] | None:
+Measured = tuple[dict[str, Measure], dict[str, Measure]]
+
+
+def measured(simulated: SimulatedArm, draws: int) -> Measured | None:
     """Measures of the answer and of the truth, by key; None where the answer is not to be trusted."""
     recovery = smooth(replace(simulated.recording, truth=None), processes=1, draws=draws)
     assert simulated.recording.truth is not None
@@ -248,7 +191,6 @@ def value(row: Measure) -> SessionValue:
     return SessionValue("s", math.nan, row.value, *interval, row.recovered_share, row.n_draws)
 
 
-Measured = tuple[dict[str, Measure], dict[str, Measure]]
 #: By measure: pairs, those whose interval holds the true difference, that are called a change, wrongly so, ..
 Counts = dict[str, Counter[str]]
 
@@ -277,7 +219,7 @@ def count_pair(
 
 @check(
     seeds_option("6", "a person each"),
-    PRESET,
+    option("--preset", default="realistic", help="of `unocclude simulate arm` [realistic]"),
     option("--duration-s", type=float, default=20.0),
     DRAWS,
 )
@@ -324,15 +266,13 @@ def movements(options: argparse.Namespace) -> Iterator[str]:
         preset, changes = KINDS[kind]
         sessions = []
         for seed in options.seeds:
-            simulated = simulate_arm(ArmSimulation.preset(preset, **changes), seed)
-            recovery = recovered(simulated, options.draws, seed)
-            assert simulated.recording.truth is not None
-            truth = true_recovery(recovery, simulated.recording.truth)
-            if recovery.estimates.trusted is not False:
-                sessions.append((measure(recovery, settings).by_key, measure(truth, settings).by_key))
+            both = recovered(simulate_arm(ArmSimulation.preset(preset, **changes), seed), options.draws, seed)
+            if both[0].estimates.trusted is not False:
+                answer, truth = (measure(each, settings).by_key for each in both)
+                sessions.append((answer, truth))
         for key in BY_MOVEMENT:
-            both = [(answer[key], truth[key].value) for answer, truth in sessions]
-            held = [row.low <= true <= row.high for row, true in both if row.has_interval and true == true]
+            rows = [(answer[key], truth[key].value) for answer, truth in sessions]
+            held = [row.low <= true <= row.high for row, true in rows if row.has_interval and true == true]
             yield f"{kind:10} {key:26} inside {sum(held):3} of {len(held)}"
         counts: Counts = defaultdict(Counter)
         for first, last in combinations(sessions, 2):

@@ -17,7 +17,7 @@ import sys
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -28,7 +28,6 @@ from scipy.spatial.transform import Rotation
 from calib.motion import calibrate_motion
 from smoother.array_types import FloatArray
 from smoother.calibration import ArmCalibration
-from smoother.errors import UnoccludeError
 from smoother.evaluation.datasets import open_utd, utd_files
 from smoother.evaluation.gaps import hide, place_gaps
 from smoother.evaluation.metrics import CHI2_95_3, orientation_error_deg, rotation_error, squared_sigmas
@@ -39,7 +38,7 @@ from smoother.recording import Recording
 from smoother.result import Recovery
 from smoother.simulation import ArmSimulation, SimulatedArm, simulate_arm
 from smoother.smoothing import smooth
-from tools.accuracy.check import ONE_PROCESS, PRESETS, check, datasets, option, rms
+from tools.accuracy.check import ONE_PROCESS, PRESETS, Run, check, datasets, ended, option, rms
 from tools.accuracy.live import play
 from tools.reliability import scenes, setup_errors
 
@@ -73,14 +72,6 @@ Interval = tuple[float, float]
 Scored = Callable[[Recovery], tuple[FloatArray, FloatArray]]
 
 
-@dataclass(frozen=True)
-class Run:
-    """What a recording adds to a row: errors (n, 4) and counts."""
-
-    errors: list[FloatArray] = field(default_factory=list)
-    counts: Counter[str] = field(default_factory=Counter)
-
-
 #: A job: its rows, and what gives a list of runs for each.
 Job = tuple[tuple[str, ...], Callable[[], Sequence[Sequence[Run]]]]
 
@@ -106,9 +97,7 @@ def judged(
     try:
         recovery = smooth(replace(recording, truth=None), calibration, ONE_PROCESS)
     except Exception as error:
-        refused = isinstance(error, UnoccludeError)
-        print("" if refused else f"{type(error).__name__}: {error}\n", end="", file=sys.stderr)
-        return Run([], counts + Counter({"refused" if refused else "crashed": 1}))
+        return Run([], counts | ended(error))
     (t_s, values), found = scored(recovery), []
     believed = np.interp(t_s, recovery.t_s, scenes.trusted_samples(recovery).astype(float)) > 0.5
     counts["trusted"] += recovery.estimates.trusted is True
@@ -235,15 +224,9 @@ def live(seed: int) -> list[list[Run]]:
     return found
 
 
-def second(job: Callable[[], scenes.Outcome], pair: bool) -> list[list[Run]]:
-    """A set-up of the second simulator; an answer to a wrong pair is wrong where it is trusted."""
-    end = job()
-    counts = _ended(end.sentence, end.trusted, end.trusted is True if pair else end.wrong_and_trusted)
-    counts |= Counter({"gaps": len(end.rated), "gaps trusted": sum(each.trusted for each in end.rated)})
-    errors = [np.full((len(each.squared_sigmas), 4), np.nan) for each in end.rated if not pair]
-    for each, values in zip(end.rated, errors, strict=False):
-        values[:, 0], values[:, 1] = each.error_m, each.squared_sigmas
-    return [[Run(errors, counts)]]
+def second(job: Callable[[], Run]) -> list[list[Run]]:
+    """A set-up of the second simulator."""
+    return [[job()]]
 
 
 def set_up(job: setup_errors.Job) -> list[list[Run]]:
@@ -252,13 +235,8 @@ def set_up(job: setup_errors.Job) -> list[list[Run]]:
         made = job.setup().simulated
         return [[of_simulation(made, made.recording)]]
     end = setup_errors.run(job)
-    return [[Run([], _ended(end.sentence, end.trusted, end.off and end.trusted is True))]]
-
-
-def _ended(sentence: str, trusted: bool | None, wrong: int) -> Counter[str]:
-    crashed = sentence.startswith("traceback")
-    refused = bool(sentence) and not crashed
-    return Counter(recordings=1, refused=refused, crashed=crashed, trusted=trusted is True, wrong=wrong)
+    trusted = end.trusted is True
+    return [[Run([], end.counts or Counter(recordings=1, trusted=trusted, wrong=end.off and trusted))]]
 
 
 def jobs() -> Iterator[Job]:
@@ -301,9 +279,9 @@ def jobs() -> Iterator[Job]:
     for seed in range(SEED, SEED + 3):
         yield shown, partial(live, seed)
     for paired in scenes.wrong_pairs(12, np.random.default_rng(SEED)):
-        yield ("wrong pairs",), partial(second, paired, True)
+        yield ("wrong pairs",), partial(second, paired)
     for drawn in scenes.unusual_jobs(30, np.random.default_rng(SEED)):
-        yield ("unusual set-ups",), partial(second, drawn, False)
+        yield ("unusual set-ups",), partial(second, drawn)
     for wrong in setup_errors.draw(100, SEED):
         yield ("set-up errors",), partial(set_up, wrong)
     for sound in setup_errors.draw(50, SEED, (setup_errors.sound,)):

@@ -12,8 +12,8 @@ of 4 to 17 s, cut by hand, where no clock is known (data sets: `UNOCCLUDE_DATASE
 (four people who do the same, one IMU on each right wrist; needs UNOCCLUDE_DATASETS), whole trials and their
 first 2 s, with four wrists and four upper arms to choose from. `scenes`: simulated scenes of two people with
 four nameless IMUs, one of them on the table; half of the scenes random motion, half a clinical protocol; in
-half of them everybody moves in time. Both print a table of methods and how often pairs of a stated
-probability are right. `assigned` is the share that is right where each worn IMU has to be on a limb (in `utd`
+half of them everybody moves in time. Both print by method what was right, and how often pairs of a stated
+probability are. `assigned` is the share that is right where each worn IMU has to be on a limb (in `utd`
 on one of the four wrists), which is what the published method answers. Constants were set on trials 1 and 2
 and seeds from 1000 on; measured are trials 3 and 4 and seeds from 0 on.
 """
@@ -22,11 +22,10 @@ from __future__ import annotations
 
 import argparse
 from collections import defaultdict
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import replace
-from itertools import pairwise
-from typing import NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -38,226 +37,164 @@ from smoother.recording import CameraFrame, Recording
 from smoother.selfcal.agreement import agreement
 from smoother.selfcal.pairing import decided
 from smoother.simulation import ArmSimulation, PeopleSimulation, simulate_arm, simulate_people
-from tools.accuracy.check import PRESETS, check, datasets, option, parts_option, seeds_option
+from tools.accuracy.check import PRESETS, check, datasets, option, parts_option, seeds_option, table
 
 #: A clock is treated as found where it is this near, s.
 FOUND_S = 0.2
+#: Pairs of streams: of what kind, the recording, the true offset where it is known (s), and whether right.
+Pairs = Iterator[tuple[str, Recording, float | None, bool]]
 
 
-class PairTrial(NamedTuple):
-    """A pair of streams, and what came of it."""
-
-    is_right: bool
-    proved: bool  # As files with unrelated clocks
-    accepted: bool  # As streams of one recorder: no reason against it
-    found: bool | None  # The clock of the unrelated files is right; None where it is not known
-    evidence: float
-
-
-def tried(recording: Recording, is_right: bool, true_s: float | None) -> PairTrial:
+def tried(kind: str, recording: Recording, true_s: float | None, right: bool) -> dict[str, Any]:
     """Pair a recording's streams, with unrelated clocks and with those of one recorder."""
     found_at = agreement(recording)
     apart, _ = decided(found_at, replace(recording, clocks_unrelated=True))
     together, _ = decided(found_at, replace(recording, clocks_unrelated=False))
-    found = None
-    if is_right and true_s is not None:
-        found = apart is not None and abs(apart.offset_s - true_s) < FOUND_S
-    return PairTrial(
-        is_right,
-        apart is not None and apart.proved,
-        together is not None and not together.reason,
-        found,
-        np.nan if apart is None else apart.evidence,
-    )
+    found = apart is not None and true_s is not None and abs(apart.offset_s - true_s) < FOUND_S
+    return {
+        "kind": kind,
+        "pairs": "right" if right else "wrong",
+        "proved": apart is not None and apart.proved,
+        "accepted": together is not None and not together.reason,
+        "known": right and true_s is not None,
+        "clock found": right and found,
+        "evidence": None if apart is None else apart.evidence,
+    }
 
 
-def rows_of(name: str, trials: Sequence[PairTrial]) -> Iterator[str]:
-    """A line for the right pairs and one for the wrong ones."""
-    for is_right in (True, False):
-        rows = [each for each in trials if each.is_right is is_right]
-        if not rows:
-            continue
-        known = [each.found for each in rows if each.found is not None]
-        evidence = np.nanpercentile([each.evidence for each in rows], [0, 50, 100])
-        clocks = f", clock found {sum(known)} of {len(known)}" if known else ""
-        yield (
-            f"{name:28} {'right' if is_right else 'wrong'} {len(rows):4}: proved"
-            f" {sum(each.proved for each in rows):4}, accepted of one recorder"
-            f" {sum(each.accepted for each in rows):4}; evidence {evidence[0]:.1f} .. {evidence[1]:.1f} .."
-            f" {evidence[2]:.1f}{clocks}"
-        )
+def simulated(seeds: int) -> Pairs:
+    """Random motion, and the same script in every recording; the wrong IMU is of the next recording."""
+    kinds = [
+        (f"random, {length_s} s", {"protocol": "random", "duration_s": length_s})
+        for length_s in (8, 15, 30, 60)
+    ]
+    yield from _crossed(seeds, kinds)
 
 
-def crossed(made: Sequence[tuple[Recording, float | None]]) -> Iterator[PairTrial]:
-    """Each recording as it is, and with the IMU of the next one."""
-    for number, (recording, true_s) in enumerate(made):
-        yield tried(recording, True, true_s)
-        yield tried(replace(recording, imu=made[(number + 1) % len(made)][0].imu), False, None)
-
-
-def _made(seeds: int, **changes: object) -> list[tuple[Recording, float | None]]:
-    """Recordings of one preset each, in turn, and their true offsets."""
-    made = []
-    for seed in range(seeds):
-        config = ArmSimulation.preset(PRESETS[seed % len(PRESETS)], **changes)
-        simulated = simulate_arm(config, 9000 + seed)
-        offset_s = simulated.parameters["clock_offset_s"]
-        made.append((replace(simulated.recording, truth=None), offset_s))
-    return made
-
-
-def simulated(seeds: int) -> Iterator[str]:
-    """Random motion."""
-    for duration_s in (8.0, 15.0, 30.0, 60.0):
-        yield from rows_of(
-            f"random, {duration_s:.0f} s", [*crossed(_made(seeds, protocol="random", duration_s=duration_s))]
-        )
-
-
-def exercise(seeds: int) -> Iterator[str]:
+def exercise(seeds: int) -> Pairs:
     """The same script in every recording."""
-    for repetitions in (2, 5):
-        made = _made(seeds, protocol="behind", repetitions=repetitions)
-        yield from rows_of(f"exercise, {float(np.ptp(made[0][0].arm.t_s)):.0f} s", [*crossed(made)])
+    yield from _crossed(seeds, [(f"exercise, {count} times", {"repetitions": count}) for count in (2, 5)])
 
 
-def utd(seeds: int) -> Iterator[str]:
+def _crossed(seeds: int, kinds: list[tuple[str, dict[str, Any]]]) -> Pairs:
+    """Recordings of each preset in turn: each as it is, and with the IMU of the next one."""
+    for kind, changes in kinds:
+        made = []
+        for seed in range(seeds):
+            arm = simulate_arm(ArmSimulation.preset(PRESETS[seed % len(PRESETS)], **changes), 9000 + seed)
+            made.append((replace(arm.recording, truth=None), arm.parameters["clock_offset_s"]))
+        for number, (recording, true_s) in enumerate(made):
+            yield kind, recording, true_s, True
+            yield kind, replace(recording, imu=made[(number + 1) % len(made)][0].imu), None, False
+
+
+def utd(seeds: int) -> Pairs:
     """Trials of UTD-MHAD, this many subjects; the wrong IMU is of another trial of the same activity."""
     files = utd_files(datasets("utd_mhad"))
     recordings = {key: open_utd(files[key]) for key in sorted(files, key=lambda key: files[key].name)}
-    rng, trials = np.random.default_rng(0), []
-    for (subject, action, trial), recording in recordings.items():
-        if subject > seeds:
+    rng = np.random.default_rng(0)
+    for key, recording in recordings.items():
+        if key[0] > seeds:
             continue
-        trials.append(tried(recording, True, -0.04))  # both streams cover the same interval
-        others = [key for key in recordings if key[1] == action and key != (subject, action, trial)]
+        yield "UTD-MHAD", recording, -0.04, True  # both streams cover the same interval
+        others = [each for each in recordings if each[1] == key[1] and each != key]
         other = recordings[others[rng.integers(len(others))]]
-        trials.append(tried(replace(recording, imu=other.imu), False, None))
-    yield from rows_of("UTD-MHAD", trials)
+        yield "UTD-MHAD", replace(recording, imu=other.imu), None, False
 
 
-def azure(seeds: int) -> Iterator[str]:
+def azure(seeds: int) -> Pairs:
     """Trials of SmartFallMM; the wrong IMU of this many other trials, those of the same activity first."""
     recordings = {}
     for trial in smartfallmm_trials(datasets("smartfallmm")):
         with suppress(RecordingError):  # a file of it cannot be used
             recordings[trial.name] = open_smartfallmm(trial)
-    trials = []
     for name, recording in recordings.items():
-        trials.append(tried(recording, True, None))
-        others = [each for each in recordings if each != name]
-        for other in sorted(others, key=lambda each: each[3:6] != name[3:6])[:seeds]:
-            trials.append(tried(replace(recording, imu=recordings[other].imu), False, None))
-    yield from rows_of("SmartFallMM, Azure Kinect", trials)
+        yield "SmartFallMM, Azure Kinect", recording, None, True
+        others = sorted(
+            (each for each in recordings if each != name), key=lambda each: each[3:6] != name[3:6]
+        )
+        for other in others[:seeds]:
+            yield "SmartFallMM, Azure Kinect", replace(recording, imu=recordings[other].imu), None, False
 
 
 PARTS = {"simulated": simulated, "exercise": exercise, "utd": utd, "azure": azure}
 
 
-@check(
-    parts_option(*PARTS),
-    seeds_option("12"),
-)
+@check(parts_option(*PARTS), seeds_option("12"))
 def pairing(options: argparse.Namespace) -> Iterator[str]:
     """How many right and wrong pairs of camera and IMU are proved, accepted, and given the right clock."""
-    for part in options.parts or PARTS:
-        yield from PARTS[part](len(options.seeds))
+    found = (tried(*pair) for part in options.parts or PARTS for pair in PARTS[part](len(options.seeds)))
+    yield from table(
+        """select kind, pairs, count(*) as n, sum(proved::int) as proved, sum(accepted::int) as accepted,
+        sum(known::int) as known, sum("clock found"::int) as "clock found", min(evidence) as least,
+        median(evidence) as median, max(evidence) as most from found group by kind, pairs order by all""",
+        found,
+    )
 
 
 #: Weight of `none` where every IMU is on somebody.
 NEVER = -1e5
-PROBABILITIES = (0.6, 0.8, 0.95, 0.99, 1.0 + 1e-9)
 
 
-class Answer(NamedTuple):
-    """One IMU: what was said, whether it is so, and what an assignment without `none` would have said."""
-
-    match: ImuMatch
-    is_right: bool
-    is_assigned_right: bool
-
-    @property
-    def is_pair(self) -> bool:
-        """A limb was named."""
-        return self.match.limb is not None
-
-
-def match_utd(method: str, first_s: float) -> list[Answer]:
-    """Every IMU of all groups: trials of one action and number, one per subject, until a time."""
-    answers, groups = [], defaultdict(list)
-    for (_, action, trial), files in utd_files(datasets("utd_mhad")).items():
-        if trial in (3, 4):  # constants were set on the others
-            made = open_utd(files)
-            imu, arm = made.imu.select(made.imu.t_s <= first_s), made.arm.select(made.arm.t_s <= first_s)
-            groups[action, trial].append(replace(made, imu=imu, arm=arm))
-    for _, group in sorted(groups.items()):
-        limbs = [limb for body, one in enumerate(group) for limb in limbs_of(one.arm, body, one.side)]
-        imus = [one.imu for one in group]
-        pairs = pair_evidence(imus, limbs, CameraFrame.KINECT.down, method)
-        # the question of the published method: which of the four wrists, each IMU being on one
-        wrists = [k for k, limb in enumerate(limbs) if limb.segment == "wrist"]
-        assigned = assign(pairs.limb[:, wrists], np.full(len(imus), NEVER))
-        for body, match in enumerate(decide(imus, limbs, pairs)):
-            where = match.limb
-            is_right = where is not None and (where.body, where.segment) == (body, "wrist")
-            answers.append(Answer(match, is_right, limbs[wrists[assigned[body]]].body == body))
-    return answers
+def answer(title: str, method: str, match: ImuMatch, right: bool, assigned: bool) -> dict[str, Any]:
+    """What was said of an IMU, whether it is so, and whether an assignment without `none` would have been."""
+    sure = match.limb is not None and match.probability > SURE_FROM
+    return {
+        "of": title,
+        "method": method,
+        "right": right,
+        "unknown": not match.is_known,
+        "wrong": match.is_known and not right,
+        "sure": sure,
+        "sure, wrong": sure and not right,
+        "assigned": assigned,
+        "probability": match.probability if match.limb is not None else None,
+    }
 
 
-def scene_settings(seed: int) -> ArmSimulation:
-    """Even seeds move at random for 20 s, odd ones perform the clinical protocol once."""
-    if seed % 2:
-        return ArmSimulation.preset("realistic", protocol="behind", repetitions=1)
-    return ArmSimulation.preset("realistic", protocol="random", duration_s=20.0)
+def match_utd(methods: list[str]) -> Iterator[dict[str, Any]]:
+    """Every IMU of all groups: trials of one action and number, one per subject; whole, and the first 2 s."""
+    for first_s, about in ((np.inf, "whole"), (2.0, "first 2 s")):
+        groups = defaultdict(list)
+        for (_, action, trial), files in utd_files(datasets("utd_mhad")).items():
+            if trial in (3, 4):  # constants were set on the others
+                made = open_utd(files)
+                imu, arm = made.imu.select(made.imu.t_s <= first_s), made.arm.select(made.arm.t_s <= first_s)
+                groups[action, trial].append(replace(made, imu=imu, arm=arm))
+        for _, group in sorted(groups.items()):
+            limbs = [limb for body, one in enumerate(group) for limb in limbs_of(one.arm, body, one.side)]
+            imus = [one.imu for one in group]
+            # the question of the published method: which of the four wrists, each IMU being on one
+            wrists = [k for k, limb in enumerate(limbs) if limb.segment == "wrist"]
+            for method in methods:
+                pairs = pair_evidence(imus, limbs, CameraFrame.KINECT.down, method)
+                assigned = assign(pairs.limb[:, wrists], np.full(len(imus), NEVER))
+                for body, match in enumerate(decide(imus, limbs, pairs)):
+                    where = match.limb
+                    right = where is not None and (where.body, where.segment) == (body, "wrist")
+                    by_force = limbs[wrists[assigned[body]]].body == body
+                    yield answer(f"UTD-MHAD, trials 3, 4, {about}", method, match, right, by_force)
 
 
-def scenes(methods: list[str], seeds: range) -> dict[str, list[Answer]]:
-    """Every IMU of all scenes, by method."""
-    answers: dict[str, list[Answer]] = {method: [] for method in methods}
+def scenes(methods: list[str], seeds: range) -> Iterator[dict[str, Any]]:
+    """Every IMU of all scenes: even seeds move at random for 20 s, odd ones do the clinical protocol once."""
+    title = f"scenes, seeds {seeds[0]} to {seeds[-1]}"
     for seed in seeds:
-        scene = simulate_people(PeopleSimulation(), scene_settings(seed), seed)
+        settings = {"repetitions": 1} if seed % 2 else {"protocol": "random", "duration_s": 20.0}
+        scene = simulate_people(PeopleSimulation(), ArmSimulation.preset("realistic", **settings), seed)
         limbs = [limb for body, side, arm in scene.arms for limb in limbs_of(arm, body, side)]
         imus = [one.stream for one in scene.worn]
         places = [(limb.body, limb.joint) for limb in limbs]
+        on_someone = [k for k, one in enumerate(scene.worn) if one.body is not None]
         for method in methods:
             pairs = pair_evidence(imus, limbs, scene.camera_frame.down, method)
-            on_someone = [k for k, one in enumerate(scene.worn) if one.body is not None]
             assigned = assign(pairs.limb[on_someone], np.full(len(on_someone), NEVER))
             limb_of = dict(zip(on_someone, assigned.tolist(), strict=True))
             for k, match in enumerate(decide(imus, limbs, pairs)):
                 true = (scene.worn[k].body, scene.worn[k].joint)
-                body = None if match.limb is None else match.limb.body
-                place = (body, match.joint) if k not in limb_of else places[limb_of[k]]
-                answers[method].append(Answer(match, (body, match.joint) == true, place == true))
-    return answers
-
-
-def answer_rows(title: str, answers: dict[str, list[Answer]]) -> Iterator[str]:
-    """One row per method, then reliability of the pairs."""
-    yield (f"\n{title}, {len(next(iter(answers.values())))} IMUs")
-    yield (
-        f"{'method':22}{'right':>8}{'unknown':>9}{'wrong':>7}{'sure':>8}{'sure, wrong':>13}{'assigned':>10}"
-    )
-    for method, rows in answers.items():
-        right = np.mean([one.is_right for one in rows])
-        unknown = np.mean([not one.match.is_known for one in rows])
-        assigned = np.mean([one.is_assigned_right for one in rows])
-        wrong = sum(one.match.is_known and not one.is_right for one in rows)
-        sure = [one for one in rows if one.is_pair and one.match.probability > SURE_FROM]
-        bad = sum(not one.is_right for one in sure)
-        share = len(sure) / len(rows)
-        cells = f"{right:8.1%}{unknown:9.1%}{wrong:7d}{share:8.1%}{bad:13d}{assigned:10.1%}"
-        yield (f"{method:22}{cells}")
-    yield ("reliability: pairs with a probability of .. are right in .. of .. cases")
-    for method, rows in answers.items():
-        reliability = []
-        for low, high in pairwise(PROBABILITIES):
-            inside = [one for one in rows if one.is_pair and low <= one.match.probability < high]
-            if inside:
-                mean = np.mean([one.match.probability for one in inside])
-                fraction = np.mean([one.is_right for one in inside])
-                reliability.append(f"{mean:.3f}: {fraction:.3f} of {len(inside)}")
-        yield (f"{method:22}{'; '.join(reliability)}")
+                said = (None if match.limb is None else match.limb.body, match.joint)
+                by_force = places[limb_of[k]] if k in limb_of else said
+                yield answer(title, method, match, said == true, by_force == true)
 
 
 @check(
@@ -267,12 +204,21 @@ def answer_rows(title: str, answers: dict[str, list[Answer]]) -> Iterator[str]:
 )
 def match(options: argparse.Namespace) -> Iterator[str]:
     """How often IMUs are found on the right limb of the right person, and how often surely."""
-    methods = options.methods.split(",")
-    wanted = options.parts or ["match_utd", "scenes"]
-    if "match_utd" in wanted:
-        for first_s, about in ((np.inf, "whole"), (2.0, "first 2 s")):
-            found = {method: match_utd(method, first_s) for method in methods}
-            yield from answer_rows(f"UTD-MHAD, trials 3, 4, {about}", found)
-    if "scenes" in wanted:
-        seeds = options.seeds
-        yield from answer_rows(f"Scenes, seeds {seeds[0]} to {seeds[-1]}", scenes(methods, seeds))
+    parts, methods = options.parts or ("match_utd", "scenes"), options.methods.split(",")
+    found = [*match_utd(methods)] if "match_utd" in parts else []
+    found += scenes(methods, options.seeds) if "scenes" in parts else []
+    shares = [f'100 * avg("{name}"::int) as "{name}, %"' for name in ("right", "unknown", "sure", "assigned")]
+    counts = [f'sum("{name}"::int) as "{name}"' for name in ("wrong", "sure, wrong")]
+    yield from table(
+        f"""select "of", method, count(*) as IMUs, {", ".join(shares + counts)} from found
+        group by "of", method order by all""",
+        found,
+    )
+    yield "\nreliability of the pairs: the stated probability, and how often it is right"
+    yield from table(
+        """select "of", method, case when probability < 0.8 then 0.6 when probability < 0.95 then 0.8
+        when probability < 0.99 then 0.95 else 0.99 end as "from", avg(probability) as stated,
+        avg("right"::int) as "right", count(*) as n from found where probability >= 0.6
+        group by all order by all""",
+        found,
+    )

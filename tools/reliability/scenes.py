@@ -5,6 +5,7 @@ Written apart from `smoother.simulation`; `python -m tools.accuracy oracle` coun
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import partial
@@ -15,14 +16,13 @@ from scipy.signal import lfilter
 from scipy.spatial.transform import Rotation
 
 from smoother.array_types import BoolArray, FloatArray
-from smoother.errors import UnoccludeError
 from smoother.evaluation.metrics import squared_sigmas
 from smoother.linalg import interpolate, runs, unit
 from smoother.recording import JOINTS, CameraFrame, ImuStream, JointState, JointTracks, Recording
 from smoother.result import Recovery
 from smoother.simulation import ArmSimulation, simulate_arm
 from smoother.smoothing import smooth
-from tools.accuracy.check import ONE_PROCESS, PRESETS
+from tools.accuracy.check import ONE_PROCESS, PRESETS, Run, ended
 from tools.reliability.people import Gaps, Motion, perform, slow_noise
 
 #: Lowest rate at which the motion is sampled, and rates of IMUs, Hz.
@@ -242,7 +242,7 @@ UNUSUAL: tuple[tuple[Callable[[Scene], Scene], tuple[str, ...], tuple[float, flo
 )
 
 
-def unusual_jobs(count: int, rng: np.random.Generator) -> Iterator[Callable[[], Outcome]]:
+def unusual_jobs(count: int, rng: np.random.Generator) -> Iterator[Callable[[], Run]]:
     """As many set-ups to smooth and judge, the cases in turn; the first do not depend on how many follow."""
     for number in range(count):
         _, exercises, lengths_s, _ = UNUSUAL[number % len(UNUSUAL)]
@@ -250,14 +250,14 @@ def unusual_jobs(count: int, rng: np.random.Generator) -> Iterator[Callable[[], 
         yield partial(unusual, number % len(UNUSUAL), exercise, duration_s, int(rng.integers(2**31)))
 
 
-def unusual(case: int, exercise: str, duration_s: float, seed: int) -> Outcome:
+def unusual(case: int, exercise: str, duration_s: float, seed: int) -> Run:
     """Smooth and judge a set-up."""
     change, _, _, every_s = UNUSUAL[case]
     # the second number is of a family of seeds
     return run(change(draw_scene(exercise, duration_s, [seed, 0], every_s)).trial())
 
 
-def wrong_pairs(count: int, rng: np.random.Generator) -> Iterator[Callable[[], Outcome]]:
+def wrong_pairs(count: int, rng: np.random.Generator) -> Iterator[Callable[[], Run]]:
     """Skeletons of simulated arms with the IMU of another one that does the same."""
     for number in range(count):
         seeds = int(rng.integers(2**30)), int(rng.integers(2**30, 2**31))
@@ -265,7 +265,7 @@ def wrong_pairs(count: int, rng: np.random.Generator) -> Iterator[Callable[[], O
         yield partial(wrong_pair, PRESETS[number % len(PRESETS)], protocol, *seeds)
 
 
-def wrong_pair(preset: str, protocol: str, skeleton_seed: int, imu_seed: int) -> Outcome:
+def wrong_pair(preset: str, protocol: str, skeleton_seed: int, imu_seed: int) -> Run:
     """Smooth and judge a wrong pair."""
     config = ArmSimulation.preset(preset, protocol=protocol, repetitions=3, duration_s=70.0)
     one, other = simulate_arm(config, skeleton_seed), simulate_arm(config, imu_seed)
@@ -279,7 +279,7 @@ def wrong_pair(preset: str, protocol: str, skeleton_seed: int, imu_seed: int) ->
     spans = [gap for gap in runs(one.occluded) if gap.stop - gap.start > 3]
     hidden = tuple((float(true_t[gap.start]), float(true_t[gap.stop - 1])) for gap in spans)
     mixed = replace(one.recording, imu=other.recording.imu, truth=None)
-    return run(Trial(mixed, truth_at, hidden, offset_s))
+    return run(Trial(mixed, truth_at, hidden, offset_s), wrong_pair=True)
 
 
 # What an answer is worth against its truth
@@ -300,8 +300,7 @@ class Trial:
     offset_s: float | None = None  # Where the IMU's time has nothing to do with the motion
 
 
-@dataclass(frozen=True, eq=False)
-class Rated:
+class Rated(NamedTuple):
     """An interval of an answer."""
 
     length_s: float
@@ -313,35 +312,32 @@ class Rated:
     squared_sigmas: FloatArray  # (n,): of its samples, wrist and IMU
 
 
-@dataclass(frozen=True)
-class Outcome:
-    """How a trial ended."""
-
-    rated: tuple[Rated, ...] = ()  # By interval; empty without an answer
-    sentence: str = ""  # The error that it ended with; "" for an answer
-    trusted: bool | None = None  # The recording's verdict
-
-    @property
-    def wrong_and_trusted(self) -> int:
-        """How many intervals are wrong and called trusted; one where they are wrong together."""
-        gaps = [each for each in self.rated if each.trusted and np.isfinite(each.error_m)]
-        single = sum(each.error_m > max(ONE_GAP_M, SIGMAS * each.sigma_m) for each in gaps)
-        if single or not gaps:
-            return single
-        errors = np.array([(each.error_m, each.sigma_m) for each in gaps])
-        error_m, sigma_m = np.sqrt(np.average(errors**2, axis=0, weights=[each.length_s for each in gaps]))
-        return int(error_m > max(GAPS_M, SIGMAS * sigma_m))
+def wrong_and_trusted(rated: list[Rated]) -> int:
+    """How many intervals are wrong and called trusted; one where they are wrong together."""
+    gaps = [each for each in rated if each.trusted and np.isfinite(each.error_m)]
+    single = sum(each.error_m > max(ONE_GAP_M, SIGMAS * each.sigma_m) for each in gaps)
+    if single or not gaps:
+        return single
+    errors = np.array([(each.error_m, each.sigma_m) for each in gaps])
+    error_m, sigma_m = np.sqrt(np.average(errors**2, axis=0, weights=[each.length_s for each in gaps]))
+    return int(error_m > max(GAPS_M, SIGMAS * sigma_m))
 
 
-def run(trial: Trial) -> Outcome:
-    """Smooth a trial as a user would, and judge the answer."""
+def run(trial: Trial, wrong_pair: bool = False) -> Run:
+    """Smooth a trial as a user would, and judge the answer; to a wrong pair it is wrong if trusted."""
     try:
         recovery = smooth(trial.recording, None, ONE_PROCESS)
-    except UnoccludeError as error:
-        return Outcome(sentence=str(error))
-    except Exception as error:  # a set-up that ends in a traceback is a finding
-        return Outcome(sentence=f"traceback, {type(error).__name__}: {error}")
-    return Outcome(tuple(rated(recovery, trial)), trusted=recovery.estimates.trusted)
+    except Exception as error:
+        return Run([], ended(error))
+    intervals, trusted = list(rated(recovery, trial)), recovery.estimates.trusted is True
+    counts = Counter(recordings=1, trusted=trusted, gaps=len(intervals))
+    counts["gaps trusted"] = sum(each.trusted for each in intervals)
+    counts["wrong"] = int(trusted) if wrong_pair else wrong_and_trusted(intervals)
+    errors = []
+    for each in () if wrong_pair else intervals:
+        errors.append(np.full((len(each.squared_sigmas), 4), np.nan))
+        errors[-1][:, 0], errors[-1][:, 1] = each.error_m, each.squared_sigmas
+    return Run(errors, counts)
 
 
 def rated(recovery: Recovery, trial: Trial) -> Iterator[Rated]:

@@ -1,4 +1,4 @@
-"""Answers on wrong set-ups: `python -m tools.reliability.setup_errors --count 200 --sound 40`.
+"""Answers on wrong set-ups: `python -m tools.accuracy setup --count 200 --sound 40`.
 
 Each case is a mistake that people make with sensors, axes, clocks, units or names, put into a simulated
 recording; which case, recording, preset and length is drawn from the seed. `smooth` runs on it without a word
@@ -10,9 +10,10 @@ from __future__ import annotations
 
 import argparse
 import textwrap
+from collections import Counter
 from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -20,7 +21,6 @@ from scipy.spatial.transform import Rotation
 
 from smoother.array_types import BoolArray, FloatArray
 from smoother.calibration import ArmCalibration
-from smoother.errors import UnoccludeError
 from smoother.evaluation.validate import sample_errors
 from smoother.linalg import interpolate, unit
 from smoother.recording import JOINTS, CameraFrame, JointState, Recording
@@ -30,7 +30,7 @@ from smoother.simulation.camera import add_noise, film
 from smoother.simulation.inertial import ideal_imu, measure
 from smoother.simulation.motion import ArmMotion
 from smoother.smoothing import smooth
-from tools.accuracy.check import ONE_PROCESS, PRESETS, rms
+from tools.accuracy.check import ONE_PROCESS, PRESETS, check, ended, option, rms, table
 
 
 @dataclass(frozen=True)
@@ -319,12 +319,7 @@ class Job:
         return self.case(Setup(simulated, config, rng, simulated.recording))
 
 
-def draw(
-    count: int,
-    seed: int,
-    cases: tuple[Callable[[Setup], Setup], ...] = CASES,
-    lengths_s: tuple[float, float] = LENGTHS_S,
-) -> list[Job]:
+def draw(count: int, seed: int, cases: tuple[Callable[[Setup], Setup], ...] = CASES) -> list[Job]:
     """As many jobs, the cases in turn; the first ones do not depend on how many follow."""
     rng = np.random.default_rng([seed, int(cases == (sound,))])
     return [
@@ -332,7 +327,7 @@ def draw(
             cases[number % len(cases)],
             int(rng.integers(2**31)),
             str(rng.choice(PRESETS)),
-            round(float(rng.uniform(*lengths_s)), 1),
+            round(float(rng.uniform(*LENGTHS_S)), 1),
         )
         for number in range(count)
     ]
@@ -342,9 +337,10 @@ def draw(
 class Outcome:
     """How a job ended."""
 
-    error_m: float = float("nan")  # Rms of the IMU's position error in the gaps, and of what is stated
-    sigma_m: float = float("nan")  # Rms of the IMU's position error in the gaps, and of what is stated
-    sentence: str = ""  # The error that it ended with; "" for an answer
+    error_m: float = float("nan")  # Rms of the IMU's position error in the gaps
+    sigma_m: float = float("nan")  # What is stated of it
+    sentence: str = ""  # The error that it ended with
+    counts: Counter[str] = field(default_factory=Counter)  # Of an error
     trusted: bool | None = None  # The result's own verdict
     reasons: tuple[str, ...] = ()  # The verdict's reasons or cautions
 
@@ -352,16 +348,6 @@ class Outcome:
     def off(self) -> bool:
         """The answer is off by more than it may be in a result that is trusted."""
         return self.error_m > LARGEST_ERROR_M
-
-    @property
-    def verdict(self) -> str:
-        """In a word."""
-        return "refused" if self.sentence else "trusted" if self.trusted else "not trusted"
-
-    @property
-    def errors(self) -> str:
-        """The error and what is stated."""
-        return f"{_cm(self.error_m)} /{_cm(self.sigma_m)}"
 
 
 def run(job: Job) -> Outcome:
@@ -371,10 +357,8 @@ def run(job: Job) -> Outcome:
     assert truth is not None
     try:
         recovery = smooth(replace(setup.recording, truth=None), setup.calibration, ONE_PROCESS)
-    except UnoccludeError as error:
-        return Outcome(sentence=str(error))
     except Exception as error:  # a mistake that ends in a traceback is what this program looks for
-        return Outcome(sentence=f"traceback, {type(error).__name__}: {error}")
+        return Outcome(sentence=str(error), counts=ended(error))
     errors, estimates = sample_errors(recovery, truth), recovery.estimates
     answered = setup.occluded(recovery.t_s) & np.isfinite(errors.distance_m)
     reasons = estimates.reasons or estimates.cautions
@@ -382,57 +366,38 @@ def run(job: Job) -> Outcome:
         return Outcome(trusted=estimates.trusted, reasons=reasons)
     variance = np.trace(recovery.pose_covariance[answered, :3, :3], axis1=1, axis2=2)
     sigma_m = float(np.sqrt(np.mean(variance)))
-    return Outcome(rms(errors.distance_m[answered]), sigma_m, "", estimates.trusted, reasons)
+    return Outcome(rms(errors.distance_m[answered]), sigma_m, trusted=estimates.trusted, reasons=reasons)
 
 
-def summary(done: list[tuple[Job, Outcome]]) -> Iterator[str]:
-    """A line per case, and what is to be none."""
-    verdicts = ("refused", "trusted", "not trusted")
-    yield f"\n{'case':32} {'jobs':>4} {'refused':>7} {'trusted':>7} {'not':>4}  errors in the gaps / stated"
-    for name in dict.fromkeys(job.name for job, _ in done):
-        own = [outcome for job, outcome in done if job.name == name]
-        refused, trusted, untrusted = (sum(each.verdict == word for each in own) for word in verdicts)
-        answers = ", ".join(each.errors for each in own if not each.sentence)
-        yield f"{name:32} {len(own):4} {refused:7} {trusted:7} {untrusted:4}  {answers}"
-    wrong = [outcome for job, outcome in done if job.case is not sound]
-    good = [outcome for job, outcome in done if job.case is sound]
-    believed = sum(each.off and each.verdict == "trusted" for each in wrong)
-    yield f"\nwrong, above {100 * LARGEST_ERROR_M:.0f} cm in the gaps and trusted: {believed} of {len(wrong)}"
-    yield f"sound, not trusted or refused: {sum(each.verdict != 'trusted' for each in good)} of {len(good)}"
+VERDICTS = ("refused", "trusted", "not", "crashed")
 
 
-def _cm(metres: float) -> str:
-    if not np.isfinite(metres):
-        return f"{'-':>11}"
-    return f"{100 * metres:8.2f} cm" if metres < 1000 else f"{100 * metres:8.1e} cm"
-
-
-def main() -> None:
-    """Read the options and run."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--count", type=int, default=44, help="wrong set-ups, the cases in turn")
-    parser.add_argument("--sound", type=int, default=0, help="recordings without a mistake besides")
-    parser.add_argument("--seed", type=int, default=0, help="of all draws")
-    parser.add_argument("--only", default="", help="cases whose name contains this")
-    parser.add_argument("--processes", type=int, default=1, help="recordings at a time")
-    parser.add_argument(
-        "--lengths-s", type=float, nargs=2, default=LENGTHS_S, help="recordings are between these two, s"
-    )
-    options = parser.parse_args()
+@check(
+    option("--count", type=int, default=44, help="wrong set-ups, the cases in turn"),
+    option("--sound", type=int, default=0, help="recordings without a mistake besides"),
+    option("--seed", type=int, default=0, help="of all draws"),
+    option("--only", default="", help="cases whose name contains this"),
+    option("--processes", type=int, default=1, help="recordings at a time"),
+)
+def setup(options: argparse.Namespace) -> Iterator[str]:
+    """Answers on wrong set-ups: refused, trusted or not, and how far off."""
     cases = tuple(case for case in CASES if options.only in case.__name__.replace("_", " "))
-    if not cases:
-        parser.error(f"no case is called '{options.only}'")
-    jobs = draw(options.count, options.seed, cases, options.lengths_s)
-    jobs += draw(options.sound, options.seed, (sound,), options.lengths_s)
-    done = []
+    jobs = draw(options.count if cases else 0, options.seed, cases)
+    jobs += draw(options.sound, options.seed, (sound,))
+    rows = []
     with ProcessPoolExecutor(options.processes) as pool:
         for job, end in zip(jobs, pool.map(run, jobs), strict=True):
-            done.append((job, end))
+            verdict = "crashed" if end.counts["crashed"] else "refused" if end.sentence else "not"
+            verdict = "trusted" if end.trusted else verdict
+            errors = {"error": 100 * end.error_m, "sigma": 100 * end.sigma_m}
+            rows.append({"case": job.name, "verdict": verdict, "off": end.off, **errors})
             text = textwrap.shorten(end.sentence or "; ".join(end.reasons), 150)
             drawn = f"{job.name:32} {job.seed:10} {job.preset:9} {job.duration_s:4.1f} s"
-            print(f"{drawn} {end.errors}  {end.verdict:12} {text}", flush=True)
-    print(*summary(done), sep="\n")
-
-
-if __name__ == "__main__":
-    main()
+            yield f"{drawn} {errors['error']:8.2f} / {errors['sigma']:6.2f} cm  {verdict:8} {text}"
+    counts = [f"count(*) filter (where verdict = '{word}') as {word}" for word in VERDICTS]
+    yield from table(
+        f"""select "case", count(*) as n, {", ".join(counts)}, max(error) as "worst, cm",
+        count(*) filter (where verdict = 'trusted' and off) as "trusted above {100 * LARGEST_ERROR_M:.0f} cm"
+        from found group by rollup ("case") order by all""",
+        rows,
+    )
