@@ -20,7 +20,7 @@ from .output import Out, print_notes, say, say_written, write_text
 
 if TYPE_CHECKING:
     from ..array_types import FloatArray
-    from ..io.export.rows import Export
+    from ..io.export.grid import Export
     from ..result import Recovery
 
 

@@ -203,10 +203,10 @@ def write_mocap(capture: MarkerCapture, files: list[Path], calibration: Path, fo
     """Write the capture as a lab would: its own frame and clock, millimetres, blanks where not seen."""
     from calib.file import to_toml
 
-    from ..io.export.markers import C3dContent, write_c3d, write_trc
+    from ..io.export.markers import write_c3d, write_trc
 
     c3d, trc, markers = files
-    write_c3d(c3d, C3dContent(capture.names, capture.position, capture.rate_hz), force)
+    write_c3d(c3d, capture.names, capture.position, capture.rate_hz, force)
     write_trc(trc, capture.names, capture.t_s, capture.position, capture.rate_hz, force)
     head = _MAP_HEAD.format(name=c3d.name, map=markers.name, calibration=calibration.name)
     tables = {"markers": capture.marker_map, "imu_plate": capture.plate}

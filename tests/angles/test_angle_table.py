@@ -17,7 +17,7 @@ from smoother.angles import JOINT_ANGLES
 from smoother.angles.found import UPPER_ARM_SHARE, direction_variance
 from smoother.array_types import FloatArray
 from smoother.calibration import ArmCalibration, LeverArm, SegmentMounting
-from smoother.io.export.csv import export_csv
+from smoother.io.export.tables import export_csv
 from smoother.joint_angles import arm_angles, forearm_axes, torso_axes, wrapped_deg
 from smoother.linalg import unit
 from smoother.result import Estimates, Recovery

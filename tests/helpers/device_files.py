@@ -207,11 +207,11 @@ def array(path: Path) -> None:
 
 def c3d(path: Path) -> None:
     """Model markers."""
-    from smoother.io.export.markers import C3dContent, write_c3d
+    from smoother.io.export.markers import write_c3d
 
     names = ("RShoulder", "RElbow", "RWrist", "LShoulder", "LElbow", "LWrist")
     points = np.stack([made.part(name, FRAMES) for name in names], axis=1)
-    write_c3d(path, C3dContent(names, points, 30.0), True)
+    write_c3d(path, names, points, 30.0, True)
 
 
 def xdf(path: Path) -> None:

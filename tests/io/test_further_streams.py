@@ -22,7 +22,7 @@ from smoother.io import (
     write_recording,
     write_recovery,
 )
-from smoother.io.export.csv import export_csv
+from smoother.io.export.tables import export_csv
 from smoother.io.recording.choose import choose_arms
 from smoother.io.recording.select import select_recording
 from smoother.io.recording.streams import RecordingFile

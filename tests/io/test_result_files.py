@@ -18,7 +18,7 @@ from mcap_records import put
 
 from smoother.errors import RecordingError, UnoccludeError
 from smoother.io import open_recording, read_recording, read_recovery, write_recording, write_recovery
-from smoother.io.export.csv import export_csv
+from smoother.io.export.tables import export_csv
 from smoother.io.mcap.container import Container
 from smoother.io.wire.schemas import message_class
 from smoother.result import Draws, Recovery

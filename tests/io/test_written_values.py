@@ -15,9 +15,8 @@ from hypothesis.extra import numpy as arrays
 from made_results import assert_same, recovery
 
 from smoother.io import read_recovery, write_recovery
-from smoother.io.export.csv import export_csv, file_columns
-from smoother.io.export.markers import C3dContent, write_c3d, write_trc
-from smoother.io.export.parquet import METADATA_KEY, export_parquet
+from smoother.io.export.markers import write_c3d, write_trc
+from smoother.io.export.tables import METADATA_KEY, export_csv, export_parquet, file_columns
 from smoother.io.mcap.messages import nanoseconds
 from smoother.io.mcap.repair import repair_container
 from smoother.io.recording.read import open_recording
@@ -161,7 +160,7 @@ def test_c3d(tmp_path: Path, position: np.ndarray, data: st.DataObject):
     position[hidden] = np.nan
     names = [f"M{i}" for i in range(position.shape[1])]
     rate = data.draw(st.sampled_from([30.0, 100.0, 119.88]))
-    write_c3d(tmp_path / "a.c3d", C3dContent(names, position, rate), force=True)
+    write_c3d(tmp_path / "a.c3d", names, position, rate, force=True)
     back = read_c3d(tmp_path / "a.c3d")
     assert list(back.names) == names and abs(back.rate_hz - rate) < 1e-5
     np.testing.assert_allclose(back.position, position, rtol=2e-7, atol=1e-30)  # four bytes a number

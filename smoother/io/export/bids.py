@@ -18,11 +18,10 @@ import numpy as np
 from ...array_types import FloatArray
 from ...errors import UnoccludeError
 from ...linalg import median_rate_hz
-from ...recording import JOINTS, CameraFrame, ImuStream, JointState, Recording
+from ...recording import JOINTS, CameraFrame, JointState, Recording
 from ...result import Recovery
-from ...result.untrusted import usable
 from ...runtime.outputs import writing
-from .csv import file_columns
+from .tables import file_columns, marks_of
 
 BIDS_VERSION = "1.10.0"
 #: Sessions begin here: true dates say who a person is. Streams keep their distance from each other.
@@ -33,6 +32,13 @@ _SPATIAL = {
     CameraFrame.KINECT: ("LSA", "x to the camera's left, y up, z forward"),
     CameraFrame.OPTICAL: ("RIA", "x to the camera's right, y down, z forward"),
     CameraFrame.ZUP: ("__S", "z up; the direction of x is not stated"),
+}
+
+
+_MARKS = {
+    "occluded": "1: the camera did not see the forearm",
+    "usable": "1: there is an answer that is not distrusted",
+    "trusted": "1: the answer is to be trusted",
 }
 
 
@@ -50,15 +56,14 @@ class BidsNames:
                 raise UnoccludeError(f"--{option} of BIDS is letters and digits alone, not '{label}'")
 
     @property
-    def folder(self) -> str:
-        """Below the data set: `sub-X/ses-Y/motion`."""
-        session = f"ses-{self.session}/" if self.session else ""
-        return f"sub-{self.subject}/{session}motion"
+    def parts(self) -> list[str]:
+        """The labels that folders and files begin with: `sub-X`, `ses-Y`."""
+        return [f"sub-{self.subject}", *([f"ses-{self.session}"] if self.session else [])]
 
-    @property
-    def start(self) -> str:
-        """Of every file's name, without the task."""
-        return f"sub-{self.subject}" + (f"_ses-{self.session}" if self.session else "")
+    def file(self, system: TrackingSystem, ending: str) -> Path:
+        """A file of a tracking system below a data set's folder."""
+        name = "_".join([*self.parts, f"task-{self.task}", f"tracksys-{system.label}", ending])
+        return Path(*self.parts, "motion", name)
 
 
 def label_of(name: str) -> str:
@@ -94,33 +99,51 @@ class TrackingSystem:
 def recorded_systems(recording: Recording) -> list[TrackingSystem]:
     """The camera's joints and the IMUs of an arm, as they were recorded."""
     side, arm = recording.side.capitalize(), recording.arm
-    systems = [_imu(f"imuForearm{side}", _point("forearm", recording.side), recording.imu)]
-    for segment, imu in recording.further_imus.items():
+
+    def point_of(name: str) -> str:
+        return f"{recording.side}_{name}" if recording.side else name
+
+    systems = []
+    for segment, imu in {"forearm": recording.imu, **recording.further_imus}.items():
+        sensors = [
+            ("acc", "ACCEL", "m/s^2", imu.acc, "specific force"),
+            ("gyro", "GYRO", "rad/s", imu.gyro, "turn rate"),
+            ("mag", "MAGN", "n/a", imu.mag, "magnetic field, in the sensor's own unit"),
+        ]
+        point, channels = point_of(segment), []
+        for name, kind, unit, values, words in sensors:
+            if values is not None:
+                about = (kind, point, unit, "", f"{words} in the IMU's axes")
+                channels += _vector(f"{point}_{name}_{{}}", np.asarray(values), *about)
         label = "".join(word.capitalize() for word in segment.split("_"))
-        systems.append(_imu(f"imu{label}{side}", _point(segment, recording.side), imu))
-    frames = _camera_frames(recording.camera_frame)
-    frame, channels = next(iter(frames), ""), []
+        systems.append(TrackingSystem(f"imu{label}{side}", "inertial sensor", imu.t_s, channels))
+    frames: dict[str, dict[str, str]] = {}
+    if recording.camera_frame is not None:
+        axes, about_axes = _SPATIAL[recording.camera_frame]
+        level = {"Description": about_axes, "RotationRule": "right-hand", "RotationOrder": "XYZ"}
+        frames = {"camera": {**level, "SpatialAxes": axes}}
+    channels = []
     for joint in arm.present:
-        point = _point(joint, recording.side)
-        state = arm.state[:, JOINTS.index(joint)]
+        point, state = point_of(joint), arm.state[:, JOINTS.index(joint)]
         place = np.where((state == JointState.NOT_TRACKED)[:, None], np.nan, arm.joint(joint))
         if arm.pixel_rad is None:
             words = f"position of the {joint} in the camera's axes"
-            channels += [
-                Channel(f"{point}_{axis}", axis, "POS", point, "m", frame, words, values)
-                for axis, values in zip("xyz", place.T, strict=True)
-            ]
+            channels += _vector(f"{point}_{{}}", place, "POS", point, "m", next(iter(frames), ""), words)
         else:
-            words = "image coordinate {}/z of the " + joint + ", lens distortion removed"
-            channels += [
-                Channel(f"{point}_{axis}_image", "", "MISC", point, "", "", words.format(axis), values)
-                for axis, values in zip("xy", place.T, strict=False)
-            ]
+            for axis, values in zip("xy", place.T, strict=False):
+                words = f"image coordinate {axis}/z of the {joint}, lens distortion removed"
+                channels.append(Channel(f"{point}_{axis}_image", "", "MISC", point, "", "", words, values))
         about = "0 not tracked, 1 a guess of the camera's, 2 tracked"
         channels.append(Channel(f"{point}_state", "", "MISC", point, "", "", about, state.astype(float)))
     title = "depth camera" if arm.pixel_rad is None else "camera without depth"
-    systems.append(TrackingSystem(f"camera{side}", title, arm.t_s, channels, frames=frames))
-    return systems
+    return [*systems, TrackingSystem(f"camera{side}", title, arm.t_s, channels, frames=frames)]
+
+
+def _vector(name: str, values: FloatArray, *about: str) -> list[Channel]:
+    """Channels of a vector (N, 3), whose names have its axes."""
+    return [
+        Channel(name.format(axis), axis, *about, each) for axis, each in zip("xyz", values.T, strict=True)
+    ]
 
 
 def recovered_system(recovery: Recovery, version: str) -> TrackingSystem:
@@ -129,14 +152,8 @@ def recovered_system(recovery: Recovery, version: str) -> TrackingSystem:
         Channel(name, *_kind(name), column.unit, "", column.description, values)
         for name, values, column in file_columns(recovery)
     ]
-    marks = {
-        "occluded": (recovery.occluded, "1: the camera did not see the forearm"),
-        "usable": (usable(recovery), "1: there is an answer that is not distrusted"),
-    }
-    if recovery.has_verdict:
-        marks["trusted"] = (recovery.trusted, "1: the answer is to be trusted")
-    for name, (flags, about) in marks.items():
-        channels.append(Channel(name, "", "MISC", "", "", "", about, np.asarray(flags, float)))
+    for name, flags in marks_of(recovery).items():
+        channels.append(Channel(name, "", "MISC", "", "", "", _MARKS[name], np.asarray(flags, float)))
     more: dict[str, object] = {
         "SoftwareVersions": f"unocclude {version}",
         "Method": recovery.method,
@@ -166,27 +183,34 @@ def write_bids(
     answers = [recovered_system(recovery, version) for recovery in recoveries]
     if folder.exists() and any(folder.iterdir()) and not (folder / "dataset_description.json").exists():
         raise UnoccludeError(f"{folder} contains other files; name a new folder, or that of a BIDS data set")
-    if not force:
-        for system in raw:
-            if (at := folder / _file(names, system, "motion.tsv")).exists():
-                raise UnoccludeError(
-                    f"{at} exists already; give another --subject or --session, or --force to overwrite it"
-                )
-    for root in (folder, derivative):
-        (root / names.folder).mkdir(parents=True, exist_ok=True)
-        _describe(root, version, root == derivative)
+    for system in raw:
+        if (at := folder / names.file(system, "motion.tsv")).exists() and not force:
+            raise UnoccludeError(
+                f"{at} exists already; give another --subject or --session, or --force to overwrite it"
+            )
+    for root, kind, title in (
+        (folder, "raw", "Arms recorded by camera and IMU"),
+        (derivative, "derivative", "Arms recovered by unocclude"),
+    ):
+        root.joinpath(*names.parts, "motion").mkdir(parents=True, exist_ok=True)
+        description = {
+            "Name": title,
+            "BIDSVersion": BIDS_VERSION,
+            "DatasetType": kind,
+            "GeneratedBy": [{"Name": "unocclude", "Version": version}],
+        }
+        if not (root / "dataset_description.json").exists():
+            _json(root / "dataset_description.json", description)
         _add_row(root / "participants.tsv", "participant_id", f"sub-{names.subject}")
     if not (folder / "README.md").exists():
         _lines(folder / "README.md", _README.splitlines())
     begin_s = min((float(system.t_s[0]) for system in raw), default=0.0)
+    scans = folder.joinpath(*names.parts, "_".join([*names.parts, "scans.tsv"]))
     for system in raw:
         _write(folder, names, system)
         began = _EPOCH + timedelta(seconds=float(system.t_s[0]) - begin_s)
-        session = f"ses-{names.session}/" if names.session else ""
-        scans = folder / f"sub-{names.subject}/{session}{names.start}_scans.tsv"
-        stamp = began.strftime("%Y-%m-%dT%H:%M:%S.%fZ")
-        inside = f"motion/{Path(_file(names, system, 'motion.tsv')).name}"
-        _add_row(scans, "filename\tacq_time", f"{inside}\t{stamp}")
+        inside, stamp = names.file(system, "motion.tsv").name, began.strftime("%Y-%m-%dT%H:%M:%S.%fZ")
+        _add_row(scans, "filename\tacq_time", f"motion/{inside}\t{stamp}")
     for system in answers:
         _write(derivative, names, system)
     return len(raw) + len(answers)
@@ -198,15 +222,14 @@ def _write(root: Path, names: BidsNames, system: TrackingSystem) -> None:
     about = "seconds since the first sample"
     channels = [Channel("latency", "", "LATENCY", "", "s", "", about, latency), *system.channels]
     values = np.stack([channel.values for channel in channels], axis=1)
-    rows = ("\t".join(_cell(value) for value in row) for row in values.tolist())
-    _lines(root / _file(names, system, "motion.tsv"), rows)
+    rows = ("\t".join(f"{x:.11g}" if np.isfinite(x) else "n/a" for x in row) for row in values.tolist())
+    _lines(root / names.file(system, "motion.tsv"), rows)
     head = "name\tcomponent\ttype\ttracked_point\tunits\treference_frame\tdescription"
     listed = ("\t".join(each or "n/a" for each in channel[:-1]) for channel in channels)
-    _lines(root / _file(names, system, "channels.tsv"), [head, *listed])
+    _lines(root / names.file(system, "channels.tsv"), [head, *listed])
     frames: dict[str, object] = {"Description": "axes of the positions; n/a: the sensor's own, or none"}
-    if system.frames:
-        frames["Levels"] = system.frames
-    _json(root / _file(names, system, "channels.json"), {"reference_frame": frames})
+    frames |= {"Levels": system.frames} if system.frames else {}
+    _json(root / names.file(system, "channels.json"), {"reference_frame": frames})
     rate = median_rate_hz(system.t_s) if len(system.t_s) > 1 else 1.0
     span = float(latency[-1]) if len(latency) > 1 else 0.0
     counts = {f"{kind}ChannelCount": sum(channel.kind == kind for channel in channels) for kind in _TYPES}
@@ -223,31 +246,7 @@ def _write(root: Path, names: BidsNames, system: TrackingSystem) -> None:
         **counts,
         **system.more,
     }
-    _json(root / _file(names, system, "motion.json"), motion)
-
-
-def _file(names: BidsNames, system: TrackingSystem, ending: str) -> str:
-    stem, _, suffix = ending.partition(".")
-    return f"{names.folder}/{names.start}_task-{names.task}_tracksys-{system.label}_{stem}.{suffix}"
-
-
-def _imu(label: str, point: str, imu: ImuStream) -> TrackingSystem:
-    parts = [
-        ("acc", "ACCEL", "m/s^2", imu.acc, "specific force"),
-        ("gyro", "GYRO", "rad/s", imu.gyro, "turn rate"),
-        ("mag", "MAGN", "n/a", imu.mag, "magnetic field, in the sensor's own unit"),
-    ]
-    channels = [
-        Channel(f"{point}_{name}_{axis}", axis, kind, point, units, "", f"{words} in the IMU's axes", column)
-        for name, kind, units, values, words in parts
-        if values is not None
-        for axis, column in zip("xyz", np.asarray(values).T, strict=True)
-    ]
-    return TrackingSystem(label, "inertial sensor", imu.t_s, channels)
-
-
-def _point(name: str, side: str) -> str:
-    return f"{side}_{name}" if side else name
+    _json(root / names.file(system, "motion.json"), motion)
 
 
 def _kind(column: str) -> tuple[str, str, str]:
@@ -265,25 +264,6 @@ def _kind(column: str) -> tuple[str, str, str]:
     return "", "MISC", ""
 
 
-def _camera_frames(frame: CameraFrame | None) -> dict[str, dict[str, str]]:
-    if frame is None:
-        return {}
-    axes, about = _SPATIAL[frame]
-    level = {"Description": about, "RotationRule": "right-hand", "RotationOrder": "XYZ"}
-    return {"camera": {**level, "SpatialAxes": axes}}
-
-
-def _describe(root: Path, version: str, is_derivative: bool) -> None:
-    description: dict[str, object] = {
-        "Name": "Arms recovered by unocclude" if is_derivative else "Arms recorded by camera and IMU",
-        "BIDSVersion": BIDS_VERSION,
-        "DatasetType": "derivative" if is_derivative else "raw",
-        "GeneratedBy": [{"Name": "unocclude", "Version": version}],
-    }
-    if not (root / "dataset_description.json").exists():
-        _json(root / "dataset_description.json", description)
-
-
 def _add_row(path: Path, header: str, row: str) -> None:
     """Add a row to a table; one of several cells takes the place of that with the same first one."""
     lines = path.read_text(encoding="utf-8").splitlines() if path.exists() else []
@@ -293,10 +273,6 @@ def _add_row(path: Path, header: str, row: str) -> None:
         return
     cells = [row, *["n/a"] * (len(head.split("\t")) - len(row.split("\t")))]
     _lines(path, [head, *sorted([*(each for each in rows if each not in same), "\t".join(cells)])])
-
-
-def _cell(value: float) -> str:
-    return f"{value:.11g}" if np.isfinite(value) else "n/a"
 
 
 def _finite(value: float) -> float | None:

@@ -1,8 +1,10 @@
-"""A recovery at times with a constant step, as motion formats want it."""
+"""A recovery at times with a constant step, as motion formats want it, and ready to be written."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
@@ -15,6 +17,17 @@ from ...result import Recovery
 STEADY_S = 1e-6
 #: Samples farther apart than this, in steps, are not joined.
 MOST_STEPS = 2.5
+
+
+@dataclass(frozen=True)
+class Export:
+    """An arm in a format: all that can fail for the data's sake is behind us."""
+
+    rows: int  # In the file
+    write: Callable[[Path, bool], None]  # Writes it to a path; the second argument is `force`
+    rate_hz: float | None = None  # Rows per second where the step is constant
+    frame: str | None = None  # Axes of the positions
+    notes: tuple[str, ...] = ()  # What a reader must know, one sentence each
 
 
 @dataclass(frozen=True)
@@ -45,48 +58,42 @@ def constant_step(recovery: Recovery, rate_hz: float | None = None) -> Grid:
     return Grid(t_s[0] + np.arange(count) / rate_hz, rate_hz, same=False)
 
 
-def at_grid(t_s: FloatArray, values: FloatArray, grid: Grid) -> FloatArray:
-    """A recovery's values (N, ..) at the grid's times, by cubic splines; nan where there is none."""
+def at_grid(
+    t_s: FloatArray,  # (n,) s
+    values: FloatArray,  # (n, ..)
+    grid: Grid,
+    has: BoolArray | None = None,  # (n,): what there is; None for the finite ones
+) -> FloatArray:  # (G, ..)
+    """Values at the grid's times, nan where there are none.
+
+    Samples of a recovery by cubic splines; a camera's frames, stated by `has`, by straight lines, and one
+    alone at the time that is nearest.
+    """
     from scipy.interpolate import CubicSpline
 
-    if grid.same:
+    if grid.same and has is None:
         return values
     flat = values.reshape(len(values), -1)
     out = np.full((len(grid.t_s), flat.shape[1]), np.nan)
-    for run in unbroken(t_s, np.asarray(np.isfinite(flat).all(axis=1))):
-        inside = (grid.t_s >= t_s[run.start] - STEADY_S) & (grid.t_s <= t_s[run.stop - 1] + STEADY_S)
-        if run.stop - run.start < 2:
-            out[inside] = flat[run.start]
-        else:
-            out[inside] = CubicSpline(t_s[run], flat[run])(grid.t_s[inside])
+    for run in unbroken(t_s, np.asarray(np.isfinite(flat).all(axis=1)) if has is None else has):
+        own, first_s = t_s[run], t_s[run.start]
+        first, last = np.searchsorted(grid.t_s, [first_s - STEADY_S, own[-1] + STEADY_S])
+        at = grid.t_s[first:last]
+        if has is None and len(own) > 1:
+            out[first:last] = CubicSpline(own, flat[run])(at)
+        elif len(at):
+            for column, of_run in enumerate(flat[run].T):
+                out[first:last, column] = np.interp(at, own, of_run)
+        elif has is not None:
+            place = int(np.abs(grid.t_s - first_s).argmin())
+            if abs(grid.t_s[place] - first_s) <= 0.5 / grid.rate_hz:
+                out[place] = flat[run.start]
     return out.reshape(len(grid.t_s), *values.shape[1:])
 
 
 def nearest(t_s: FloatArray, grid: Grid) -> np.ndarray:
     """(G,) index of the sample nearest to each of the grid's times."""
     return np.arange(len(t_s)) if grid.same else linalg.nearest(t_s, grid.t_s)
-
-
-def frames_at_grid(
-    t_s: FloatArray,  # (F,) s
-    values: FloatArray,  # (F, C)
-    has: BoolArray,  # bool (F,)
-    grid: Grid,
-) -> FloatArray:  # (G, C)
-    """A camera's values (F, C) at the grid's times: straight lines between frames that follow each other."""
-    out = np.full((len(grid.t_s), values.shape[1]), np.nan)
-    if not len(grid.t_s):
-        return out
-    for run in unbroken(t_s, has):
-        first, last = np.searchsorted(grid.t_s, [t_s[run.start] - STEADY_S, t_s[run.stop - 1] + STEADY_S])
-        for column in range(values.shape[1] if last > first else 0):
-            out[first:last, column] = np.interp(grid.t_s[first:last], t_s[run], values[run, column])
-        if last == first:  # between two times of the grid
-            place = min(first, len(grid.t_s) - 1)
-            place -= bool(place and t_s[run.start] - grid.t_s[place - 1] < grid.t_s[place] - t_s[run.start])
-            if abs(grid.t_s[place] - t_s[run.start]) <= 0.5 / grid.rate_hz:
-                out[place] = values[run.start]
-    return out
 
 
 def unbroken(t_s: FloatArray, has: BoolArray) -> list[slice]:

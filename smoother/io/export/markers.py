@@ -7,7 +7,6 @@ import os
 import shutil
 import textwrap
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -18,10 +17,10 @@ from ...errors import UnoccludeError
 from ...joint_angles import torso_axes
 from ...recording import JOINTS, JointState
 from ...result import Recovery
-from ...result.untrusted import untrusted_sentences, usable
+from ...result.untrusted import untrusted_sentences
 from ...runtime.outputs import writing
-from .grid import Grid, at_grid, constant_step, frames_at_grid, nearest
-from .rows import Export, write_rows
+from .grid import Export, Grid, at_grid, constant_step, nearest
+from .tables import marks_of, write_rows
 
 #: Millimetres in the file, with this many decimals: a nanometre.
 UNIT, PER_METRE, DECIMALS = "mm", 1000.0, 6
@@ -38,8 +37,7 @@ def write_trc(
     force: bool = False,
 ) -> None:
     """Write marker positions; cells are blank where a marker has none."""
-    rate = f"{rate_hz:.10g}"
-    count = str(len(t_s))
+    rate, count = f"{rate_hz:.10g}", str(len(t_s))
     head = [
         ["PathFileType", "4", "(X/Y/Z)", Path(path).name],
         _COLUMNS,
@@ -56,8 +54,7 @@ def write_trc(
 
 def blank(position: FloatArray) -> FloatArray:
     """Positions (.., 3) in which one that is not whole, or not finite, is nan on every axis."""
-    whole = np.isfinite(position).all(axis=-1, keepdims=True)
-    return np.where(whole, position, np.nan)
+    return np.where(np.isfinite(position).all(axis=-1, keepdims=True), position, np.nan)
 
 
 #: The header counts frames in 16 bits, and readers follow it.
@@ -67,33 +64,64 @@ _LINE, _LINES = 120, 200
 _INTEGER = 2  # ezc3d's number of the type
 
 
-@dataclass(frozen=True)
-class C3dContent:
-    """The content of a C3D file."""
-
-    names: Sequence[str]  # Of the points, M
-    position: FloatArray  # (N, M, 3) m: nan where there is none
-    rate_hz: float  # Frames per second
-    residual: FloatArray | None = None  # (N, M): of each point by the format's convention
-    descriptions: Sequence[str] = ()  # Of the points, or empty
+def write_c3d(
+    path: str | os.PathLike[str],
+    names: Sequence[str],
+    position: FloatArray,  # (N, M, 3) m: nan where there is none
+    rate_hz: float,
+    force: bool = False,
+    *,
+    residual: FloatArray | None = None,  # (N, M): of each point by the format's convention
+    descriptions: Sequence[str] = (),  # Of the points
     # Further signals (N,) at the frames' rate, by name, with their unit
-    channels: Mapping[str, tuple[FloatArray, str]] = field(default_factory=dict)
-    # Label and time (s from the first frame), with `context` for all of them
-    events: Sequence[tuple[str, float]] = ()
-    context: str = "General"  # "Left", "Right" or "General"
-    parameters: Mapping[str, Sequence[str]] = field(default_factory=dict)  # Group UNOCCLUDE
-
-
-def write_c3d(path: str | os.PathLike[str], content: C3dContent, force: bool = False) -> None:
+    channels: Mapping[str, tuple[FloatArray, str]] | None = None,
+    events: Sequence[tuple[str, float]] = (),  # Label and time, s from the first frame
+    context: str = "General",  # Of the events: "Left", "Right" or "General"
+    parameters: Mapping[str, Sequence[str]] | None = None,  # Group UNOCCLUDE
+) -> None:
     """Write a C3D file (floating point, millimetres)."""
-    frames = len(content.position)
-    check_frames(path, frames, content.rate_hz)
-    file = _assemble(content)
+    import ezc3d
+
+    check_frames(path, len(position), rate_hz)
+    file, channels = ezc3d.c3d(), channels or {}
+
+    def put(group: str, name: str, values: Sequence[object]) -> None:
+        file["parameters"][group][name]["value"] = list(values)
+
+    position = blank(PER_METRE * position)
+    residual = np.where(np.isfinite(position[..., 0]), 0.0 if residual is None else residual, -1.0)
+    for name, values in {"RATE": [float(rate_hz)], "UNITS": [UNIT], "LABELS": names}.items():
+        put("POINT", name, values)
+    if descriptions:
+        put("POINT", "DESCRIPTIONS", descriptions)
+    homogeneous = np.ones((4, position.shape[1], len(position)))
+    homogeneous[:3] = position.transpose(2, 1, 0)
+    file["data"]["points"] = homogeneous
+    file["data"]["meta_points"]["residuals"] = residual.T[None]
+    file["data"]["meta_points"]["camera_masks"] = np.zeros((7, *residual.T.shape), dtype=bool)
+    if channels:
+        units = [unit for _, unit in channels.values()]
+        for name, values in {"RATE": [float(rate_hz)], "LABELS": list(channels), "UNITS": units}.items():
+            put("ANALOG", name, values)
+        file["data"]["analogs"] = np.stack([values for values, _ in channels.values()])[None]
+    if events:  # as other software writes them: times in minutes and seconds
+        times = np.array([time for _, time in events])
+        file.add_parameter("EVENT", "USED", [len(events)])
+        file["parameters"]["EVENT"]["USED"]["type"] = _INTEGER
+        file["parameters"]["EVENT"]["USED"]["value"] = np.array([len(events)])
+        file.add_parameter("EVENT", "CONTEXTS", [context] * len(events))
+        file.add_parameter("EVENT", "LABELS", [label for label, _ in events])
+        file.add_parameter("EVENT", "TIMES", np.stack([times // 60, times % 60]))
+    for name, texts in (parameters or {}).items():
+        # A dimension of a parameter is one byte: longer texts go on in the next line.
+        plain = [text.encode("ascii", "replace").decode() for text in texts]
+        lines = [line for text in plain for line in textwrap.wrap(text, _LINE)]
+        file.add_parameter("UNOCCLUDE", name, lines[:_LINES])
     with writing(path, force) as temporary:
         named = temporary.with_name(f"{temporary.name}.c3d")  # ezc3d insists on the ending
         try:
             file.write(os.fspath(named))
-            _check_size(named, frames, 4 * len(content.names) + len(content.channels))
+            _check_size(named, 4 * len(position) * (4 * len(names) + len(channels)))
             shutil.copyfile(named, temporary)
         finally:
             named.unlink(missing_ok=True)
@@ -109,60 +137,11 @@ def check_frames(name: str | os.PathLike[str], frames: int, rate_hz: float) -> N
         )
 
 
-def _assemble(content: C3dContent) -> Any:
-    import ezc3d
-
-    file = ezc3d.c3d()
-    position = blank(1000.0 * content.position)
-    known = np.isfinite(position[..., 0])
-    residual = np.where(known, 0.0 if content.residual is None else content.residual, -1.0)
-    point = file["parameters"]["POINT"]
-    point["RATE"]["value"] = [float(content.rate_hz)]
-    point["UNITS"]["value"] = ["mm"]
-    point["LABELS"]["value"] = list(content.names)
-    if content.descriptions:
-        point["DESCRIPTIONS"]["value"] = list(content.descriptions)
-    homogeneous = np.ones((4, position.shape[1], len(position)))
-    homogeneous[:3] = position.transpose(2, 1, 0)
-    file["data"]["points"] = homogeneous
-    file["data"]["meta_points"]["residuals"] = residual.T[None]
-    file["data"]["meta_points"]["camera_masks"] = np.zeros((7, *residual.T.shape), dtype=bool)
-    if content.channels:
-        analog = file["parameters"]["ANALOG"]
-        analog["RATE"]["value"] = [float(content.rate_hz)]
-        analog["LABELS"]["value"] = list(content.channels)
-        analog["UNITS"]["value"] = [unit for _, unit in content.channels.values()]
-        file["data"]["analogs"] = np.stack([values for values, _ in content.channels.values()])[None]
-    if content.events:
-        _add_events(file, content)
-    for name, texts in content.parameters.items():
-        # A dimension of a parameter is one byte: longer texts go on in the next line.
-        plain = [text.encode("ascii", "replace").decode() for text in texts]
-        lines = [line for text in plain for line in textwrap.wrap(text, _LINE)]
-        file.add_parameter("UNOCCLUDE", name, lines[:_LINES])
-    return file
-
-
-def _add_events(file: Any, content: C3dContent) -> None:
-    """The group EVENT as other software writes it: times in minutes and seconds."""
-    count = len(content.events)
-    times = np.array([time for _, time in content.events])
-    file.add_parameter("EVENT", "USED", [count])
-    file["parameters"]["EVENT"]["USED"]["type"] = _INTEGER
-    file["parameters"]["EVENT"]["USED"]["value"] = np.array([count])
-    file.add_parameter("EVENT", "CONTEXTS", [content.context] * count)
-    file.add_parameter("EVENT", "LABELS", [label for label, _ in content.events])
-    file.add_parameter("EVENT", "TIMES", np.stack([times // 60, times % 60]))
-
-
-def _check_size(path: Path, frames: int, numbers: int) -> None:
+def _check_size(path: Path, of_data: int) -> None:
     """ezc3d reports no error when the disk is full; a file that was cut short is not to be delivered."""
-    size = path.stat().st_size if path.exists() else 0
-    start = 0
-    if size >= _BLOCK:
-        with open(path, "rb") as file:
-            start = (int.from_bytes(file.read(18)[16:18], "little") - 1) * _BLOCK
-    if size < start + 4 * frames * numbers or start <= 0:
+    content = path.read_bytes() if path.exists() else b""
+    start = (int.from_bytes(content[16:18], "little") - 1) * _BLOCK if len(content) >= _BLOCK else 0
+    if len(content) < start + of_data or start <= 0:
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
 
@@ -173,6 +152,10 @@ MEASURED, COMPUTED, NONE = 1.0, 0.0, -1.0
 _RESIDUALS = (
     "Residual of shoulder, elbow, wrist, hand, imu: 1 = the camera saw the forearm, 0 = recovered while "
     "occluded, -1 = no answer. Of camera_*: 1 = tracked, 0 = guessed by the camera (inferred), -1 = nothing."
+)
+_CHANNELS = (
+    "occluded, trusted, usable: 0 or 1 (trusted is missing if there is no verdict)."
+    " sigma_*: one standard deviation per axis, -1 = unknown."
 )
 
 
@@ -190,32 +173,36 @@ def prepare_markers(
     after = {joint: recovery.joints[joint] for joint in JOINTS[:-1] if joint in recovery.joints}
     after["imu"] = recovery.position
     near = nearest(recovery.t_s, grid)
-    occluded = recovery.occluded[near]
-    position = [at_grid(recovery.t_s, values, grid) for values in after.values()]
-    residual = [np.where(occluded, COMPUTED, MEASURED)] * len(position)
-    before, flags = _camera(recovery, grid)
-    whole = np.stack([*position, *before.values()], axis=1)
-    marks = np.stack([*residual, *flags], axis=1)
-    marks[~np.isfinite(whole).all(axis=2)] = NONE
-    whole[marks == NONE] = np.nan
+    places = [at_grid(recovery.t_s, values, grid) for values in after.values()]
+    residuals = [np.where(recovery.occluded[near], COMPUTED, MEASURED)] * len(places)
+    names, arm = list(after), recovery.arm
+    for joint, state, position in zip(JOINTS, arm.state.T, arm.position.transpose(1, 0, 2), strict=True):
+        has = (state != JointState.NOT_TRACKED) & np.isfinite(position).all(axis=1)
+        if has.any():
+            tracked = (state == JointState.TRACKED).astype(float)
+            columns = at_grid(arm.t_s, np.column_stack([position, tracked]), grid, has)
+            names.append(BEFORE + joint)
+            places.append(columns[:, :3])
+            # Between a tracked and a guessed frame it is half a guess.
+            residuals.append(np.where(columns[:, 3] >= 1.0 - 1e-9, MEASURED, COMPUTED))
+    whole, residual = np.stack(places, axis=1), np.stack(residuals, axis=1)
+    residual[~np.isfinite(whole).all(axis=2)] = NONE
+    whole[residual == NONE] = np.nan
     if origin == "shoulder":
         whole -= shoulder_place(recovery)
     if frame == "opensim":
         whole = whole @ opensim_axes(recovery, level_down)
-    names = (*after, *(BEFORE + joint for joint in before))
-    rate, rows = grid.rate_hz, len(grid.t_s)
     notes = level_note(recovery) if frame == "opensim" else ()
+    rows, rate = len(grid.t_s), grid.rate_hz
     if format_name == "trc":
         return Export(
-            rows,
-            lambda path, force: write_trc(path, names, grid.t_s, whole, rate, force),
-            rate,
-            frame,
-            notes,
+            rows, lambda path, force: write_trc(path, names, grid.t_s, whole, rate, force), rate, frame, notes
         )
     check_frames(recovery.name, rows, rate)
-    content = _c3d_content(recovery, grid, names, whole, marks, frame, version)
-    return Export(rows, lambda path, force: write_c3d(path, content, force), rate, frame, notes)
+    about = _about(recovery, grid, names, frame, version) | {"residual": residual}
+    return Export(
+        rows, lambda path, force: write_c3d(path, names, whole, rate, force, **about), rate, frame, notes
+    )
 
 
 def level_note(recovery: Recovery) -> tuple[str, ...]:
@@ -239,90 +226,51 @@ def opensim_axes(
     level_down: FloatArray | None = None,  # (3,)
 ) -> FloatArray:  # (3, 3)
     """`R_K_O` (3, 3): OpenSim's axes (y up) in the camera's; a row vector of {K} times it is in {O}."""
-    down = recovery.gravity_direction
-    if not np.isfinite(down).all():
-        if level_down is None:
-            raise UnoccludeError(
-                f"{recovery.name}: the method '{recovery.method}' found no gravity, so that OpenSim's y-up"
-                " axes are not known; give --frame camera"
-            )
-        down = level_down
+    known = np.isfinite(recovery.gravity_direction).all()
+    down = recovery.gravity_direction if known else level_down
+    if down is None:
+        raise UnoccludeError(
+            f"{recovery.name}: the method '{recovery.method}' found no gravity, so that OpenSim's y-up"
+            " axes are not known; give --frame camera"
+        )
     return torso_axes(down)
 
 
-def _c3d_content(
-    recovery: Recovery,
-    grid: Grid,
-    names: Sequence[str],
-    position: FloatArray,  # (G, M, 3)
-    residual: FloatArray,  # (G, M)
-    frame: str,
-    version: str,
-) -> C3dContent:
-    """With trust and sigmas as channels, gaps as events, and what is known of the result as parameters."""
+def _about(recovery: Recovery, grid: Grid, names: Sequence[str], frame: str, version: str) -> dict[str, Any]:
+    """What `write_c3d` writes besides: trust and sigmas as channels, gaps as events, and what is known."""
     answers = [name for name in names if not name.startswith(BEFORE)]
     near = nearest(recovery.t_s, grid)
-    channels = {"occluded": (recovery.occluded[near].astype(float), "1")}
-    if recovery.has_verdict:
-        channels["trusted"] = (recovery.trusted[near].astype(float), "1")
-    channels["usable"] = (usable(recovery)[near].astype(float), "1")
+    channels = {name: (mark[near].astype(float), "1") for name, mark in marks_of(recovery).items()}
     for name in answers:
         spread = recovery.pose_covariance[:, :3, :3] if name == "imu" else recovery.joint_covariance.get(name)
         variance = np.full(len(recovery), np.nan) if spread is None else np.einsum("nii->n", spread) / 3
         sigma = np.sqrt(variance)[near]  # root mean square over the axes
         channels[f"sigma_{name}"] = (np.where(np.isfinite(sigma), 1000.0 * sigma, -1.0), "mm")
     start, end = grid.t_s[0], grid.t_s[-1]
-    events = []
-    for gap in recovery.gaps:
-        if gap.end_s >= start and gap.start_s <= end:
-            events.append(("gap start", float(np.clip(gap.start_s, start, end) - start)))
-            events.append(("gap end", float(np.clip(gap.end_s, start, end) - start)))
-    descriptions = ["recovered"] * len(answers)
-    descriptions += ["as the camera delivered it"] * (len(names) - len(answers))
-    parameters = {
-        "METHOD": [recovery.method],
-        "VERSION": [version],
-        "RECORDING": [recovery.name],
-        "SIDE": [recovery.side or "not known"],
-        "FRAME": [frame],
-        "START_S": [f"{start:.9f}"],
-        "ORIGIN_NS": [str(recovery.origin_ns)],
-        "RESIDUALS": [_RESIDUALS],
-        "VERDICT": [recovery.estimates.verdict or "nobody judged"],
-        "UNTRUSTED": list(untrusted_sentences(recovery)) or ["none"],
-        "CHANNELS": [
-            "occluded, trusted, usable: 0 or 1 (trusted is missing if there is no verdict)."
-            " sigma_*: one standard deviation per axis, -1 = unknown."
-        ],
-        "NOTES": list(recovery.notes) or ["none"],
+    events = [
+        (label, float(np.clip(at, start, end) - start))
+        for gap in recovery.gaps
+        if gap.end_s >= start and gap.start_s <= end
+        for label, at in (("gap start", gap.start_s), ("gap end", gap.end_s))
+    ]
+    return {
+        "descriptions": ["recovered"] * len(answers)
+        + ["as the camera delivered it"] * (len(names) - len(answers)),
+        "channels": channels,
+        "events": events,
+        "context": recovery.side.capitalize() or "General",
+        "parameters": {
+            "METHOD": [recovery.method],
+            "VERSION": [version],
+            "RECORDING": [recovery.name],
+            "SIDE": [recovery.side or "not known"],
+            "FRAME": [frame],
+            "START_S": [f"{start:.9f}"],
+            "ORIGIN_NS": [str(recovery.origin_ns)],
+            "RESIDUALS": [_RESIDUALS],
+            "VERDICT": [recovery.estimates.verdict or "nobody judged"],
+            "UNTRUSTED": list(untrusted_sentences(recovery)) or ["none"],
+            "CHANNELS": [_CHANNELS],
+            "NOTES": list(recovery.notes) or ["none"],
+        },
     }
-    return C3dContent(
-        names,
-        position,
-        grid.rate_hz,
-        residual,
-        descriptions,
-        channels,
-        events,
-        {"left": "Left", "right": "Right"}.get(recovery.side, "General"),
-        parameters,
-    )
-
-
-def _camera(recovery: Recovery, grid: Grid) -> tuple[dict[str, FloatArray], list[FloatArray]]:
-    """The camera's joints (G, 3) by name and their residuals (G,)."""
-    arm = recovery.arm
-    places: dict[str, FloatArray] = {}
-    flags = []
-    for number, joint in enumerate(JOINTS):
-        state = arm.state[:, number]
-        position = arm.position[:, number]
-        has = (state != JointState.NOT_TRACKED) & np.isfinite(position).all(axis=1)
-        if not has.any():
-            continue
-        tracked = (state == JointState.TRACKED).astype(float)
-        columns = frames_at_grid(arm.t_s, np.column_stack([position, tracked]), has, grid)
-        places[joint] = columns[:, :3]
-        # Between a tracked and a guessed frame it is half a guess.
-        flags.append(np.where(columns[:, 3] >= 1.0 - 1e-9, MEASURED, COMPUTED))
-    return places, flags

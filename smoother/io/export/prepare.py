@@ -9,7 +9,7 @@ from pathlib import Path
 from ...array_types import FloatArray
 from ...errors import UnoccludeError
 from ...result import Recovery
-from .rows import Export
+from .grid import Export
 
 #: The formats, and for which of them axes and rate may be chosen.
 FORMATS = ("csv", "trc", "mot", "c3d", "parquet", "sto", "rrd")
@@ -29,14 +29,12 @@ def prepare_export(
     origin: str = "camera",
 ) -> Export:
     """Bring one arm into a format, without writing yet."""
-    if format_name == "csv":
-        from .csv import export_csv
+    if format_name in ("csv", "parquet"):
+        from .tables import export_csv, export_parquet
 
-        return Export(len(recovery), partial(export_csv, recovery), frame="camera")
-    if format_name == "parquet":
-        from .parquet import export_parquet
-
-        return Export(len(recovery), partial(export_parquet, recovery, version=version), frame="camera")
+        parquet = partial(export_parquet, recovery, version=version)
+        write = partial(export_csv, recovery) if format_name == "csv" else parquet
+        return Export(len(recovery), write, frame="camera")
     if format_name in ("mot", "sto"):
         from .storage import prepare_mot, prepare_sto
 

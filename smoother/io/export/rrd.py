@@ -6,9 +6,8 @@ Rerun reads our MCAP files too, but shows neither curves nor drawn arms of them.
 from __future__ import annotations
 
 import hashlib
-import itertools
-import os
 from collections.abc import Sequence
+from pathlib import Path
 from types import ModuleType
 from typing import Any
 
@@ -25,24 +24,23 @@ from ...result.untrusted import untrusted_sentences
 from ...runtime.outputs import writing
 from ...runtime.packages import extra_module
 from ..result.drawing import ANSWER, CAMERA, CHAIN, DISTRUST, GUESSED, VISIBLE, Color, common_down, world_axes
-from .rows import Export
+from .grid import Export
 
 TIMELINE = "time"
 #: Pictures a second in space, and points of the angles besides the elbow's; other curves have every sample.
 PICTURES_HZ = 30.0
 #: Of bones and joints, m.
 _BONE_M, _JOINT_M, _THIN_M, _TRAIL_M = 0.010, 0.016, 0.004, 0.004
-_AXIS_COLORS = np.array([0xE0483DFF, 0x4CAF50FF, 0x4F7FE8FF], np.uint32)
+#: How far back the trail reaches, s.
+TRAIL_S = 2.0
 #: Of the curves of several arms.
-ARM_COLORS: dict[str, Color] = {
+ARM_COLORS = {
     "blue": VISIBLE,
     "pink": (0.80, 0.47, 0.65, 1.0),
     "yellow": (0.94, 0.75, 0.20, 1.0),
     "white": (0.90, 0.90, 0.90, 1.0),
 }
 _STATES = ("seen", "occluded", "not to be trusted", "no answer")
-#: How far back the trail reaches, s.
-TRAIL_S = 2.0
 _LEGEND = """Blue: the camera saw the forearm. Orange: recovered. Grey: the camera's own joints.
 
 Dark red: the answer is not to be trusted.
@@ -50,57 +48,66 @@ Dark red: the answer is not to be trusted.
 Ellipsoid: 2 sigma. Trail: 2 s."""
 
 
+def packed(color: Color) -> int:
+    """A colour as 0xRRGGBBAA."""
+    return int.from_bytes(bytes(round(255 * part) for part in color), "big")
+
+
 class _Arm:
     """One arm, and how it is called and coloured."""
 
-    def __init__(self, rr: Any, stream: Any, recovery: Recovery, name: str, color: str, label: str):
+    def __init__(self, rr: Any, stream: Any, recovery: Recovery, name: str, number: int | None):
         self.rr, self.stream, self.recovery, self.name = rr, stream, recovery, name
-        self.color_name, self.label = color, label
+        self.color_name = list(ARM_COLORS)[(number or 0) % len(ARM_COLORS)]
+        self.label = "" if number is None else f"{name} "
         self.point = "wrist" if "wrist" in recovery.joints else "imu"  # whose place and sigma are shown
         self.places, self.covariance = recovery.position, recovery.pose_covariance[:, :3, :3]
         if self.point == "wrist":
             self.places, self.covariance = recovery.joints["wrist"], recovery.joint_covariance["wrist"]
         table = recovery.angles()
-        self.angles = {
-            angle.name: (f"{angle.title}, degrees", table.values[angle.name], table.sigmas[angle.name])
-            for angle in table.angles
-            if np.isfinite(table.values[angle.name]).any()
-        }
-        #: Which of the colours of the answer each sample has.
-        self.kind = np.where(recovery.trusted, recovery.occluded.astype(np.int8), np.int8(DISTRUST))
-        rate = median_rate_hz(recovery.t_s) if len(recovery) > 1 else np.nan
-        self.step = max(round(rate / PICTURES_HZ), 1) if np.isfinite(rate) else 1
+        known = [angle for angle in table.angles if np.isfinite(table.values[angle.name]).any()]
+        self.titles = {angle.name: f"{angle.title}, degrees" for angle in known}
+        self.angles = {angle.name: (table.values[angle.name], table.sigmas[angle.name]) for angle in known}
 
     def log(self) -> None:
         """The arm in space and its curves; seen, occluded, not trusted or without an answer."""
-        self._in_space()
+        r, look = self.recovery, self.rr.SeriesLines
+        kind = np.where(r.trusted, r.occluded.astype(np.int8), np.int8(DISTRUST))
+        rate = median_rate_hz(r.t_s) if len(r) > 1 else np.nan
+        some = slice(None, None, max(round(rate / PICTURES_HZ), 1) if np.isfinite(rate) else 1)
+        self._in_space(r.rows(some), np.array([packed(color) for color in ANSWER])[kind[some]], some)
         self._before()
-        r, look, sigma = self.recovery, self.rr.SeriesLines, np.sqrt(np.einsum("nii->ni", self.covariance))
-        for axis, name in enumerate("xyz"):
-            self._value(f"{self.point}_{name}", r.t_s, self.places[:, axis], sigma[:, axis])
+        sigma = np.sqrt(np.einsum("nii->ni", self.covariance))
+        curves = {f"{self.point}_{axis}": (self.places[:, k], sigma[:, k]) for k, axis in enumerate("xyz")}
+        for name, (value, of) in (curves | self.angles).items():
+            rows = some if name in self.angles and name != ELBOW_FLEXION.name else slice(None)
+            t_s, value, of = r.t_s[rows], value[rows, None], of[rows, None]
+            if name in self.angles:  # broken where it would run from 180 to -180 degrees
+                value = np.where(np.abs(np.diff(value, axis=0, prepend=value[:1])) > 180.0, np.nan, value)
+            color, names = ARM_COLORS[self.color_name], [f"{self.label}{sign} 2 sigma" for sign in "-+"]
+            style = look(colors=[packed(color)], widths=[2.0], names=[f"{self.label}after"])
+            self._curve(f"{name}/{self.name}/after", t_s, value, style)
+            faint = look(colors=[packed((*color[:3], 0.45))] * 2, widths=[1.0] * 2, names=names)
+            self._curve(f"{name}/{self.name}/two_sigma", t_s, value + of * np.array([-2.0, 2.0]), faint)
+        axes = np.array([0xE0483DFF, 0x4CAF50FF, 0x4F7FE8FF], np.uint32)
         names = [f"{self.label}{self.point} {axis}" for axis in "xyz"]
-        style = look(names=names, widths=[1.5] * 3, colors=_AXIS_COLORS)
-        self._curve("sigma", "", r.t_s, 100.0 * sigma, style)
-        for name, (_, angle, of) in self.angles.items():
-            rows = slice(None, None, 1 if name == ELBOW_FLEXION.name else self.step)
-            self._value(name, r.t_s[rows], broken_at_turns(angle[rows]), of[rows])
-        states = np.where(r.answered, self.kind, np.int8(len(ANSWER)))
+        style = look(names=names, widths=[1.5] * 3, colors=axes)
+        self._curve(f"sigma/{self.name}", r.t_s, 100.0 * sigma, style)
+        states = np.where(r.answered, kind, np.int8(len(ANSWER)))
         turns = np.flatnonzero(np.diff(states, prepend=-1))
         colors = np.array([packed(color) for color in (*ANSWER, GUESSED)], np.uint32)
         columns = self.rr.StateChange.columns(state=[_STATES[state] for state in states[turns]])
         style = self.rr.StateConfiguration(values=_STATES, colors=colors)
         self._send(f"gaps/{self.name}", r.t_s[turns], columns, style)
 
-    def _in_space(self) -> None:
+    def _in_space(self, r: Recovery, shade: IntArray, rows: slice) -> None:
         """The arm, its uncertainty and the trail, some pictures a second."""
-        rr, rows, r = self.rr, slice(None, None, self.step), self.recovery
-        t_s, nothing = r.t_s[rows], np.full((len(r), 3), np.nan)
-        joints = [r.joints.get(JOINTS[i], nothing)[rows] for i in CHAIN]
-        shade = np.array([packed(color) for color in ANSWER])[self.kind[rows]]
+        rr, nothing = self.rr, np.full((len(r), 3), np.nan)
+        joints = [r.joints.get(JOINTS[i], nothing) for i in CHAIN]
         point, covariance = self.places[rows], self.covariance[rows]
-        self._bones("after", t_s, np.stack(joints, axis=1), shade, _BONE_M)
-        self._dots("after/joints", t_s, np.stack([*joints, r.position[rows]], axis=1), shade, _JOINT_M)
-        self._dots("trail", t_s, point[:, None], shade, _TRAIL_M)
+        self._bones("after", r.t_s, np.stack(joints, axis=1), shade, _BONE_M)
+        self._dots("after/joints", r.t_s, np.stack([*joints, r.position], axis=1), shade, _JOINT_M)
+        self._dots("trail", r.t_s, point[:, None], shade, _TRAIL_M)
         good = np.isfinite(point).all(axis=1) & np.isfinite(covariance).all(axis=(1, 2))
         variance, turn = np.linalg.eigh(covariance[good])
         turn[:, :, 2] *= np.sign(np.linalg.det(turn).reshape(-1, 1))
@@ -111,7 +118,7 @@ class _Arm:
             colors=shade[good] - 0xFF + 0x60,
             fill_mode=[rr.components.FillMode.TransparentFillMajorWireframe] * int(good.sum()),
         )
-        self._send(f"scene/camera/{self.name}/two_sigma", t_s, columns.partition(good.astype(int)))
+        self._send(f"scene/camera/{self.name}/two_sigma", r.t_s, columns.partition(good.astype(int)))
 
     def _before(self) -> None:
         """The camera's joints."""
@@ -125,22 +132,12 @@ class _Arm:
         style = self.rr.SeriesPoints(colors=[packed(CAMERA)], marker_sizes=[1.5], names=names)
         for axis, name in enumerate("xyz" if self.point == "wrist" else ""):
             wrist = places[:, JOINTS.index("wrist"), axis, None]
-            self._curve(f"wrist_{name}", "camera", frames.t_s, wrist, style)
+            self._curve(f"wrist_{name}/{self.name}/camera", frames.t_s, wrist, style)
 
-    def _value(self, curve: str, t_s: FloatArray, value: FloatArray, sigma: FloatArray) -> None:
-        """A curve (n,) with its 2 sigma lines."""
-        look, color = self.rr.SeriesLines, ARM_COLORS[self.color_name]
-        names, faint = [f"{self.label}{sign} 2 sigma" for sign in "-+"], [packed((*color[:3], 0.45))] * 2
-        style = look(colors=[packed(color)], widths=[2.0], names=[f"{self.label}after"])
-        self._curve(curve, "after", t_s, value[:, None], style)
-        band = value[:, None] + sigma[:, None] * np.array([-2.0, 2.0])
-        self._curve(curve, "two_sigma", t_s, band, look(colors=faint, widths=[1.0] * 2, names=names))
-
-    def _curve(self, curve: str, line: str, t_s: FloatArray, values: FloatArray, style: Any) -> None:
+    def _curve(self, path: str, t_s: FloatArray, values: FloatArray, style: Any) -> None:
         """Values (n, lines); nan breaks a line."""
         columns = self.rr.Scalars.columns(scalars=values.ravel())
-        path = "/".join(part for part in ("curves", curve, self.name, line) if part)
-        self._send(path, t_s, columns.partition(np.full(len(values), values.shape[1])), style)
+        self._send(f"curves/{path}", t_s, columns.partition(np.full(len(values), values.shape[1])), style)
 
     def _bones(self, path: str, t_s: FloatArray, places: FloatArray, shade: IntArray, radius: float) -> None:
         """A line through the joints (n, J, 3) that are there; nothing where it is less than two."""
@@ -166,17 +163,6 @@ class _Arm:
             self.stream.log(path, style, static=True)
 
 
-def broken_at_turns(angle: FloatArray) -> FloatArray:
-    """Angles (n,), degrees, with nan where a curve would run from 180 to -180."""
-    return np.where(np.abs(np.diff(angle, prepend=angle[:1])) > 180.0, np.nan, angle)
-
-
-def packed(color: Color) -> int:
-    """A colour as 0xRRGGBBAA."""
-    red, green, blue, alpha = (round(255 * part) for part in color)
-    return red << 24 | green << 16 | blue << 8 | alpha
-
-
 def _views(rr: Any, arms: list[_Arm]) -> Any:
     """The blueprint: the arm in space and its gaps on the left, curves on the right."""
     rrb = rr.blueprint
@@ -194,7 +180,7 @@ def _views(rr: Any, arms: list[_Arm]) -> Any:
 
     points = dict.fromkeys(arm.point for arm in arms)
     places = [plot(f"{point}_{axis}", f"{point} {axis}, m") for point in points for axis in "xyz"]
-    angles = [plot(*each) for each in {n: t for arm in arms for n, (t, *_) in arm.angles.items()}.items()]
+    angles = [plot(*each) for each in {n: t for arm in arms for n, t in arm.titles.items()}.items()]
     plots = rrb.Vertical(*places, *angles[:1], plot("sigma", "sigma, cm"), name="place")
     if angles[1:]:
         plots = rrb.Tabs(plots, rrb.Vertical(*angles[1:], name="joint angles"))
@@ -226,43 +212,36 @@ def prepare_rrd(
     level_down: FloatArray | None = None,  # (3,)
 ) -> Export:
     """All arms of a result as one file of Rerun, without writing yet."""
-    rerun_module()
+    rr: Any = rerun_module()
     if not any(recovery.answered.any() for recovery in recoveries):
         raise UnoccludeError(f"{recoveries[0].name}: there is no answer at any time, and nothing to show")
-    rows = sum(len(recovery) for recovery in recoveries)
-    return Export(rows, lambda path, force: write_rrd(recoveries, path, level_down, force), frame="camera")
-
-
-def write_rrd(
-    recoveries: Sequence[Recovery],
-    path: str | os.PathLike[str],
-    level_down: FloatArray | None = None,  # (3,)
-    force: bool = False,
-) -> None:
-    """Write all arms of a result into one file of Rerun."""
-    rr, down = rerun_module(), common_down(recoveries, level_down)
+    down = common_down(recoveries, level_down)
     # The same for the same recording: Rerun shows a file that was made anew in place of the older one.
     text = "|".join(f"{each.name} {each.side} {each.origin_ns} {len(each)}" for each in recoveries)
     identity = hashlib.sha256(text.encode()).hexdigest()[:32]
-    sides, colors = [recovery.side or "arm" for recovery in recoveries], itertools.cycle(ARM_COLORS)
+    sides = [recovery.side or "arm" for recovery in recoveries]
     names = [side if sides.count(side) == 1 else f"{side}_{k}" for k, side in enumerate(sides, 1)]
-    with writing(path, force) as temporary:
-        stream = rr.RecordingStream("unocclude", recording_id=identity, send_properties=False)
-        arms = [
-            _Arm(rr, stream, recovery, name, color, f"{name} " if len(names) > 1 else "")
-            for recovery, name, color in zip(recoveries, names, colors, strict=False)
-        ]
-        stream.save(str(temporary), default_blueprint=_views(rr, arms))
-        stream.send_recording_name(recoveries[0].name)
-        if down is not None:
-            stream.log("scene", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
-        axes = np.eye(3) if down is None else world_axes(down)
-        stream.log("scene/camera", rr.Transform3D(mat3x3=axes), static=True)
-        stream.log("notes", rr.TextDocument(_notes(recoveries), media_type="text/markdown"), static=True)
-        for arm in arms:
-            arm.log()
-        stream.flush()
-        stream.disconnect()
+
+    def write(path: Path, force: bool) -> None:
+        with writing(path, force) as temporary:
+            stream = rr.RecordingStream("unocclude", recording_id=identity, send_properties=False)
+            arms = [
+                _Arm(rr, stream, recovery, name, number if len(names) > 1 else None)
+                for number, (recovery, name) in enumerate(zip(recoveries, names, strict=True))
+            ]
+            stream.save(str(temporary), default_blueprint=_views(rr, arms))
+            stream.send_recording_name(recoveries[0].name)
+            if down is not None:
+                stream.log("scene", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
+            axes = np.eye(3) if down is None else world_axes(down)
+            stream.log("scene/camera", rr.Transform3D(mat3x3=axes), static=True)
+            stream.log("notes", rr.TextDocument(_notes(recoveries), media_type="text/markdown"), static=True)
+            for arm in arms:
+                arm.log()
+            stream.flush()
+            stream.disconnect()
+
+    return Export(sum(len(recovery) for recovery in recoveries), write, frame="camera")
 
 
 def _notes(recoveries: Sequence[Recovery]) -> str:

@@ -14,7 +14,7 @@ from results import HIDDEN, export, jittered, made, read_trc, without_answer
 from scipy.spatial.transform import Rotation
 
 from smoother.errors import UnoccludeError
-from smoother.io.export.markers import MOST_FRAMES, C3dContent, write_c3d
+from smoother.io.export.markers import MOST_FRAMES, write_c3d
 from smoother.io.export.prepare import prepare_export
 from smoother.recording import JOINTS, JointState
 
@@ -157,8 +157,8 @@ def test_too_many_frames_for_a_c3d(tmp_path):
     with pytest.raises(UnoccludeError, match=r"at most 65535 frames.*give --rate 3278\.\d+ or less"):
         prepare_export(recovery, "c3d", rate_hz=4000.0)
     with pytest.raises(UnoccludeError, match="65535"):
-        write_c3d(tmp_path / "a.c3d", C3dContent(["a"], np.zeros((MOST_FRAMES + 1, 1, 3)), 100.0))
-    write_c3d(tmp_path / "b.c3d", C3dContent(["a"], np.ones((MOST_FRAMES, 1, 3)), 100.0))
+        write_c3d(tmp_path / "a.c3d", ["a"], np.zeros((MOST_FRAMES + 1, 1, 3)), 100.0)
+    write_c3d(tmp_path / "b.c3d", ["a"], np.ones((MOST_FRAMES, 1, 3)), 100.0)
     assert ezc3d.c3d(str(tmp_path / "b.c3d"))["data"]["points"].shape == (4, 1, MOST_FRAMES)
     assert os.listdir(tmp_path) == ["b.c3d"]
 

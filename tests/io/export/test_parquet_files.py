@@ -12,8 +12,8 @@ import pyarrow.parquet as pq
 import pytest
 from results import made, without_answer
 
-from smoother.io.export.csv import export_csv
 from smoother.io.export.prepare import prepare_export
+from smoother.io.export.tables import export_csv
 from smoother.result import Estimates
 
 START_NS = 1_700_000_000_000_000_000

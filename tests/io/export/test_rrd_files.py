@@ -15,7 +15,7 @@ from smoother.cli.run import run
 from smoother.errors import UnoccludeError
 from smoother.io import write_recovery
 from smoother.io.export.prepare import prepare_export
-from smoother.io.export.rrd import prepare_rrd, rerun_module, write_rrd
+from smoother.io.export.rrd import prepare_rrd, rerun_module
 
 
 @pytest.fixture
@@ -44,7 +44,7 @@ def seconds(table: dict[str, list]) -> np.ndarray:
 
 def test_everything_is_there_and_right(rerun, tmp_path):
     recovery = made("right")
-    write_rrd([recovery], tmp_path / "a.rrd")
+    prepare_rrd([recovery]).write(tmp_path / "a.rrd", False)
     tables = columns(tmp_path / "a.rrd")
     space, curves = "/scene/camera/right", "/curves/wrist_{}/right"
     wanted = {f"{space}/{name}" for name in ("after", "after/joints", "before", "trail", "two_sigma")}
@@ -89,7 +89,7 @@ def test_everything_is_there_and_right(rerun, tmp_path):
 def test_without_an_answer(rerun, tmp_path):
     """Nothing is drawn there, and the states say it."""
     recovery = without_answer(made("left"), 9.5, 10.5)
-    write_rrd([recovery], tmp_path / "a.rrd")
+    prepare_rrd([recovery]).write(tmp_path / "a.rrd", False)
     tables = columns(tmp_path / "a.rrd")
     arm = tables["/scene/camera/left/after"]
     t_s = seconds(arm)
@@ -108,13 +108,13 @@ def test_several_arms_in_one_file(rerun, tmp_path, capsys):
     assert {"/scene/camera/left/after", "/scene/camera/right/after"} <= set(tables)
     done("export", tmp_path / "both.mcap", "--format", "rrd", "--side", "left", "-o", tmp_path / "left.rrd")
     assert not any("right" in path for path in columns(tmp_path / "left.rrd"))
-    write_rrd([made("right"), made("right")], tmp_path / "same.rrd")  # two people's right arms
+    prepare_rrd([made("right"), made("right")]).write(tmp_path / "same.rrd", False)  # two people's right arms
     assert {"/gaps/right_1", "/gaps/right_2"} <= set(columns(tmp_path / "same.rrd"))
 
 
 def test_a_strap_alone_and_no_gravity(rerun, tmp_path):
     strap = replace(made(strap=True), gravity_direction=np.full(3, np.nan))
-    write_rrd([strap], tmp_path / "a.rrd")
+    prepare_rrd([strap]).write(tmp_path / "a.rrd", False)
     tables = columns(tmp_path / "a.rrd")
     assert "/curves/imu_x/arm/after" in tables
     assert "/curves/elbow_flexion/arm/after" not in tables
@@ -126,7 +126,7 @@ def test_nothing_to_show(rerun, tmp_path):
         prepare_rrd([nothing])
     with pytest.raises(UnoccludeError, match="exists already"):
         (tmp_path / "b.rrd").write_text("mine")
-        write_rrd([made()], tmp_path / "b.rrd")
+        prepare_rrd([made()]).write(tmp_path / "b.rrd", False)
     assert [path.name for path in tmp_path.iterdir()] == ["b.rrd"]
 
 
@@ -152,7 +152,7 @@ def test_what_is_not_trusted_has_a_colour_and_a_state(rerun, tmp_path):
 
     body = UntrustedInterval(9.0, 12.0, ("another person's joints",))
     recovery = replace(made("right"), estimates=Estimates(trusted=True, untrusted=(body,)))
-    write_rrd([recovery], tmp_path / "a.rrd")
+    prepare_rrd([recovery]).write(tmp_path / "a.rrd", False)
     tables = columns(tmp_path / "a.rrd")
     states = dict(
         zip(seconds(tables["/gaps/right"]), (s[0] for s in tables["/gaps/right"]["state"]), strict=True)
