@@ -113,8 +113,8 @@ def recorded_systems(recording: Recording) -> list[TrackingSystem]:
         point, channels = point_of(segment), []
         for name, kind, unit, values, words in sensors:
             if values is not None:
-                about = (kind, point, unit, "", f"{words} in the IMU's axes")
-                channels += _vector(f"{point}_{name}_{{}}", np.asarray(values), *about)
+                about = f"{words} in the IMU's axes"
+                channels += _vector(f"{point}_{name}_", np.asarray(values), kind, point, unit, "", about)
         label = "".join(word.capitalize() for word in segment.split("_"))
         systems.append(TrackingSystem(f"imu{label}{side}", "inertial sensor", imu.t_s, channels))
     frames: dict[str, dict[str, str]] = {}
@@ -128,7 +128,7 @@ def recorded_systems(recording: Recording) -> list[TrackingSystem]:
         place = np.where((state == JointState.NOT_TRACKED)[:, None], np.nan, arm.joint(joint))
         if arm.pixel_rad is None:
             words = f"position of the {joint} in the camera's axes"
-            channels += _vector(f"{point}_{{}}", place, "POS", point, "m", next(iter(frames), ""), words)
+            channels += _vector(f"{point}_", place, "POS", point, "m", next(iter(frames), ""), words)
         else:
             for axis, values in zip("xy", place.T, strict=False):
                 words = f"image coordinate {axis}/z of the {joint}, lens distortion removed"
@@ -139,10 +139,13 @@ def recorded_systems(recording: Recording) -> list[TrackingSystem]:
     return [*systems, TrackingSystem(f"camera{side}", title, arm.t_s, channels, frames=frames)]
 
 
-def _vector(name: str, values: FloatArray, *about: str) -> list[Channel]:
-    """Channels of a vector (N, 3), whose names have its axes."""
+def _vector(
+    name: str, values: FloatArray, kind: str, point: str, units: str, frame: str, about: str
+) -> list[Channel]:
+    """Channels of a vector (N, 3), whose names end in its axes."""
     return [
-        Channel(name.format(axis), axis, *about, each) for axis, each in zip("xyz", values.T, strict=True)
+        Channel(name + axis, axis, kind, point, units, frame, about, each)
+        for axis, each in zip("xyz", values.T, strict=True)
     ]
 
 
@@ -193,7 +196,7 @@ def write_bids(
         (derivative, "derivative", "Arms recovered by unocclude"),
     ):
         root.joinpath(*names.parts, "motion").mkdir(parents=True, exist_ok=True)
-        description = {
+        description: dict[str, object] = {
             "Name": title,
             "BIDSVersion": BIDS_VERSION,
             "DatasetType": kind,
@@ -233,7 +236,7 @@ def _write(root: Path, names: BidsNames, system: TrackingSystem) -> None:
     rate = median_rate_hz(system.t_s) if len(system.t_s) > 1 else 1.0
     span = float(latency[-1]) if len(latency) > 1 else 0.0
     counts = {f"{kind}ChannelCount": sum(channel.kind == kind for channel in channels) for kind in _TYPES}
-    motion = {
+    motion: dict[str, object] = {
         "TaskName": names.task,
         "TrackingSystemName": system.title,
         "SamplingFrequency": round(rate, 6),

@@ -85,15 +85,15 @@ def write_c3d(
     check_frames(path, len(position), rate_hz)
     file, channels = ezc3d.c3d(), channels or {}
 
-    def put(group: str, name: str, values: Sequence[object]) -> None:
-        file["parameters"][group][name]["value"] = list(values)
+    def put(group: str, **values: Sequence[object]) -> None:
+        for name, each in values.items():
+            file["parameters"][group][name]["value"] = list(each)
 
     position = blank(PER_METRE * position)
     residual = np.where(np.isfinite(position[..., 0]), 0.0 if residual is None else residual, -1.0)
-    for name, values in {"RATE": [float(rate_hz)], "UNITS": [UNIT], "LABELS": names}.items():
-        put("POINT", name, values)
+    put("POINT", RATE=[float(rate_hz)], UNITS=[UNIT], LABELS=names)
     if descriptions:
-        put("POINT", "DESCRIPTIONS", descriptions)
+        put("POINT", DESCRIPTIONS=descriptions)
     homogeneous = np.ones((4, position.shape[1], len(position)))
     homogeneous[:3] = position.transpose(2, 1, 0)
     file["data"]["points"] = homogeneous
@@ -101,8 +101,7 @@ def write_c3d(
     file["data"]["meta_points"]["camera_masks"] = np.zeros((7, *residual.T.shape), dtype=bool)
     if channels:
         units = [unit for _, unit in channels.values()]
-        for name, values in {"RATE": [float(rate_hz)], "LABELS": list(channels), "UNITS": units}.items():
-            put("ANALOG", name, values)
+        put("ANALOG", RATE=[float(rate_hz)], LABELS=list(channels), UNITS=units)
         file["data"]["analogs"] = np.stack([values for values, _ in channels.values()])[None]
     if events:  # as other software writes them: times in minutes and seconds
         times = np.array([time for _, time in events])
