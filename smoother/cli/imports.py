@@ -334,8 +334,8 @@ def _print_streams(found: list[DescribedFile]) -> None:
     for each in found:
         about: dict[str, object] = {"file": Path(each.file).name, "format": each.title or None}
         for stream in each.streams:
-            holds = ", ".join(stream.holds) + (f" ({stream.name})" if stream.name else "")
-            rows.append(about | vars(stream) | {"holds": holds})
+            holds = ", ".join(stream["holds"]) + (f" ({stream['name']})" if stream["name"] else "")
+            rows.append(about | stream | {"holds": holds})
         if not each.streams:
             rows.append(about)
     keys = "file format holds rate_hz count=samples duration_s=length_s units"

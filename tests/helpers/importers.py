@@ -8,10 +8,13 @@ from typing import Any
 import numpy as np
 from imu_files import motion
 
+from smoother.io import open_csv
+from smoother.io.recording.select import select_recording
 from smoother.io.registry import FileReader, recognise
 from smoother.io.tables.imu import ImuTable
 from smoother.io.tables.skeletons import SkeletonTable
 from smoother.io.tables.table import read_head
+from smoother.recording import Recording
 
 ACC, GYRO = motion()
 COUNT = len(ACC)
@@ -20,6 +23,11 @@ TIME = np.arange(COUNT) * 0.01
 MICROS = (np.arange(COUNT) * 10_000 + 4_000_000).astype(np.int64)
 EPOCH = 1_520_000_000_000 + 10 * np.arange(COUNT)
 NANOS = (np.arange(COUNT) * 10_000_000 + 123_456_789_000).astype(np.int64)
+
+
+def import_csv(folder: Path, **options: Any) -> Recording:
+    """The one arm of a folder with a recording.toml."""
+    return select_recording(open_csv(folder), **options)
 
 
 def written(tmp_path: Path, *lines: str, newline: str = "\n") -> Path:

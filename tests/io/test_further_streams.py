@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from importers import import_csv
 from made_recordings import make
 from made_results import recovery as made_recovery
 
@@ -26,7 +27,6 @@ from smoother.io.export.tables import export_csv
 from smoother.io.recording.choose import choose_arms
 from smoother.io.recording.select import select_recording
 from smoother.io.recording.streams import RecordingFile
-from smoother.io.tables.recording_toml import import_csv
 from smoother.recording import FOREARM_JOINTS, JOINTS, ImuStream, JointState, Recording, TrunkSensors
 from smoother.result import Recovery
 from smoother.result.segment_motion import SegmentMotion, TrunkMotion

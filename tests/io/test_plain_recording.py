@@ -7,12 +7,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from importers import import_csv
 from made_recordings import make, plain_texts
 
 from smoother.errors import RecordingError
 from smoother.io import open_csv, read_recording, write_recording
 from smoother.io.tables.columns import read_exact
-from smoother.io.tables.recording_toml import import_csv
 from smoother.recording import CameraFrame
 
 Folder = Callable[..., Path]

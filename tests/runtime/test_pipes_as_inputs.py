@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
+from importers import import_csv
 
 import smoother
 from calib.file import read_calibration
@@ -28,7 +29,6 @@ from smoother.io.rig.clock import read_broadcast, read_sound
 from smoother.io.rig.images import read_images
 from smoother.io.tables.columns import read_exact as read_strict
 from smoother.io.tables.markers import read_c3d, read_markers, read_positions, read_trc
-from smoother.io.tables.recording_toml import import_csv
 from smoother.io.tables.table import read_head, read_table
 from smoother.study.inputs import file_hash, find_entries
 

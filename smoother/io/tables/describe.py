@@ -49,24 +49,6 @@ SHOWN_ROWS = 6
 _PLOTTED = ("wrist", "strap", "hand", "elbow")
 
 
-@dataclass(frozen=True)
-class DescribedStream:
-    """One IMU or one person's skeleton of a file."""
-
-    kind: str  # "imu" or "skeleton"
-    name: str  # What the file calls the sensor; "" where it does not say
-    holds: list[str]  # Sensors of the device, or joints
-    count: int  # Samples or frames
-    rate_hz: float | None  # Median rate
-    start_s: float  # First time on the file's own clock
-    duration_s: float  # From there to the last
-    units: str  # As the file has them
-    axes: str = ""  # Of a skeleton: "kinect", "optical", "zup", or "" where the file does not settle them
-    body: int | None = None  # The file's number of the person
-    # What is plotted (`title`, `unit`), `t_s` in the middle of each column, `lines` (`name`, `low`, `high`)
-    plots: list[dict[str, Any]] = field(default_factory=list)
-
-
 @dataclass
 class DescribedFile:
     """A file among others."""
@@ -77,7 +59,10 @@ class DescribedFile:
     # "imu", "skeleton", "recording", "video", "model" (of the pose landmarker), "calibration", "description"
     # (a recording.toml), or "" where the file is not recognised or cannot be read
     kind: str = ""
-    streams: list[DescribedStream] = field(default_factory=list)
+    # One IMU or one person's skeleton each: `kind`, `name` of the sensor, `holds` (sensors or joints),
+    # `count`, `rate_hz`, `start_s`, `duration_s`, `units`, `axes`, `body`, and `plots`, each with `title`,
+    # `unit`, `t_s` in the middle of each column, `lines` (`name`, `low`, `high`)
+    streams: list[dict[str, Any]] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)  # What was decided or corrected
     error: str = ""  # Why it cannot be used; "" where it can
     guess: dict[str, Any] | None = None  # Of a table that no format knows
@@ -160,7 +145,7 @@ def _no_stream(path: Path, head: FileHead) -> tuple[str, str] | None:
     return ("calibration", "Calibration") if is_calibration else None
 
 
-def _stream(table: ImuTable | SkeletonTable, source: str) -> tuple[DescribedStream, list[str]]:
+def _stream(table: ImuTable | SkeletonTable, source: str) -> tuple[dict[str, Any], list[str]]:
     """A stream with corrected times, and what was decided of it."""
     if isinstance(table, ImuTable):
         imu = repaired_imu(table, source)
@@ -168,32 +153,31 @@ def _stream(table: ImuTable | SkeletonTable, source: str) -> tuple[DescribedStre
         holds, t_s = [name for name, values in sensors.items() if values is not None], times_of(imu)
         units = (("accelerometer", "m/s^2"), ("gyroscope", "rad/s"))
         plots = [_plot(name, unit, t_s, each) for name, unit in units if (each := sensors[name]) is not None]
-        return DescribedStream("imu", imu.name, holds, *_timing(t_s), imu.units, plots=plots), imu.notes
-    body = repaired_skeleton(table, source)
-    t_s = times_of(body)
-    tracked = {
-        joint: np.where((body.state[joint] == JointState.TRACKED)[:, None], body.position[joint], np.nan)
-        for joint in body.position
+        of_kind: dict[str, Any] = {"kind": "imu", "name": imu.name, "axes": "", "body": None}
+        notes = imu.notes
+    else:
+        body = repaired_skeleton(table, source)
+        t_s, notes = times_of(body), body.notes
+        tracked = {
+            joint: np.where((body.state[joint] == JointState.TRACKED)[:, None], place, np.nan)
+            for joint, place in body.position.items()
+        }
+        holds = sorted(joint for joint, values in tracked.items() if np.isfinite(values).any())
+        plots = []
+        for side in ("left", "right", ""):
+            names = [f"{joint}_{side}" if side else joint for joint in _PLOTTED]
+            if name := next((name for name in names if name in holds), None):
+                plots.append(_plot(name.replace("_", " "), "m", t_s, tracked[name]))
+        axes = "" if body.frame is None else str(body.frame.value)
+        of_kind = {"kind": "skeleton", "name": "", "axes": axes, "body": body.body}
+    rate = median_rate_hz(t_s) if len(t_s) else math.nan
+    timing = {
+        "count": len(t_s),
+        "rate_hz": round(rate, 3) if math.isfinite(rate) else None,
+        "start_s": float(t_s[0]) if len(t_s) else 0.0,
+        "duration_s": round(float(t_s[-1] - t_s[0]), 3) if len(t_s) else 0.0,
     }
-    seen = [joint for joint, values in tracked.items() if np.isfinite(values).any()]
-    plots = []
-    for side in ("left", "right", ""):
-        names = [f"{joint}_{side}" if side else joint for joint in _PLOTTED]
-        if name := next((name for name in names if name in seen), None):
-            plots.append(_plot(name.replace("_", " "), "m", t_s, tracked[name]))
-    axes = "" if body.frame is None else str(body.frame.value)
-    timing = _timing(t_s)
-    stream = DescribedStream("skeleton", "", sorted(seen), *timing, body.units, axes, body.body, plots)
-    return stream, body.notes
-
-
-def _timing(t_s: FloatArray) -> tuple[int, float | None, float, float]:
-    """Count, rate, first time and duration of corrected times."""
-    if not len(t_s):
-        return 0, None, 0.0, 0.0
-    rate = median_rate_hz(t_s)
-    length = round(float(t_s[-1] - t_s[0]), 3)
-    return len(t_s), round(rate, 3) if math.isfinite(rate) else None, float(t_s[0]), length
+    return {**of_kind, "holds": holds, **timing, "units": table.units, "plots": plots}, notes
 
 
 def _plot(title: str, unit: str, t_s: FloatArray, values: FloatArray) -> dict[str, Any]:

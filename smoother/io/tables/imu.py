@@ -114,10 +114,10 @@ def find_sensors(
     of_stream, count = kind_of(words_of(stream)), len(labels)
     for at, label in enumerate(labels):
         words, type_words = words_of(label), words_of(types[at]) if types else []
-        if set(words) & _DERIVED or set(type_words) & _DERIVED:
+        if {*words, *type_words} & _DERIVED:
             continue
-        by_unit = kind_of_unit(units[at]) if units else ""
-        kind = kind_of(words) or _of_letters(words) or kind_of(type_words) or by_unit
+        letters, by_unit = _of_letters(words), kind_of_unit(units[at]) if units else ""
+        kind = kind_of(words) or letters or kind_of(type_words) or by_unit
         axis = next((w[-1] for w in reversed([*type_words, *words]) if _is_axis(w)), "")
         if units:  # columns of a table may be numbered
             axis = axis or next((w for w in reversed(words) if w in ("0", "1", "2", "3")), "")
@@ -126,7 +126,7 @@ def find_sensors(
         if not kind and count == 3 and of_stream and not any(labels):
             kind, axis = of_stream, "xyz"[at]
         if kind and axis and by_unit in ("", kind):
-            by_letter = {*_LETTERS} if not kind_of(words) and _of_letters(words) else set()
+            by_letter = {*_LETTERS} if letters and not kind_of(words) else set()
             name = " ".join(w for w in words if not _says_what(w) and w != axis and w not in by_letter)
             groups.setdefault(name, {}).setdefault(kind, {}).setdefault(axis, at)
     found = []
@@ -278,16 +278,13 @@ def with_checked_turning(table: ImuTable) -> ImuTable:
         return table
     scale = turn_scale(table)
     if table.gyro_unit_assumed and scale is not None and not 1 / WRONG_SCALE < scale < WRONG_SCALE:
-        unit, other, factor = (
-            ("deg/s", "rad/s", np.pi / 180) if scale < 1 else ("rad/s", "deg/s", 180 / np.pi)
-        )
+        unit, other, factor = ("deg/s", "rad/s", np.pi / 180)
+        if scale > 1:
+            unit, other, factor = other, unit, 1 / factor
         said = f"The accelerometer turns with the gyroscope only if that is in {unit}, so that unit counts."
-        gyro, units = gyro * factor, table.units.replace(other, unit)
-        notes = [*table.notes, said]
-        table = replace(table, gyro=gyro, units=units, notes=notes, gyro_unit_assumed=False)
-        scale /= factor
-    fast = float(np.nanpercentile(np.abs(gyro), 99))
-    if fast > _FASTEST or (scale is not None and scale < 1 / WRONG_SCALE):
+        gyro, scale, units = gyro * factor, scale / factor, table.units.replace(other, unit)
+        table = replace(table, gyro=gyro, units=units, notes=[*table.notes, said], gyro_unit_assumed=False)
+    if np.nanpercentile(np.abs(gyro), 99) > _FASTEST or (scale is not None and scale < 1 / WRONG_SCALE):
         how, stated, probable = "larger", "rad/s", "deg/s"
     elif scale is not None and scale > WRONG_SCALE:
         how, stated, probable = "smaller", "deg/s", "rad/s"
@@ -350,10 +347,12 @@ def with_halves_joined(
     """IMUs of halves whose names differ in the sensor alone; the halves left over, and why."""
     joined: list[ImuTable] = []
     alone: list[ImuTable] = []
-    stems = [" ".join(word for word in stem_of(table.name).split() if word != "linear") for table in tables]
-    for stem in dict.fromkeys(stems):
-        mine = [table for table, each in zip(tables, stems, strict=True) if each == stem]
-        acc, gyro = ([t for t in mine if getattr(t, part) is not None] for part in ("acc", "gyro"))
+    by_stem: dict[str, list[ImuTable]] = {}
+    for table in tables:
+        stem = " ".join(word for word in stem_of(table.name).split() if word != "linear")
+        by_stem.setdefault(stem, []).append(table)
+    for mine in by_stem.values():
+        acc, gyro = _having(mine, "acc"), _having(mine, "gyro")
         if len(acc) == len(gyro) == 1:
             table = paired(mine, source)
             table.notes.insert(0, f"{acc[0].name} and {gyro[0].name} were taken as one IMU.")
@@ -364,6 +363,10 @@ def with_halves_joined(
     only = ("a gyroscope" if table.acc is None else "an accelerometer" for table in alone)
     why = [f"{t.name} is {what} alone, and both are needed" for t, what in zip(alone, only, strict=True)]
     return joined, alone, why
+
+
+def _having(tables: list[ImuTable], part: str) -> list[ImuTable]:
+    return [table for table in tables if getattr(table, part) is not None]
 
 
 def paired(tables: list[ImuTable], source: str) -> ImuTable:
@@ -408,19 +411,21 @@ def paired(tables: list[ImuTable], source: str) -> ImuTable:
 def _only(tables: list[ImuTable], part: str, source: str) -> ImuTable:
     """The one table that has a part."""
     name = {"acc": "accelerometer", "gyro": "gyroscope"}[part]
-    having = {kind: [t for t in tables if getattr(t, kind) is not None] for kind in ("acc", "gyro")}
-    if len(having[part]) == 1:
-        return having[part][0]
-    if not having[part]:
+    having = _having(tables, part)
+    if len(having) == 1:
+        return having[0]
+    if not having:
         said = dict.fromkeys(note for table in tables for note in table.notes if note.startswith(UNUSED))
         unused = f" ({' '.join(said).rstrip('.')})" if said else ""
         raise RecordingError(
             f"{source} has no {name} that is recognised{unused}; export it as well and name both files:"
             " --imu forearm_right=acc.csv,gyro.csv."
         )
-    acc, gyro = (of[0].name if of else "" for of in having.values())
-    command = f": --imu forearm_right={source}#{acc},#{gyro}" if ", " not in source else ""
+    acc, gyro = ([each.name for each in _having(tables, kind)] for kind in ("acc", "gyro"))
+    command = ""
+    if acc and gyro and ", " not in source:
+        command = f": --imu forearm_right={source}#{acc[0]},#{gyro[0]}"
     raise RecordingError(
-        f"{source} has {len(having[part])} {name}s ({', '.join(table.name for table in having[part])}); name"
-        f" one accelerometer and one gyroscope{command}."
+        f"{source} has {len(having)} {name}s ({', '.join(table.name for table in having)}); name one"
+        f" accelerometer and one gyroscope{command}."
     )

@@ -21,22 +21,20 @@ import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, TypeVar, Unpack
+from typing import Annotated, Any, TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from ...array_types import FloatArray
 from ...errors import RecordingError
 from ...linalg import unit
-from ...recording import Recording
 from ...runtime.inputs import check_input, inside, read_toml
 from ..files import add_imu, add_skeleton, times_of
 from ..mcap.messages import Topic, nanoseconds
 from ..recording.camera_streams import CAMERA_TOPIC
-from ..recording.choose import Selection
 from ..recording.keypoints import NAMED_TOPIC, TOPIC, lens_from_plain
-from ..recording.select import select_recording
 from ..recording.streams import CameraStream, KnownLens, PoseSamples, RecordingFile
 from ..registry import FileReader, recognise
 from .columns import (
@@ -52,7 +50,7 @@ from .columns import (
 )
 from .imu import ImuTable, paired
 from .skeletons import SkeletonTable
-from .table import FileHead, Format, Tables, read_head, shown
+from .table import Format, Tables, read_head, shown
 from .times import Timed, count_from_zero, of_one_length, repaired_imu, repaired_skeleton, shifts
 from .units import ACCELERATION, ANGULAR_VELOCITY, METRES
 
@@ -120,14 +118,14 @@ def _toml(path: Path, lacks: str) -> dict[str, Any]:
 # ------------------------------------------------------------------------------------------------ templates
 
 
-class _About(_Strict):
+class _Layout(_Strict):
     title: str = ""
     names: list[str] = []
     width: int | None = None
 
 
 class _Written(_Strict):
-    template: _About
+    template: _Layout
     imu: dict[str, Any] | None = None
     camera: dict[str, Any] | None = None
 
@@ -149,33 +147,29 @@ def _template(path: Path) -> TableTemplate:
     written = _checked(path, _Written, _toml(path, "; check the name."))
     if (written.imu is None) == (written.camera is None):
         raise RecordingError(f"{path}: a template describes one table: give [imu] or [camera].")
-    is_imu, keys = written.imu is not None, written.imu or written.camera or {}
-    about, names = written.template, tuple(written.template.names)
-    width = len(names) if about.width is None else about.width
+    keys, names = written.imu or written.camera or {}, tuple(written.template.names)
+    width = len(names) if written.template.width is None else written.template.width
     if width < 1 or (names and width != len(names)):
         raise RecordingError(f"{path}: [template] names lists the table's columns, or width counts them.")
 
-    def recognises(head: FileHead) -> bool:
-        return head.table is not None and head.table.names == names and head.table.width == width
-
-    def checked(name: str) -> ImuKeys | CameraKeys:
-        if is_imu:
+    def of(name: str) -> ImuKeys | CameraKeys:
+        if written.camera is None:
             return _checked(path, ImuKeys, {**keys, "file": name}, "imu.")
         return _checked(path, CameraKeys, {**keys, "skeleton": name}, "camera.")
 
     def read(file: Path) -> Tables:
-        of = checked(file.name)
-        if isinstance(of, ImuKeys):
-            return read_imu_columns(file.parent, of)
-        return read_skeleton_columns(file, of)
+        own = of(file.name)
+        if isinstance(own, ImuKeys):
+            return read_imu_columns(file.parent, own)
+        return read_skeleton_columns(file, own)
 
-    checked("")  # refused now rather than at the first file
+    of("")  # refused now rather than at the first file
     return TableTemplate(
         f"template:{path.stem}",
-        about.title or path.stem,
-        "imu" if is_imu else "skeleton",
+        written.template.title or path.stem,
+        "imu" if written.camera is None else "skeleton",
         f"the columns {shown(', '.join(names), 120)}" if names else f"{width} columns",
-        recognises,
+        lambda head: head.table is not None and (head.table.names, head.table.width) == (names, width),
         read,
         path,
         keys,
@@ -212,13 +206,6 @@ def template_text(
 # ----------------------------------------------------------------------------------------------- the folder
 
 
-def import_csv(
-    folder: str | os.PathLike[str], *, prefer_side: str | None = None, **selection: Unpack[Selection]
-) -> Recording:
-    """Read one arm from a folder of plain files; options and errors as in `read_recording`."""
-    return select_recording(open_csv(folder), prefer_side=prefer_side, **selection)
-
-
 def open_csv(
     folder: str | os.PathLike[str], *, outside: bool = False, templates: Sequence[TableTemplate] = ()
 ) -> RecordingFile:
@@ -230,12 +217,11 @@ def open_csv(
     _check_places(folder, description, outside)
     imus = {name: _with_template(keys, folder, templates) for name, keys in description.imu.items()}
     camera = description.camera and _with_template(description.camera, folder, templates)
-    file = RecordingFile(folder)
+    file, toml = RecordingFile(folder), folder / "recording.toml"
     if camera is not None:
         file.camera_frame, file.gravity_hint = camera.frame, _down(camera.gravity, folder, "camera")
     _add_streams(file, folder, camera, imus)
     for name, further in description.cameras.items():
-        toml = folder / "recording.toml"
         if further.file is None:
             raise RecordingError(
                 f"{toml}: [camera.{name}] names no skeleton; give skeleton or keypoints = a file."
@@ -247,11 +233,12 @@ def open_csv(
         _add_camera(file, folder, name, further, _bodies(file, folder / further.file, further))
     if description.truth is not None:
         file.poses.append(read_pose_table(folder / description.truth.file))
-    schemas = {each.topic: ("unocclude.Imu", each.stamp_ns) for each in file.imus}
-    for arm in file.arms:
-        schemas[arm.topic] = (f"unocclude.{'Keypoints2D' if arm.lens else 'Skeleton'}", arm.stamp_ns)
-    schemas |= {each.topic: ("foxglove.PoseInFrame", each.stamp_ns) for each in file.poses}
-    for topic, (schema, stamp) in schemas.items():
+    streams: list[tuple[str, str, NDArray[np.int64]]] = [
+        *((each.topic, "unocclude.Imu", each.stamp_ns) for each in file.imus),
+        *((a.topic, f"unocclude.{'Keypoints2D' if a.lens else 'Skeleton'}", a.stamp_ns) for a in file.arms),
+        *((each.topic, "foxglove.PoseInFrame", each.stamp_ns) for each in file.poses),
+    ]
+    for topic, (schema, stamp) in {topic: rest for topic, *rest in streams}.items():
         first, last = int(stamp.min()), int(stamp.max())
         file.topics.append(Topic(topic, schema, "", b"", "csv", {}, len(stamp), first, last))
     return file

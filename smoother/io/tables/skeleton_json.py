@@ -17,15 +17,7 @@ from ...array_types import FloatArray
 from ...errors import RecordingError
 from ...recording import CameraFrame
 from ..recording.keypoints import states_of_scores
-from .joints import (
-    AZURE,
-    BLAZEPOSE,
-    POINT_SETS,
-    TIME_WORDS,
-    column_named,
-    joint_name,
-    time_unit_of,
-)
+from .joints import AZURE, BLAZEPOSE, POINT_SETS, TIME_WORDS, column_named, joint_name, time_unit_of
 from .skeleton_formats import (
     AZURE_AXES,
     STATE_WORDS,
@@ -35,16 +27,9 @@ from .skeleton_formats import (
     landmarks_in_metres,
     share_states,
 )
-from .skeletons import (
-    PIXELS,
-    USUAL_RATE_HZ,
-    Conventions,
-    RawSkeleton,
-    SkeletonTable,
-    require_arm,
-)
+from .skeletons import PIXELS, Conventions, RawSkeleton, SkeletonTable
 from .table import FileHead, Format, decode, read_bytes
-from .units import CAMERA_RATES, SECONDS, time_unit
+from .units import CAMERA_RATES, time_unit
 
 #: x, y, z and the confidence of a point.
 Point = tuple[float, float, float, float]
@@ -54,7 +39,7 @@ NOTHING: Point = (NAN,) * 4
 # ---------------------------------------------------------------------------------------- values and points
 
 
-def read_json(path: Path, expected: str) -> Any:
+def _read_json(path: Path, expected: str) -> Any:
     """The value that a JSON file contains, or a list of those of its lines."""
     text = decode(read_bytes(path))
     try:
@@ -73,24 +58,20 @@ def read_json(path: Path, expected: str) -> Any:
         raise RecordingError(f"{path} should be {expected}, and its JSON is {what}") from None
 
 
-def number(value: Any) -> float:
+def _number(value: Any) -> float:
     """A number, or nan for anything else (words of confidence count 0 to 3)."""
-    if isinstance(value, bool):
-        return NAN
-    if isinstance(value, int | float):
+    if isinstance(value, int | float) and not isinstance(value, bool):
         return float(value) if abs(value) < 1e300 else NAN
-    if not isinstance(value, str):
-        return NAN
-    word = value.lower().rpartition("_")[2]
-    try:
-        return STATE_WORDS[word] if word in STATE_WORDS else float(value)
-    except ValueError:
-        return NAN
+    word = value.lower().rpartition("_")[2] if isinstance(value, str) else ""
+    with suppress(ValueError):
+        return STATE_WORDS[word] if word in STATE_WORDS else float(value if word else "")
+    return NAN
 
 
-def first_number(value: Mapping[str, Any], names: Iterable[str], default: float = NAN) -> float:
+def _first_number(value: Any, names: Iterable[str], default: float = NAN) -> float:
     """The number under the first of these names that is there."""
-    return next((number(value[name]) for name in names if name in value), default)
+    there = value if isinstance(value, Mapping) else {}
+    return next((_number(there[name]) for name in names if name in there), default)
 
 
 _SHARES = (
@@ -98,34 +79,32 @@ _SHARES = (
 )
 
 
-def point_of(value: Any) -> Point:
+def _point_of(value: Any) -> Point:
     """A point as a list or a mapping; nan for what is missing."""
     if isinstance(value, Mapping):
         small = {str(key).lower(): entry for key, entry in value.items()}
         names = ("position", "pos", "xyz", "location", "point")
         inner = next((small[key] for key in names if key in small), None)
-        x, y, z = (number(small.get(axis)) for axis in "xyz") if inner is None else point_of(inner)[:3]
-        return x, y, z, first_number(small, _SHARES)
+        x, y, z = (_number(small.get(axis)) for axis in "xyz") if inner is None else _point_of(inner)[:3]
+        return x, y, z, _first_number(small, _SHARES)
     if isinstance(value, Sequence) and not isinstance(value, str) and len(value) >= 3:
-        x, y, z, *rest = map(number, value[:4])
+        x, y, z, *rest = map(_number, value[:4])
         return x, y, z, rest[0] if rest else NAN
     return NOTHING
 
 
-def points_by_name(value: Any, order: Sequence[str] | None = None) -> dict[str, Point]:
+def _points_by_name(value: Any, order: Sequence[str] | None = None) -> dict[str, Point]:
     """Points by name; a list's by their own names, or in an order (of as many that are known)."""
     if isinstance(value, Mapping):
-        return {str(name): point_of(point) for name, point in value.items()}
+        return {str(name): _point_of(point) for name, point in value.items()}
     if not isinstance(value, list) or not value:
         return {}
     if isinstance(value[0], int | float):  # x, y, z, c one after the other
         width = next((w for w in (4, 3) if len(value) % w == 0 and len(value) // w in POINT_SETS), 0)
-        if not width:
-            return {}
-        value = [value[at : at + width] for at in range(0, len(value), width)]
+        value = [value[at : at + width] for at in range(0, len(value), width)] if width else []
     own = [str(p["name"]) for p in value if isinstance(p, Mapping) and isinstance(p.get("name"), str)]
     names = own if len(own) == len(value) else order or POINT_SETS.get(len(value), [])
-    return {name: point_of(point) for name, point in zip(names, value, strict=False)}
+    return {name: _point_of(point) for name, point in zip(names, value, strict=False)}
 
 
 @dataclass
@@ -138,14 +117,14 @@ class _Rows:
     points: list[dict[str, Point]] = field(default_factory=list)
     unit: str = ""  # Of `time`, where it is stated
 
-    def add(self, frame: Any, number_: float, body: float, points: dict[str, Point]) -> None:
+    def add(self, frame: Any, number: float, body: float, points: dict[str, Point]) -> None:
         """A row of a body in a frame, by the frame's time."""
         names = [str(key) for key in frame] if isinstance(frame, Mapping) else []
         at = column_named(names, TIME_WORDS)
-        self.time.append(NAN if at is None else number(frame[names[at]]))
+        self.time.append(NAN if at is None else _number(frame[names[at]]))
         if at is not None:
             self.unit = self.unit or time_unit_of(names[at])
-        self.frame.append(number_)
+        self.frame.append(number)
         self.body.append(body)
         self.points.append(points)
 
@@ -185,7 +164,7 @@ def _is_kinect_json(head: FileHead) -> bool:
 
 def _read_kinect_json(path: Path) -> list[SkeletonTable]:
     """`frames`, each with `timestamp_usec` and `bodies`, each with `body_id` and `joint_positions` in mm."""
-    value = read_json(path, _KINECT_EXPECTED)
+    value = _read_json(path, _KINECT_EXPECTED)
     frames = value.get("frames") if isinstance(value, Mapping) else value
     if not isinstance(frames, list) or not frames:
         raise RecordingError(
@@ -199,14 +178,14 @@ def _read_kinect_json(path: Path) -> list[SkeletonTable]:
             continue
         bodies = frame.get("bodies", frame.get("skeletons", []))
         there = [body for body in bodies if isinstance(body, Mapping)] if isinstance(bodies, list) else []
-        of_frame = first_number(frame, ("frame_id", "frame_number"), count)
+        of_frame = _first_number(frame, ("frame_id", "frame_number"), count)
         for body in there:
-            of_body = first_number(body, _BODY, 0.0)
-            points = points_by_name(next((body[name] for name in _POSITIONS if name in body), []), order)
+            of_body = _first_number(body, _BODY, 0.0)
+            points = _points_by_name(next((body[name] for name in _POSITIONS if name in body), []), order)
             levels = next((body[name] for name in _CONFIDENCES if isinstance(body.get(name), list)), None)
             if levels is not None:
                 pairs = zip(points.items(), levels, strict=False)
-                points = {name: (*point[:3], number(level)) for (name, point), level in pairs}
+                points = {name: (*point[:3], _number(level)) for (name, point), level in pairs}
             rows.add(frame, of_frame, of_body if 0 <= of_body < 2**32 - 1 else NAN, points)
         if not there:
             rows.add(frame, of_frame, NAN, {})
@@ -253,20 +232,20 @@ _MARK = re.compile(
 
 def _read_pose_json(path: Path) -> list[SkeletonTable]:
     """Frames of landmarks: in a list or by number, landmarks in a list or by name."""
-    value = read_json(path, _POSE_EXPECTED)
+    value = _read_json(path, _POSE_EXPECTED)
     rows, listed, is_world = _Rows(), _frames_of(value), False
     for at, (key, frame) in enumerate(listed):
-        count = first_number(frame, _NUMBERS) if isinstance(frame, Mapping) else NAN
+        count = _first_number(frame, _NUMBERS)
         digits = re.search(r"\d+(\.\d+)?", key)
         points, world = _points_in(frame)
         is_world |= world
-        number_ = float(digits.group()) if digits else count if np.isfinite(count) else at
-        rows.add(frame, number_, 0.0, points_by_name(points))
-    rate = first_number(value, _RATES) if isinstance(value, Mapping) else NAN
+        number = float(digits.group()) if digits else count if np.isfinite(count) else at
+        rows.add(frame, number, 0.0, _points_by_name(points))
+    rate = _first_number(value, _RATES)
     rate_hz = rate if 1.0 <= rate <= 1000.0 else None
     keypoints = _coco(value) or _keypoints([frame for _, frame in listed], rows)
     if keypoints is not None:
-        return [_keypoint_table(path, *keypoints, rate_hz)]
+        return _keypoint_tables(path, *keypoints, rate_hz)
     if not any(rows.points):
         raise RecordingError(f"{path} should be {_POSE_EXPECTED}, and no frame of it has points in space.")
     raw = rows.raw(path, share_states)
@@ -366,9 +345,9 @@ def _coco(value: Any) -> Keypoints | None:
         return None
     best: dict[float, tuple[float, list[float]]] = {}
     if isinstance(value, Mapping):
-        best = {number(image.get("id")): (-1.0, []) for image in value.get("images", [])}
+        best = {_number(image.get("id")): (-1.0, []) for image in value.get("images", [])}
     for one in listed:
-        image, score = number(one["image_id"]), number(one.get("score", one.get("area", 0.0)))
+        image, score = _number(one["image_id"]), _number(one.get("score", one.get("area", 0.0)))
         if image not in best or score > best[image][0]:
             best[image] = score, list(one["keypoints"])
     ordered = sorted((image, flat) for image, (_, flat) in best.items() if np.isfinite(image))
@@ -380,9 +359,9 @@ def _coco(value: Any) -> Keypoints | None:
     return rows, [flat for _, flat in ordered]
 
 
-def _keypoint_table(
+def _keypoint_tables(
     path: Path, rows: _Rows, flats: list[list[float]], rate_hz: float | None
-) -> SkeletonTable:
+) -> list[SkeletonTable]:
     """A body whose positions are u, v and score."""
     count = next((len(flat) // 3 for flat in flats if flat), 0)
     names = POINT_SETS.get(count)
@@ -394,21 +373,12 @@ def _keypoint_table(
     table = np.full((len(flats), count, 3), np.nan)
     for at, flat in enumerate(flats):
         if len(flat) == 3 * count:
-            table[at] = np.array([number(each) for each in flat]).reshape(count, 3)
+            table[at] = np.array([_number(each) for each in flat]).reshape(count, 3)
     table[~(table[..., 2] > 0.0)] = np.nan  # what was not found is stored as 0, 0
-    raw = RawSkeleton(path)
+    raw = RawSkeleton(path, time_unit=rows.unit, rate_hz=rate_hz)
+    raw.frame = np.array(rows.frame) - rows.frame[0]
+    if (time := rows.known_times()) is not None and (time_unit(rows.unit, time, CAMERA_RATES) or rows.unit):
+        raw.time = time
     for at, name in enumerate(names[:count]):
         raw.add(name, table[:, at], states_of_scores(table[:, at, 2]))
-    require_arm(raw.position, path, "keypoints", list(names))
-    notes, time, frame = [], rows.known_times(), np.array(rows.frame)
-    unit = "" if time is None else time_unit(rows.unit, time, CAMERA_RATES) or rows.unit
-    if time is not None and unit:
-        t_s = time * SECONDS[unit]
-    else:
-        t_s = (frame - frame[0]) / (rate_hz or USUAL_RATE_HZ)
-        if rate_hz is None:
-            notes.append(
-                f"The file has no times: assumed {USUAL_RATE_HZ:g} frames per second; write fps into it."
-            )
-    optical = CameraFrame.OPTICAL
-    return SkeletonTable(0, t_s, raw.position, raw.state, optical, None, rate_hz, units=PIXELS, notes=notes)
+    return raw.skeletons(Conventions(PIXELS, CameraFrame.OPTICAL))

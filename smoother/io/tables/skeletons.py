@@ -105,25 +105,13 @@ def up_axis(points: list[tuple[JointName, FloatArray]]) -> tuple[int, int] | Non
     return axis, 1 if direction[axis] > 0 else -1
 
 
-def down_of(axis: int, sign: int) -> FloatArray:
-    """Unit vector of down for the axis that points up."""
-    down = np.zeros(3)
-    down[axis] = -sign
-    return down
-
-
-def frame_of(axis: int, sign: int, camera: bool) -> CameraFrame | None:
+def _frame_of(axis: int, sign: int, camera: bool) -> CameraFrame | None:
     """The convention of axes of which one is up; a room's y up has none (`camera`: axes of a camera)."""
     if (axis, sign) == (2, 1):
         return CameraFrame.ZUP
     if camera and axis == 1:
         return CameraFrame.KINECT if sign > 0 else CameraFrame.OPTICAL
     return None
-
-
-def axis_words(axis: int, sign: int) -> str:
-    """For sentences: "y up"."""
-    return f"{'xyz'[axis]} {'up' if sign > 0 else 'down'}"
 
 
 def _middle(points: list[FloatArray]) -> FloatArray:
@@ -159,19 +147,16 @@ def gathered(
     return first[order], position, states
 
 
-def frames_of_rows(time: FloatArray, body: FloatArray | None) -> tuple[IntArray, FloatArray]:
+def _frames_of_rows(time: FloatArray, body: FloatArray | None) -> tuple[IntArray, FloatArray]:
     """Number of the frame that each row is of, and the frames' times."""
     count = len(time)
-    bodies = np.zeros(0) if body is None else np.unique(body[np.isfinite(body)])
-    absent = body is not None and not np.isfinite(body).all()
-    if len(bodies) < 2 and not absent:
+    if body is None or (len(bodies := np.unique(body)) < 2 and np.isfinite(bodies).all()):
         return np.arange(count), time
-    known = np.isfinite(time)
-    if np.any(np.diff(time[known]) < 0) and body is not None:
-        ordered = all((np.diff(time[known & (body == one)]) >= 0).all() for one in bodies)
-        if ordered and known.all():
-            times, frame = np.unique(time, return_inverse=True)
-            return frame, times
+    known, bodies = np.isfinite(time), bodies[np.isfinite(bodies)]
+    behind = known.all() and (np.diff(time) < 0).any()  # one body behind the other
+    if behind and all((np.diff(time[body == one]) >= 0).all() for one in bodies):
+        times, frame = np.unique(time, return_inverse=True)
+        return frame, times
     is_new = np.append(True, time[1:] != time[:-1])[:count]
     return np.cumsum(is_new) - 1, time[is_new]
 
@@ -184,7 +169,8 @@ USUAL_RATE_HZ = 30.0
 class Conventions:
     """What a format settles."""
 
-    unit: str = ""  # "m" or "mm", what the format is written in as a rule; "" where it has no rule
+    # "m" or "mm", what the format is written in as a rule; `PIXELS` throughout; "" where it has no rule
+    unit: str = ""
     frame: CameraFrame | None = None  # Axes of the camera that the format has
     relative: bool = False  # Positions are about the hips
     up: tuple[int, int] | None = None  # Axis and sign of up in a room, where the body does not show it
@@ -221,15 +207,19 @@ class RawSkeleton:
 
     def skeletons(self, conventions: Conventions) -> list[SkeletonTable]:
         """One skeleton a body."""
-        self._drop_empty()
+        if conventions.unit != PIXELS:
+            self._drop_empty()
         if self.body is not None:  # a column that counts rows (an `id`) names no bodies
             numbers, counts = np.unique(self.body[np.isfinite(self.body)], return_counts=True)
             if len(numbers) > 10 and np.median(counts) < 3:
                 self.body = None
                 self.notes.append("The body column counts rows; assumed one body.")
         require_arm(self.position, self.path, "joints", list(self.position))
-        unit, metres = self._unit(conventions)
-        frame, down = self._axes(conventions)
+        if conventions.unit == PIXELS:
+            unit, metres, frame, down = PIXELS, 1.0, conventions.frame, None
+        else:
+            unit, metres = self._unit(conventions)
+            frame, down = self._axes(conventions)
         time, seconds, rate = self._times()
         for joint, rows in self.position.items():
             self.position[joint] = rows * metres
@@ -241,7 +231,7 @@ class RawSkeleton:
 
     def bodies(self, pattern: SkeletonTable, time: FloatArray, seconds: float | None) -> list[SkeletonTable]:
         """One skeleton a body of positions in metres, on the times (N,) of all frames of the file."""
-        frame, times = frames_of_rows(time, self.body)
+        frame, times = _frames_of_rows(time, self.body)
         bodies = np.zeros(len(frame)) if self.body is None else self.body
         numbers = np.unique(bodies[np.isfinite(bodies)])
         tables = []
@@ -284,9 +274,9 @@ class RawSkeleton:
     def _unit(self, conventions: Conventions) -> tuple[str, float]:
         """Name of the unit and metres in it."""
         fits, length = unit_by_arm(self.position), half_arm(self.position)
+        if fits is None and conventions.unit and not np.isfinite(length):
+            return conventions.unit, METRES[conventions.unit]
         if fits is None:
-            if conventions.unit and not np.isfinite(length):
-                return conventions.unit, METRES[conventions.unit]
             raise RecordingError(
                 f"{self.path}: half an arm is {length:.3g} long, which is a length in neither m, cm nor mm;"
                 " export positions in metres, not pixels or parts of the image."
@@ -306,23 +296,25 @@ class RawSkeleton:
             if f"shoulder_{side}" in self.position
         ]
         upright = up_axis([*self.rest, *shoulders])
-        if conventions.frame is not None:
-            stated = {CameraFrame.KINECT: (1, 1), CameraFrame.OPTICAL: (1, -1)}.get(conventions.frame)
-            if upright is None or stated is None or upright != (1, -stated[1]):
-                return conventions.frame, None
-            self.notes.append(
-                f"Assumed axes: {axis_words(*upright)}, not the usual ones (the body is then upright in"
-                " most frames)."
-            )
-            return frame_of(*upright, camera=True), None
-        if upright is None and conventions.up is not None:
-            self.notes.append(f"Assumed axes: {axis_words(*conventions.up)}, as usual in this format.")
-            return None, down_of(*conventions.up)
-        if upright is None:
+        if (own := conventions.frame) is not None:
+            other = {CameraFrame.KINECT: (1, -1), CameraFrame.OPTICAL: (1, 1)}.get(own)
+            if upright is None or upright != other:
+                return own, None
+            self._note_axes(upright, ", not the usual ones (the body is then upright in most frames)")
+            return _frame_of(*upright, camera=True), None
+        axis, sign = upright or conventions.up or (-1, 0)
+        if not sign:
             self.notes.append("It is not known which axis is up: neither the file nor the body shows it.")
             return None, None
-        self.notes.append(f"Assumed axes: {axis_words(*upright)} (the body is then upright in most frames).")
-        return frame_of(*upright, camera=False), down_of(*upright)
+        down = -sign * np.eye(3)[axis]
+        if upright is None:
+            self._note_axes((axis, sign), ", as usual in this format")
+            return None, down
+        self._note_axes(upright, " (the body is then upright in most frames)")
+        return _frame_of(*upright, camera=False), down
+
+    def _note_axes(self, up: tuple[int, int], why: str) -> None:
+        self.notes.append(f"Assumed axes: {'xyz'[up[0]]} {'up' if up[1] > 0 else 'down'}{why}.")
 
     def _times(self) -> tuple[FloatArray, float | None, float | None]:
         """What distinguishes frames, its unit in seconds (None: no times), the rate without times."""

@@ -25,7 +25,7 @@ from .imu import ImuTable, with_checked_turning
 from .joints import TIME_WORDS, column_named, time_unit_of, words_of
 from .skeletons import SkeletonTable
 from .table import Table, shown
-from .units import SECONDS, TIME, from_1970, plain_unit, time_unit
+from .units import SECONDS, TIME, in_seconds, plain_unit, time_unit
 
 #: This share of the steps of a column of times rises, and lies within these parts of the usual one.
 _RISES, _EVEN, _EVEN_SHARE = 0.95, (0.3, 3.0), 0.8
@@ -38,9 +38,8 @@ def time_column(table: Table) -> int | None:
     if not table.labels:
         return 0
     exact = column_named(table.names, TIME_WORDS)
-    if exact is not None:
-        return exact
-    return 0 if table.labels[0].startswith(("time", "timestamp", "elapsed", "epoch")) else None
+    first = 0 if table.labels[0].startswith(("time", "timestamp", "elapsed", "epoch")) else None
+    return first if exact is None else exact
 
 
 def stated_time_unit(table: Table, column: int) -> str:
@@ -55,16 +54,14 @@ def seconds(table: Table, column: int | None, unit: str = "s") -> FloatArray | N
     if column is None or not any(table.texts(column)[:2000]):
         return None
     times, dates = table.times(column)
-    if not np.isfinite(times).any():
-        return None
-    if dates:
-        return times
+    if dates or not np.isfinite(times).any():
+        return times if np.isfinite(times).any() else None
     stated = TIME.get(plain_unit(table.unit(column)), unit)
     fits = time_unit(stated, times) or stated
     note = f"Times are in {fits}, by the rate or the date that they give, not in {stated}."
     if fits != stated and note not in table.notes:
         table.notes.append(note)
-    return from_1970(times, fits) * SECONDS[fits]
+    return in_seconds(times, fits)
 
 
 def time_among(
@@ -108,6 +105,8 @@ def time_among(
     return None, ""
 
 
+# ------------------------------------------------------------------------------------------------- repaired
+
 #: Rows at the start with a stamp of zero are not times where the next stamp is this much later, s.
 _FAR_S = 3600.0
 #: A stamp farther than this from the others is none, s: files keep nanoseconds in 64 bits, +-292 years.
@@ -128,33 +127,60 @@ Stream = TypeVar("Stream", ImuTable, SkeletonTable)
 def repaired_imu(table: ImuTable, source: str) -> ImuTable:
     """An IMU's samples with times that increase."""
     table = with_checked_turning(replace(table, notes=list(table.notes)))
-    vectors = [values for values in (table.acc, table.gyro) if values is not None]
-    sends = np.logical_or.reduce([values.any(axis=1) for values in vectors])
+
+    def vectors() -> list[FloatArray]:
+        return [values for values in (table.acc, table.gyro) if values is not None]
+
+    sends = np.logical_or.reduce([values.any(axis=1) for values in vectors()])
     table = _kept(table, np.maximum.accumulate(sends), "Rows of zeros at the start")
-    finite = [np.isfinite(values).all(axis=1) for values in (table.acc, table.gyro) if values is not None]
-    table = _kept(table, np.logical_and.reduce(finite), "Samples that are not numbers")
-    if table.t_s is not None:
-        table = _kept(table, _timed(table.t_s), "Samples without a time")
+    finite = np.logical_and.reduce([np.isfinite(values).all(axis=1) for values in vectors()])
+    table = _kept(table, finite, "Samples that are not numbers")
+    table = _kept(table, _timed(table), "Samples without a time")
     if len(table) < 2:
         raise RecordingError(
             f"{source} has too few usable samples ({len(table)}); record or export it again."
         )
-    table = _kept(table, ~_repeated(table), "Rows that repeat the one before")
-    table = _on_one_clock(table, table.acc if table.acc is not None else table.gyro, "samples")
+    mark = table.counter if table.t_s is None else table.t_s
+    if mark is not None:
+        same = np.logical_and.reduce([(each[1:] == each[:-1]).all(axis=1) for each in vectors()])
+        table = _kept(
+            table, ~np.append(False, (np.diff(mark) == 0) & same), "Rows that repeat the one before"
+        )
+    table = _on_one_clock(table, vectors()[0], "samples")
     return _with_times(table, _number(table), source, "samples")
 
 
 def repaired_skeleton(table: SkeletonTable, source: str) -> SkeletonTable:
     """A body's frames with times that increase; parameters, returns and raises as `repaired_imu`."""
-    if table.t_s is not None:
-        table = _kept(table, _timed(table.t_s), "Frames without a time")
+    table = _kept(table, _timed(table), "Frames without a time")
     if not len(table):
         raise RecordingError(f"{source} has no usable frames; record or export it again.")
     table = _on_one_clock(table, next(iter(table.position.values())), "frames")
     return _with_times(table, None, source, "frames")
 
 
-def _on_one_clock(table: Stream, values: FloatArray | None, what: str) -> Stream:
+def _kept(table: Stream, keep: BoolArray, what: str) -> Stream:
+    """The rows to keep, and a sentence on those that were left out."""
+    if keep.all():
+        return table
+    return replace(table.select(keep), notes=[*table.notes, f"{what}, left out: {int((~keep).sum())}."])
+
+
+def _timed(table: Stream) -> BoolArray:
+    """Rows with a time: finite, near enough to the others, and not zeros before the clock was set."""
+    if (t_s := table.t_s) is None:
+        return np.ones(len(table), bool)
+    timed = np.isfinite(t_s)
+    if timed.any():
+        with np.errstate(invalid="ignore"):
+            timed &= np.abs(t_s - np.median(t_s[timed])) < _FARTHEST_S
+    first = int(np.argmin(t_s == 0)) if len(t_s) else 0
+    if first and t_s[first] > _FAR_S:
+        timed[:first] = False
+    return np.asarray(timed)
+
+
+def _on_one_clock(table: Stream, values: FloatArray, what: str) -> Stream:
     """Rows whose stamps stray, restart, were set back or stand out of order, put right."""
     if table.t_s is None:
         return table
@@ -166,22 +192,36 @@ def _on_one_clock(table: Stream, values: FloatArray | None, what: str) -> Stream
     t_s, wraps = unwrapped(table.t_s)
     notes = [f"The device's clock restarted and was continued, times: {wraps}."] if wraps else []
     # before rows are put in order, which would mix what was apart
-    t_s, steps = clock_resets(t_s, None if values is None else values[there])
+    t_s, steps = clock_resets(t_s, values[there])
     notes += [resets_message(steps, what)] if steps else []
     table = replace(table, t_s=t_s, notes=table.notes + notes)
-    order = _order(t_s)
-    if order is None:
+    if (order := _order(t_s)) is None:
         return table
     moved = int((order != np.arange(len(order))).sum())
     said = f"Rows out of order, put in the order of their stamps: {moved}."
     return replace(table.select(order), notes=[*table.notes, said])
 
 
-def _kept(table: Stream, keep: BoolArray, what: str) -> Stream:
-    """The rows to keep, and a sentence on those that were left out."""
-    if keep.all():
-        return table
-    return replace(table.select(keep), notes=[*table.notes, f"{what}, left out: {int((~keep).sum())}."])
+def _order(t_s: FloatArray) -> IntArray | None:
+    """The order of rows that were written out of it: in order their stamps are even. None to leave it."""
+    if not (np.diff(t_s) < 0).any():
+        return None
+    order = np.argsort(t_s, kind="stable")
+    steps = np.diff(t_s[order])
+    usual = float(np.median(steps))
+    even = ((steps > _IN_ORDER[0] * usual) & (steps < _IN_ORDER[1] * usual)).mean()
+    return order if even > _IN_ORDER[2] else None
+
+
+def _number(table: ImuTable) -> IntArray | None:
+    """Numbers of the samples by their counter; None where it has none that counts them."""
+    if table.counter is None:
+        return None
+    step = np.diff(table.counter)
+    if not len(step) or (step > 0).mean() < _COUNTS:
+        table.notes.append("The counter does not count the samples and was not used.")
+        return None
+    return counted(table.counter, table.counter_wraps)[0]
 
 
 def _with_times(table: Stream, number: IntArray | None, source: str, what: str) -> Stream:
@@ -201,8 +241,7 @@ def _with_times(table: Stream, number: IntArray | None, source: str, what: str) 
         if lost > 0:
             notes.append(f"{what.capitalize()} missing by the counter, nothing is put there: {lost}.")
         good = not needs_counting(t_s) if number is None else _follows(t_s, number)
-        even = None if good else even_times(t_s, number)
-        if even is not None:
+        if (even := None if good else even_times(t_s, number)) is not None:
             bad = int((np.diff(t_s) <= 0).sum())
             moved = int((np.abs(even.t_s - t_s) > 0.5 * even.tick_s).sum())
             notes.append(
@@ -224,17 +263,6 @@ def _with_times(table: Stream, number: IntArray | None, source: str, what: str) 
     return _kept(table, keep, f"{what.capitalize()} whose stamps repeat or go back")
 
 
-def _number(table: ImuTable) -> IntArray | None:
-    """Numbers of the samples by their counter; None where it has none that counts them."""
-    if table.counter is None:
-        return None
-    step = np.diff(table.counter)
-    if not len(step) or (step > 0).mean() < _COUNTS:
-        table.notes.append("The counter does not count the samples and was not used.")
-        return None
-    return counted(table.counter, table.counter_wraps)[0]
-
-
 def _follows(t_s: FloatArray, number: IntArray) -> bool:
     """Whether stamps are as even as their counter, as far as known."""
     dt, steps = np.diff(t_s), np.diff(number)
@@ -244,40 +272,7 @@ def _follows(t_s: FloatArray, number: IntArray) -> bool:
     return bool(np.quantile(np.abs(ticks / np.median(ticks) - 1.0), 0.99) < _OWN_STAMPS)
 
 
-def _order(t_s: FloatArray) -> IntArray | None:
-    """The order of rows that were written out of it: in order their stamps are even. None to leave it."""
-    if not (np.diff(t_s) < 0).any():
-        return None
-    order = np.argsort(t_s, kind="stable")
-    steps = np.diff(t_s[order])
-    usual = float(np.median(steps))
-    even = ((steps > _IN_ORDER[0] * usual) & (steps < _IN_ORDER[1] * usual)).mean()
-    return order if even > _IN_ORDER[2] else None
-
-
-def _timed(t_s: FloatArray) -> BoolArray:
-    """Rows with a time: finite, near enough to the others, and not zeros before the clock was set."""
-    timed = np.isfinite(t_s)
-    if timed.any():
-        with np.errstate(invalid="ignore"):
-            timed &= np.abs(t_s - np.median(t_s[timed])) < _FARTHEST_S
-    first = int(np.argmin(t_s == 0)) if len(t_s) else 0
-    if first and t_s[first] > _FAR_S:
-        timed[:first] = False
-    return np.asarray(timed)
-
-
-def _repeated(table: ImuTable) -> BoolArray:
-    """Rows whose time (or count) and values are those of the row before."""
-    mark = table.t_s if table.t_s is not None else table.counter
-    if mark is None:
-        return np.zeros(len(table), bool)
-    same = np.append(False, np.diff(mark) == 0)
-    for values in (table.acc, table.gyro):
-        if values is not None:
-            same[1:] &= (values[1:] == values[:-1]).all(axis=1)
-    return same
-
+# ------------------------------------------------------------------------------- clocks brought together
 
 #: Streams that share less than this, s, or less than this part of the shorter one, share no clock.
 SHARED_S, SHARED_PART = 1.0, 0.05
@@ -389,6 +384,4 @@ def _share(a: FloatArray, b: FloatArray) -> bool:
 
 def _clock_message(first_s: float) -> str:
     """A clock by what it starts at."""
-    if first_s > 1e8:
-        return f"from {np.datetime64(int(first_s), 's')} UTC on"
-    return f"from {first_s:.1f} s on"
+    return f"from {np.datetime64(int(first_s), 's')} UTC on" if first_s > 1e8 else f"from {first_s:.1f} s on"
