@@ -238,7 +238,7 @@ def open_csv(
         *((a.topic, f"unocclude.{'Keypoints2D' if a.lens else 'Skeleton'}", a.stamp_ns) for a in file.arms),
         *((each.topic, "foxglove.PoseInFrame", each.stamp_ns) for each in file.poses),
     ]
-    for topic, (schema, stamp) in {topic: rest for topic, *rest in streams}.items():
+    for topic, schema, stamp in {each[0]: each for each in streams}.values():
         first, last = int(stamp.min()), int(stamp.max())
         file.topics.append(Topic(topic, schema, "", b"", "csv", {}, len(stamp), first, last))
     return file
