@@ -274,10 +274,9 @@ def add_skeleton(
         frame = np.searchsorted(frames, stamp)
         for name, values in table.position.items():
             if (code := joint_code(name)) is not None:
-                number, side, joint = (np.full(len(stamp), value, np.int64) for value in (table.body, *code))
                 lost = ~np.isfinite(values).all(axis=1)
                 state = np.where(lost, JointState.NOT_TRACKED, table.state[name]).astype(np.int64)
-                rows.add(frame, number, side, joint, state, np.array(values, dtype=float))
+                rows.add(frame, table.body, code, state, np.array(values, dtype=float))
     first = tables[0]
     arms = rows.arms(frames, topic, camera, first.frame)
     if first.units == PIXELS and known is None:

@@ -207,12 +207,8 @@ def test_arms_are_what_a_loop_over_joints_makes(
     stamps = np.sort(stamps) if ordered else stamps
     rows = JointRows()
     position = np.random.default_rng(0).normal(size=(len(events), 3))
-    half = len(events) // 2
-    half += sum(event[0] == events[half][0] for event in events[half:]) if events else 0  # whole messages
-    for part in (slice(0, half), slice(half, None)):
-        columns = [np.array(column, np.int64) for column in zip(*events[part], strict=True)]
-        if columns:
-            rows.add(*columns, position[part])  # type: ignore[call-arg]
+    for k, (message, body, side, joint, state) in enumerate(events):
+        rows.add(np.array([message]), body, (side, joint), np.array([state]), position[k : k + 1].copy())
     found = rows.arms(stamps, "/s", "k", None)
     frames = list(dict.fromkeys(stamps.tolist()))
     expected = dict(slow_arms(events, position, stamps.tolist(), frames))

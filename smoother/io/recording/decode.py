@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, field
+from collections.abc import Iterator
 from functools import partial
 
 import numpy as np
@@ -39,29 +38,47 @@ _COLUMNS = {
 }
 
 
-@dataclass
-class PlainDecoder:
-    """Decodes the IMU samples, magnetic fields or poses of one topic, a batch at a time."""
+class Decoder:
+    """Decodes the messages of one topic, a batch at a time."""
 
-    topic: Topic
-    kind: str  # Of `_COLUMNS`
-    grouper: Grouper  # Sorts its messages by layout
-    frame_id: str = ""
-    _gathered: list[GatheredRows] = field(default_factory=list)
+    def __init__(self, topic: Topic, grouper: Grouper) -> None:
+        self.topic, self.grouper, self.frame_id = topic, grouper, ""
+
+    def groups(self, messages: Messages) -> list[tuple[IntArray, IntArray, Block, MessageLayout]]:
+        """Messages of one layout each: numbers among those that can be read, log times, bytes, the layout."""
+        groups = list(self.grouper.groups_in(messages.chunk, messages.start, messages.stop))
+        read = np.sort(np.concatenate([index for index, _, _ in groups] or [np.empty(0, np.int64)]))
+        for _, _, layout in groups:
+            self.frame_id = layout.texts.get("frame_id", self.frame_id)
+        return [
+            (np.searchsorted(read, index), messages.log_ns[index], block, layout)
+            for index, block, layout in groups
+        ]
+
+
+class PlainDecoder(Decoder):
+    """IMU samples, magnetic fields or poses."""
+
+    def __init__(self, topic: Topic, grouper: Grouper, kind: str) -> None:
+        super().__init__(topic, grouper)
+        self.kind = kind  # Of `_COLUMNS`
+        # stamps, log times less stamps, the values
+        self._gathered = [GatheredRows((), np.int64), GatheredRows((), np.int64)]
+        self._gathered += [GatheredRows((len(letters),)) for *_, letters in _COLUMNS[kind]]
 
     def feed(self, messages: Messages) -> None:
         """Take a batch of messages."""
-        parts = []
-        for index, block, layout in self.grouper.groups_in(messages.chunk, messages.start, messages.stop):
-            self.frame_id = layout.texts.get("frame_id", self.frame_id)
-            log_ns = messages.log_ns[index]
+        groups = self.groups(messages)
+        count = sum(len(row) for row, *_ in groups)
+        columns: list[NDArray] = [np.empty(count, np.int64), np.empty(count, np.int64)]
+        columns += [np.empty((count, len(letters))) for *_, letters in _COLUMNS[self.kind]]
+        for row, log_ns, block, layout in groups:
             stamp = layout.stamps(block, log_ns)
-            columns = (self._column(block, layout, *names) for names in _COLUMNS[self.kind])
-            parts.append((index, stamp, log_ns - stamp, *columns))
-        for column, values in enumerate(in_order(parts)):
-            if column == len(self._gathered):
-                self._gathered.append(GatheredRows(values.shape[1:], values.dtype))
-            self._gathered[column].append(values)
+            decoded = [self._column(block, layout, *names) for names in _COLUMNS[self.kind]]
+            for column, values in zip(columns, (stamp, log_ns - stamp, *decoded), strict=True):
+                column[row] = values
+        for gathered, column in zip(self._gathered, columns, strict=True):
+            gathered.append(column)
 
     def _column(self, block: Block, layout: MessageLayout, ros: str, name: str, letters: str) -> FloatArray:
         """Values (rows, k); a magnetometer that is not there, and an orientation of zeros, is nan."""
@@ -77,13 +94,9 @@ class PlainDecoder:
             values[~(np.linalg.norm(values, axis=1) > 0.5)] = np.nan
         return values
 
-    def stamps(self) -> IntArray:
-        """Of all messages, ns; asked for once, as `stream` is."""
-        return self._gathered[0].done() if self._gathered else np.empty(0, np.int64)
-
     def stream(self) -> ImuSamples | FieldSamples | PoseSamples | None:
-        """All samples in the file's order, or None where there are none."""
-        if not self._gathered:
+        """All samples in the file's order, asked for once; None where there are none."""
+        if not len(self._gathered[0]):
             return None
         stamp, delay, *columns = (column.done() for column in self._gathered)
         named = (self.topic.label, self.frame_id, stamp)
@@ -95,26 +108,6 @@ class PlainDecoder:
         acc, gyro, mag = columns
         shift = int(np.median(sampled(delay)))
         return ImuSamples(*named, acc, gyro, mag if np.isfinite(mag).any() else None, shift)
-
-
-def in_order(parts: Sequence[tuple[NDArray, ...]]) -> list[NDArray]:
-    """Columns of parts put together by the first of them, which is left out; none of no parts."""
-    if len(parts) == 1:
-        return list(parts[0][1:])
-    if not parts:
-        return []
-    order = np.argsort(np.concatenate([part[0] for part in parts]), kind="stable")
-    return [column[order] for column in _behind_each_other(parts)]
-
-
-def _behind_each_other(parts: Sequence[tuple[NDArray, ...]]) -> list[NDArray]:
-    """Columns of parts, without the first."""
-    return [np.concatenate(column) for column in zip(*(part[1:] for part in parts), strict=True)]
-
-
-def proto_grouper(schema: str) -> Grouper:
-    """Grouper for a protobuf message by its full name."""
-    return Grouper(partial(proto.walk, message=message_class(schema)))
 
 
 SIDES = ("", "left", "right")
@@ -142,19 +135,18 @@ class JointRows:
     def add(
         self,
         message: IntArray,
-        body: IntArray,
-        side: IntArray,
-        joint: IntArray,
+        body: IntArray | int,
+        code: tuple[int, int],  # side and joint
         state: IntArray,
         position: FloatArray,
     ) -> None:
-        """Take joints (n,) with positions (n, 3); of a joint said twice in a message the last counts."""
+        """Take one joint (n,) with positions (n, 3); of a joint said twice in a message the last counts."""
         position[state == JointState.NOT_TRACKED] = np.nan
-        arms = np.unique(body * len(SIDES) + side).tolist()
-        self._arms |= {divmod(arm, len(SIDES)) for arm in arms}
+        bodies = np.broadcast_to(body, message.shape)
+        self._arms |= {(each, code[0]) for each in np.unique(bodies).tolist()}
         self._message.append(message)
-        self._body.append(body)
-        self._codes.append(np.stack([side, joint, state], axis=1).astype(np.int8))
+        self._body.append(bodies)
+        self._codes.append(np.stack([*np.broadcast_arrays(*code, state)], axis=1).astype(np.int8))
         self._position.append(position)
 
     def arms(
@@ -163,7 +155,7 @@ class JointRows:
         """Every arm of every body; all frames belong to all of them, so that absence is seen."""
         if not len(self._message):
             return []
-        frames, number = frames_of(stamp_ns)
+        frames, number = _frames_of(stamp_ns)
         message, body, codes = self._message.done(), self._body.done(), self._codes.done()
         position = self._position.done()
         arms = []
@@ -180,15 +172,13 @@ class JointRows:
         return arms
 
 
-def frames_of(stamp_ns: IntArray) -> tuple[IntArray, IntArray | None]:
+def _frames_of(stamp_ns: IntArray) -> tuple[IntArray, IntArray | None]:
     """Different stamps in the order in which they came first, and which of them each is (None: its own)."""
     if (stamp_ns[1:] > stamp_ns[:-1]).all():
         return stamp_ns, None
     unique, first, which = np.unique(stamp_ns, return_index=True, return_inverse=True)
     order = np.argsort(first)
-    rank = np.empty(len(unique), np.int64)
-    rank[order] = np.arange(len(unique))
-    return unique[order], rank[which]
+    return unique[order], np.argsort(order)[which]
 
 
 #: Joint index of the Azure Kinect Body Tracking SDK to side and joint, as positions in SIDES, JOINTS.
@@ -203,21 +193,19 @@ def joint_code(name: str) -> tuple[int, int] | None:
     return (SIDES.index(side), JOINTS.index(joint)) if joint in JOINTS and side in SIDES else None
 
 
-#: Rows of a batch with a joint, and its body, side, joint, state and position.
-_Said = tuple[IntArray, IntArray, int, int, IntArray, FloatArray]
+#: Rows of a batch with a joint, their body, its side and number, its state and position.
+_Said = tuple[IntArray, IntArray, tuple[int, int], IntArray, FloatArray]
 
 
-@dataclass
-class JointDecoder:
+class JointDecoder(Decoder):
     """unocclude.Skeleton or Keypoints2D: one body, or an arm of it, a message, or an image."""
 
-    topic: Topic
-    grouper: Grouper
-    frame_id: str = ""
     camera_frame: CameraFrame | None = None
 
-    def __post_init__(self) -> None:
-        self._rows, self._stamps, self._logs = (
+    def __init__(self, topic: Topic, grouper: Grouper) -> None:
+        super().__init__(topic, grouper)
+        self.is_flat = topic.schema == KEYPOINTS  # keypoints in images
+        self._rows, self._stamp, self._log = (
             JointRows(),
             GatheredRows((), np.int64),
             GatheredRows((), np.int64),
@@ -225,104 +213,93 @@ class JointDecoder:
 
     def feed(self, messages: Messages) -> None:
         """Take a batch of messages."""
-        stamps: list[tuple[NDArray, ...]] = []
-        joints: list[tuple[NDArray, ...]] = []
-        for index, block, layout in self.grouper.groups_in(messages.chunk, messages.start, messages.stop):
-            self.frame_id = layout.texts.get("frame_id", self.frame_id)
-            log_ns = messages.log_ns[index]
-            stamp, said = self._decoded(block, layout, log_ns)
-            stamps.append((index, index, stamp, log_ns))
-            for row, body, side, joint, state, position in said:
-                codes = (np.full(len(row), code, np.int64) for code in (side, joint))
-                joints.append((index[row], index[row], body, *codes, state, position))
-        if not stamps:
-            return
-        read, stamp, log_ns = in_order(stamps)
-        if joints:
-            message, *columns = in_order(joints) if len(stamps) > 1 else _behind_each_other(joints)
-            self._rows.add(np.searchsorted(read, message) + len(self._stamps), *columns)
-        self._stamps.append(stamp)
-        self._logs.append(log_ns)
+        groups, before = self.groups(messages), len(self._stamp)
+        stamp, log = np.empty((2, sum(len(row) for row, *_ in groups)), np.int64)
+        for row, log_ns, block, layout in groups:
+            stamp[row], log[row] = self._stamps(block, layout, log_ns), log_ns
+            for mine, body, code, state, position in self._joints(block, layout):
+                self._rows.add(before + row[mine], body, code, state, position)
+        self._stamp.append(stamp)
+        self._log.append(log)
 
-    def _decoded(self, block: Block, layout: MessageLayout, log_ns: IntArray) -> tuple[IntArray, list[_Said]]:
-        """Stamps (rows,), zero where there is none, and the joints in messages of one layout."""
-        said: list[_Said] = []
+    def _stamps(self, block: Block, layout: MessageLayout, log_ns: IntArray) -> IntArray:
+        """Stamps (rows,), zero where there is none."""
+        return layout.stamps(block, log_ns)
+
+    def _joints(self, block: Block, layout: MessageLayout) -> Iterator[_Said]:
+        """The joints in messages of one layout; of a keypoint the position is u, v and the score."""
         body, row = layout.integer(block, "body") & 0xFFFFFFFF, np.arange(len(block))
         elements = "keypoints" if self.is_flat else "joints"
         for i in range(layout.counts.get(elements, 0)):
             path = f"{elements}.{i}"
-            if (code := joint_code(layout.texts.get(f"{path}.name", ""))) is not None:
-                said.append((row, body, *code, *self._joint(block, layout, path)))
-        return layout.stamps(block, log_ns), said
+            if (code := joint_code(layout.texts.get(f"{path}.name", ""))) is None:
+                continue
+            if self.is_flat:
+                place = layout.vector(block, [f"{path}.{name}" for name in ("u", "v", "score")])
+                state = states_of_scores(place[:, 2]).astype(np.int64)
+            else:
+                place = layout.vector(block, axes(f"{path}.position"))
+                said = layout.integer(block, f"{path}.state").view(np.uint64)
+                state = np.where(said > JointState.TRACKED, JointState.NOT_TRACKED, said)  # damaged
+            yield row, body, code, state.astype(np.int64), place
 
-    @property
-    def is_flat(self) -> bool:
-        """Whether it has keypoints in images."""
-        return self.topic.schema == KEYPOINTS
+    def arms(self) -> list[ArmFrames]:
+        """All arms found, asked for once.
 
-    def _joint(self, block: Block, layout: MessageLayout, path: str) -> tuple[IntArray, FloatArray]:
-        """States (rows,) and positions (rows, 3) of a joint; of a keypoint u, v and the score."""
-        if self.is_flat:
-            values = layout.vector(block, [f"{path}.{name}" for name in ("u", "v", "score")])
-            return states_of_scores(values[:, 2]).astype(np.int64), values
-        said = layout.integer(block, f"{path}.state").view(np.uint64)
-        state = np.where(said > JointState.TRACKED, JointState.NOT_TRACKED, said)  # damaged
-        return state.astype(np.int64), layout.vector(block, axes(f"{path}.position"))
-
-    def stamps(self) -> IntArray:
-        """Of all messages, ns; where there is none, as far before the log time as those around it."""
-        stamp, log = self._stamps.done(), self._logs.done()
+        Where there is no stamp it is as far before the log time as those around it.
+        """
+        stamp, log = self._stamp.done(), self._log.done()
         has = stamp != 0
         if has.any() and not has.all():
             delay = np.interp(np.arange(len(log)), np.flatnonzero(has), (log - stamp)[has].astype(float))
             stamp = np.where(has, stamp, log - delay.astype(np.int64))
-        return stamp
-
-    def arms(self) -> list[ArmFrames]:
-        """All arms found; asked for once."""
-        return self._rows.arms(self.stamps(), self.topic.label, self.frame_id, self.camera_frame)
+        return self._rows.arms(stamp, self.topic.label, self.frame_id, self.camera_frame)
 
 
-@dataclass
 class MarkerDecoder(JointDecoder):
     """visualization_msgs/msg/MarkerArray as the Azure Kinect ROS driver publishes body tracking."""
 
-    camera_frame: CameraFrame | None = CameraFrame.OPTICAL
-    foreign: int = 0
-    seen: int = 0
+    camera_frame = CameraFrame.OPTICAL
+    foreign = seen = 0
 
-    def _decoded(self, block: Block, layout: MessageLayout, log_ns: IntArray) -> tuple[IntArray, list[_Said]]:
+    def _stamps(self, block: Block, layout: MessageLayout, log_ns: IntArray) -> IntArray:
         if not layout.counts["markers"]:
-            return np.zeros(len(block), np.int64), []
+            return np.zeros(len(block), np.int64)
+        added = (layout.many(block, "action")[:, :, 0] == _ADD).any(axis=1)
+        return np.where(added, layout.stamps(block, log_ns), 0)
+
+    def _joints(self, block: Block, layout: MessageLayout) -> Iterator[_Said]:
+        if not layout.counts["markers"]:
+            return
         ids = layout.many(block, "id")[:, :, 0].astype(np.int64)
         added = layout.many(block, "action")[:, :, 0] == _ADD
         position, azure = layout.many(block, "position").astype(float), ids % 100
         self.seen += int(added.sum())
         self.foreign += int((added & (azure >= _AZURE_JOINTS)).sum())
-        said: list[_Said] = []
         for number, code in _AZURE.items():
             row, column = np.nonzero(added & (azure == number) & (ids >= 0))
             state = np.full(len(row), int(JointState.TRACKED))
-            said.append((row, ids[row, column] // 100, *code, state, position[row, column]))
-        return np.where(added.any(axis=1), layout.stamps(block, log_ns), 0), said
+            yield row, ids[row, column] // 100, code, state, position[row, column]
 
     def arms(self) -> list[ArmFrames]:
         """All arms found, asked for once; none where the markers are of another kind."""
         return [] if self.foreign > 0.05 * self.seen else super().arms()
 
 
-Decoder = PlainDecoder | JointDecoder
-
-
-def decoder_of(topic: Topic) -> Decoder | None:
+def decoder_of(topic: Topic) -> PlainDecoder | JointDecoder | None:
     """The decoder of a topic of IMU samples, magnetic fields, poses or skeletons; None for other topics."""
-    key = topic.encoding, topic.schema.replace("/msg/", "/")
-    if key in _PLAIN:
+    schema = topic.schema.replace("/msg/", "/")
+    if (kind := _PLAIN.get((topic.encoding, schema))) is not None:
         is_ros = topic.encoding == "cdr"
-        grouper = Grouper(partial(cdr.walk, kind=key[1])) if is_ros else proto_grouper(topic.schema)
-        return PlainDecoder(topic, _PLAIN[key], grouper)
-    if key in (("protobuf", "unocclude.Skeleton"), ("protobuf", KEYPOINTS)):
-        return JointDecoder(topic, proto_grouper(topic.schema))
-    if key == ("cdr", "visualization_msgs/MarkerArray"):
+        return PlainDecoder(
+            topic, Grouper(partial(cdr.walk, kind=schema)) if is_ros else _proto(schema), kind
+        )
+    if topic.encoding == "protobuf" and schema in ("unocclude.Skeleton", KEYPOINTS):
+        return JointDecoder(topic, _proto(schema))
+    if (topic.encoding, schema) == ("cdr", "visualization_msgs/MarkerArray"):
         return MarkerDecoder(topic, Grouper(cdr.markers_of(topic.schema_data)))
     return None
+
+
+def _proto(schema: str) -> Grouper:
+    return Grouper(partial(proto.walk, message=message_class(schema)))

@@ -27,7 +27,7 @@ from ..mcap.repair import repair_notes
 from .camera_streams import cameras_from_plain, direction_of
 from .choose import FileReading, Selection, choose_imu
 from .clean import clean_imu
-from .decode import Decoder, JointDecoder, PlainDecoder, decoder_of
+from .decode import JointDecoder, PlainDecoder, decoder_of
 from .inertial import settle_imus
 from .keypoints import lenses_from_plain, with_lenses
 from .names import OTHER_SIDE
@@ -46,21 +46,17 @@ TRUTH_PREFIX = "/truth"
 
 def _join_truth_joints(file: RecordingFile) -> None:
     """Skeletons on truth topics are reference joints of the truth beside them."""
+
+    def where_same(column: FloatArray, row: IntArray, same: BoolArray) -> FloatArray:
+        return np.where(same[:, None], column[row], np.nan)
+
     for arm in [arm for arm in file.arms if arm.topic.startswith(TRUTH_PREFIX)]:
         file.arms.remove(arm)
-        for poses in file.poses:
-            if f"{poses.topic}/joints" != arm.topic:
-                continue
+        for poses in (poses for poses in file.poses if f"{poses.topic}/joints" == arm.topic):
             row = np.minimum(np.searchsorted(arm.stamp_ns, poses.stamp_ns), len(arm.stamp_ns) - 1)
             same = arm.stamp_ns[row] == poses.stamp_ns
-            for i, joint in enumerate(JOINTS):
-                if arm.state[:, i].any():
-                    column = arm.position[:, i]
-                    poses.joints[joint] = by_rows(partial(_where_same, column), row, same)
-
-
-def _where_same(values: FloatArray, row: IntArray, same: BoolArray) -> FloatArray:
-    return np.where(same[:, None], values[row], np.nan)
+            for i in np.flatnonzero(arm.state.any(axis=0)).tolist():
+                poses.joints[JOINTS[i]] = by_rows(partial(where_same, arm.position[:, i]), row, same)
 
 
 def _join_field(file: RecordingFile, field: FieldSamples) -> None:
@@ -99,6 +95,10 @@ SWAPPED_SIDES = "--swap left,right"
 _MOST_NOTES, _LONGEST_NOTE = 100, 1000
 
 
+#: Schemas of motion that are not read, by the last part of their name, where the messages are JSON.
+_MOTION = ("imu", "skeleton", "magneticfield", "posestamped", "poseinframe")
+
+
 def open_recording(
     path: str | os.PathLike[str],
     *,
@@ -107,7 +107,9 @@ def open_recording(
 ) -> RecordingFile:
     """Read all streams of an MCAP file that a recording can be made of."""
     container = Container(path)
-    decoders: dict[int, Decoder | None] = {}  # by topic, in the order in which they are met
+    decoders: dict[
+        int, PlainDecoder | JointDecoder | None
+    ] = {}  # by topic, in the order in which they are met
 
     def wanted(topic: Topic) -> bool:
         if id(topic) not in decoders:
@@ -130,14 +132,19 @@ def open_recording(
         names = (plain_name(topic.schema), plain_name(topic.encoding))
         file.topics.append(replace(topic, name=topic.label, schema=names[0], encoding=names[1]))
     _gather(file, found)
-    _refuse_json(file, container.topics)
     sort_arrivals(file, file.metadata.get(METADATA, {}))
     drop_timestamp_outliers(file)
-    angles = [t.name for t in file.topics if t.schema.replace("/msg/", "/") == "sensor_msgs/JointState"]
-    if angles:
-        file.notes.append(
-            f"{', '.join(angles)}: sensor_msgs/JointState contains angles, not joint positions; ignored."
-        )
+    there = {"imu": file.imus, "skeleton": file.arms}
+    for topic in file.topics:
+        kind = topic.schema.replace(".", "/").rpartition("/")[2]
+        if topic.encoding == "json" and kind.lower() in _MOTION:
+            why = "JSON messages are not read; record or convert them as protobuf or ROS 2's CDR."
+            if not there.get(kind.lower(), True):
+                raise RecordingError(f"{file.path}: {topic.name}: {why}")
+            file.notes.append(f"{topic.name}: {why}")
+        elif topic.schema.replace("/msg/", "/") == "sensor_msgs/JointState":
+            what = "sensor_msgs/JointState contains angles, not joint positions; ignored."
+            file.notes.append(f"{topic.name}: {what}")
     _take_metadata(file)
     with_lenses(file, {each.topic.label for each in found if isinstance(each, JointDecoder) and each.is_flat})
     return file
@@ -148,33 +155,12 @@ def is_motion(topic: Topic) -> bool:
     return _decoder(topic, truth=True) is not None
 
 
-def _decoder(topic: Topic, truth: bool) -> Decoder | None:
+def _decoder(topic: Topic, truth: bool) -> PlainDecoder | JointDecoder | None:
     """What decodes a topic; None where it is not wanted."""
-    if topic.name.startswith(RESULT_PREFIX):
-        return None
-    decoder = decoder_of(topic)
+    decoder = None if topic.name.startswith(RESULT_PREFIX) else decoder_of(topic)
     is_pose = isinstance(decoder, PlainDecoder) and decoder.kind == "pose"
-    is_skeleton = isinstance(decoder, JointDecoder)
-    is_reference = is_pose or (is_skeleton and topic.name.startswith(TRUTH_PREFIX))
-    return None if is_reference and not truth else decoder
-
-
-#: Schemas of motion by the last part of their name.
-_MOTION = ("imu", "skeleton", "magneticfield", "posestamped", "poseinframe")
-
-
-def _refuse_json(file: RecordingFile, topics: list[Topic]) -> None:
-    """Name topics of motion in JSON; refuse the file where nothing else has what they have."""
-    kinds = {t.label: t.schema.replace("/", ".").rpartition(".")[2].lower() for t in topics}
-    found = {t.label: kinds[t.label] for t in topics if t.encoding == "json" and kinds[t.label] in _MOTION}
-    if not found:
-        return
-    sentence = (
-        f"{', '.join(found)}: JSON messages are not read; record or convert them as protobuf or ROS 2's CDR."
-    )
-    if ("imu" in found.values() and not file.imus) or ("skeleton" in found.values() and not file.arms):
-        raise RecordingError(f"{file.path}: {sentence}")
-    file.notes.append(sentence)
+    is_joints = isinstance(decoder, JointDecoder) and topic.name.startswith(TRUTH_PREFIX)
+    return decoder if truth or not (is_pose or is_joints) else None
 
 
 def read_recording(
@@ -259,16 +245,13 @@ def _read(
     return select_recordings(file, prefer_side=prefer_side, alone=alone, **cast(Selection, chosen))
 
 
-def _gather(file: RecordingFile, decoders: list[Decoder]) -> None:
+def _gather(file: RecordingFile, decoders: list[PlainDecoder | JointDecoder]) -> None:
     fields: list[FieldSamples] = []
     for decoder in decoders:
-        if decoder.grouper.broken:
-            file.notes.append(
-                damage_note(
-                    file.name, f"{decoder.grouper.broken} messages of {decoder.topic.label} were dropped."
-                )
-            )
-        if not isinstance(decoder, PlainDecoder):
+        if broken := decoder.grouper.broken:
+            what = f"{broken} messages of {decoder.topic.label} were dropped."
+            file.notes.append(damage_note(file.name, what))
+        if isinstance(decoder, JointDecoder):
             arms = decoder.arms()
             file.arms += arms
             if not arms and not decoder.topic.name.startswith(TRUTH_PREFIX):
@@ -279,7 +262,7 @@ def _gather(file: RecordingFile, decoders: list[Decoder]) -> None:
             file.imus.append(stream)
         elif isinstance(stream, PoseSamples):
             file.poses.append(stream)
-        elif isinstance(stream, FieldSamples):
+        elif stream is not None:
             fields.append(stream)
     settle_imus(file)
     _join_truth_joints(file)
