@@ -2,7 +2,8 @@
 
 Prints for each kind the time with an error beyond three stated sigmas, that without an answer, the largest
 error in sigmas with the sigma that was stated, the error of the last five seconds, after how long something
-was said or doubted, and the first sentence; ends with 1 where it was wrong for longer than 0.5 s.
+was said or doubted, and the first sentence; ends with 1 where it was wrong for longer than 0.5 s. All kinds
+of a seed branch off one sound session, and end some seconds after the fault.
 """
 
 from __future__ import annotations
@@ -13,7 +14,8 @@ import os
 import sys
 from collections.abc import Callable
 from dataclasses import replace
-from typing import Any
+from functools import partial
+from typing import Any, NamedTuple
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
@@ -32,7 +34,9 @@ from smoother.units import GRAVITY
 
 #: A kind holds where the answer is wrong for no longer, s: its error exceeds this many of its sigmas.
 MOST_S, SIGMAS = 0.5, 3.0
-#: A session of a minute on a busy machine takes no longer, s.
+#: When faults begin, s, and how long a session goes on after one: most end before the second calibration, s.
+AT_S, AFTER_S = 17.0, 5.9
+#: A session of half a minute on a busy machine takes no longer, s.
 LONGEST_S = 400.0
 LATENCY_S, OFFSET_S, STEP_S = 0.1, -0.02, 1 / 30
 #: Samples that a sensor sends together.
@@ -41,20 +45,29 @@ TOGETHER = 3
 Rows = ImuRows | FrameRows
 #: Rows by stream: IMUs by segment, the forearm's first, and "frames".
 Streams = dict[str, Rows]
-#: Rows of a stream, when each arrives after the fault began (s), random numbers: the damaged rows.
-Damage = Callable[[Any, np.ndarray, np.random.Generator], Rows]
-
-# Single values, for a time: `change` gets acc and gyro (n, 3), or positions (n, 5, 3), and changes them.
+#: Of rows, which are at fault, when each arrives after the fault began (s), and random numbers: other rows.
+Damage = Callable[[Any, np.ndarray, np.ndarray, np.random.Generator], Rows]
 
 
-def _values(length_s: float, change: Callable[..., None]) -> Damage:
-    def damage(rows: Rows, s: np.ndarray, rng: np.random.Generator) -> Rows:
+class Fault(NamedTuple):
+    """What happens to a stream."""
+
+    stream: str  # "imu" or "frames"
+    length_s: float  # inf: from then on
+    damage: Damage
+
+
+# Single values: `change` gets random numbers and acc and gyro (n, 3), or positions (n, 5, 3), to change.
+
+
+def _values(change: Callable[..., object]) -> Damage:
+    def damage(rows: Any, on: np.ndarray, s: np.ndarray, rng: np.random.Generator) -> Rows:
         names = ("acc", "gyro") if isinstance(rows, ImuRows) else ("position",)
-        at, columns = (s >= 0) & (s < length_s), {name: getattr(rows, name).copy() for name in names}
-        parts = [columns[name][at] for name in names]
+        columns = {name: getattr(rows, name).copy() for name in names}
+        parts = [columns[name][on] for name in names]
         change(rng, *parts)
         for name, part in zip(names, parts, strict=True):
-            columns[name][at] = part
+            columns[name][on] = part
         return replace(rows, **columns)
 
     return damage
@@ -112,122 +125,126 @@ def _jumps(rng: np.random.Generator, position: np.ndarray) -> None:
 # Rows that do not come, come again, late, or with other stamps.
 
 
-def _kept(rows: Any, wanted: np.ndarray) -> Rows:
-    return rows.select(np.flatnonzero(wanted))
+def _kept(wanted: Callable[[np.ndarray, np.random.Generator], Any]) -> Damage:
+    """Of the rows at fault only some; each as often as is said."""
+
+    def damage(rows: Any, on: np.ndarray, s: np.ndarray, rng: np.random.Generator) -> Rows:
+        number = np.arange(len(on))
+        return rows.select(np.repeat(number, np.where(on, wanted(number, rng), 1)))  # type: ignore[no-any-return]
+
+    return damage
 
 
-def _lost(length_s: float) -> Damage:
-    return lambda rows, s, rng: _kept(rows, (s < 0) | (s >= length_s))
+def _arriving(later_s: Callable[[np.ndarray, np.random.Generator], Any]) -> Damage:
+    """The stamps stay right, the arrivals are later."""
+    return lambda rows, on, s, rng: replace(rows, arrival_s=rows.arrival_s + np.where(on, later_s(s, rng), 0))
+
+
+def _stamped(off_s: Callable[[np.ndarray, np.random.Generator], Any]) -> Damage:
+    """The arrivals stay right, the stamps are others."""
+    return lambda rows, on, s, rng: replace(rows, t_s=rows.t_s + np.where(on, off_s(s, rng), 0))
+
+
+_LOST, _HALVED, _TWICE = _kept(lambda k, rng: 0), _kept(lambda k, rng: k % 2 == 0), _kept(lambda k, rng: 2)
 
 
 def _thinned(share: float) -> Damage:
-    return lambda rows, s, rng: _kept(rows, (s < 0) | (rng.random(len(s)) >= share))
+    return _kept(lambda k, rng: rng.random(len(k)) >= share)
 
 
-def _halved(rows: Any, s: np.ndarray, rng: np.random.Generator) -> Rows:
-    return _kept(rows, (s < 0) | (np.arange(len(s)) % 2 == 0))
-
-
-def _twice(rows: Any, s: np.ndarray, rng: np.random.Generator) -> Rows:
-    return rows.select(np.repeat(np.arange(len(s)), np.where(s < 0, 1, 2)))
-
-
-def _arriving(rows: Any, later_s: np.ndarray) -> Rows:
-    return replace(rows, arrival_s=rows.arrival_s + later_s)
-
-
-def _bursts(each_s: float, length_s: float) -> Damage:
+def _bursts(each_s: float) -> Damage:
     """Held up, then all at once, again and again."""
-    return lambda rows, s, rng: _arriving(
-        rows, np.where((s >= 0) & (s < length_s), each_s * np.ceil((s + 1e-9) / each_s) - s, 0.0)
-    )
+    return _arriving(lambda s, rng: each_s * np.ceil((s + 1e-9) / each_s) - s)
 
 
-def _later(seconds: float, length_s: float = np.inf) -> Damage:
-    """The latency is longer; the stamps stay right."""
-    return lambda rows, s, rng: _arriving(rows, np.where((s >= 0) & (s < length_s), seconds, 0.0))
+def _later(seconds: float) -> Damage:
+    return _arriving(lambda s, rng: seconds)
 
 
 def _disorder(seconds: float) -> Damage:
     """Each row late by a time of its own."""
-    return lambda rows, s, rng: _arriving(rows, np.where(s >= 0, rng.uniform(0.0, seconds, len(s)), 0.0))
+    return _arriving(lambda s, rng: rng.uniform(0.0, seconds, len(s)))
 
 
 def _clock(seconds: float) -> Damage:
     """The clock of the stamps is set forward (or back)."""
-    return lambda rows, s, rng: replace(rows, t_s=rows.t_s + np.where(s >= 0, seconds, 0.0))
+    return _stamped(lambda s, rng: seconds)
 
 
-def _single_stamps(rows: Any, s: np.ndarray, rng: np.random.Generator) -> Rows:
+def _single_stamps(s: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     """One stamp in fifty is wrong by a second."""
-    wrong = (s >= 0) & (rng.random(len(s)) < 0.02)
-    return replace(rows, t_s=rows.t_s + np.where(wrong, rng.choice([-1.0, 1.0], len(s)), 0.0))
+    return np.where(rng.random(len(s)) < 0.02, rng.choice([-1.0, 1.0], len(s)), 0.0)
 
 
-#: Every kind: what it is called, and the damages to which streams. The first is none.
-KINDS: dict[str, dict[str, tuple[Damage, ...]]] = {
-    "nothing wrong": {},
-    "IMU held for 1 s": {"imu": (_values(1.0, lambda rng, acc, gyro: _hold(acc, gyro)),)},
-    "gyroscope held for 1 s": {"imu": (_values(1.0, lambda rng, acc, gyro: _hold(gyro)),)},
-    "accelerometer held for 1 s": {"imu": (_values(1.0, lambda rng, acc, gyro: _hold(acc)),)},
-    "accelerometer spikes of 30 m/s^2, 1 %": {"imu": (_values(10.0, lambda r, a, g: _spikes(a, 30.0, r)),)},
-    "accelerometer spikes of 100 m/s^2, 1 %": {"imu": (_values(10.0, lambda r, a, g: _spikes(a, 100.0, r)),)},
-    "gyroscope spikes of 30 rad/s, 1 %": {"imu": (_values(10.0, lambda r, a, g: _spikes(g, 30.0, r)),)},
-    "IMU of 1e6 for 1 s": {"imu": (_values(1.0, lambda rng, *both: _scale(1e6, *both)),)},
-    "IMU ten times too large for 1 s": {"imu": (_values(1.0, lambda rng, *both: _scale(10.0, *both)),)},
-    "IMU zero for 1 s": {"imu": (_values(1.0, lambda rng, *both: _scale(0.0, *both)),)},
-    "IMU nan for 1 s": {"imu": (_values(1.0, lambda rng, *both: _scale(np.nan, *both)),)},
-    "accelerometer clips at 12 m/s^2": {"imu": (_values(10.0, lambda r, a, g: np.clip(a, -12, 12, out=a)),)},
-    "gyroscope clips at 2 rad/s": {"imu": (_values(10.0, lambda r, a, g: np.clip(g, -2, 2, out=g)),)},
-    "accelerometer in g from then on": {"imu": (_values(np.inf, lambda r, a, g: _scale(1 / GRAVITY, a)),)},
-    "gyroscope in deg/s from then on": {"imu": (_values(np.inf, lambda r, a, g: _scale(180 / np.pi, g)),)},
-    "IMU pauses 0.2 s": {"imu": (_lost(0.2),)},
-    "IMU away for 1 s": {"imu": (_lost(1.0),)},
-    "IMU away for 5 s": {"imu": (_lost(5.0),)},
-    "IMU restarts after 2 s, with a clock of its own": {"imu": (_lost(2.0), _clock(5000.0))},
-    "IMU rate halved": {"imu": (_halved,)},
-    "IMU loses 20 % of its samples": {"imu": (_thinned(0.2),)},
-    "IMU samples twice": {"imu": (_twice,)},
-    "IMU in bursts of 0.4 s": {"imu": (_bursts(0.4, 6.0),)},
-    "IMU 0.15 s later": {"imu": (_later(0.15),)},
-    "IMU in disorder, 0.3 s": {"imu": (_disorder(0.3),)},
-    "IMU clock set forward 0.1 s": {"imu": (_clock(0.1),)},
-    "IMU clock set back 0.1 s": {"imu": (_clock(-0.1),)},
-    "IMU clock set forward 2 s": {"imu": (_clock(2.0),)},
-    "IMU clock set back 2 s": {"imu": (_clock(-2.0),)},
-    "single IMU stamps wrong": {"imu": (_single_stamps,)},
-    "camera frozen for 5 s": {"frames": (_values(5.0, lambda rng, position: _hold(position)),)},
-    "camera frozen with noise for 5 s": {"frames": (_values(5.0, _noisy_hold),)},
-    "other body 1 m away for 3 s": {"frames": (_values(3.0, lambda r, p: np.add(p, [1.0, 0, 0], out=p)),)},
-    "child 0.6 m away for 3 s": {"frames": (_values(3.0, _shorter),)},
-    "joints guessed at the hip for 3 s": {"frames": (_values(3.0, _at_the_hip),)},
-    "other arm for 3 s": {"frames": (_values(3.0, _other_arm),)},
-    "joints jump, 5 %": {"frames": (_values(10.0, _jumps),)},
-    "camera nan for 2 s": {"frames": (_values(2.0, lambda rng, position: position.fill(np.nan)),)},
-    "camera in mm from then on": {"frames": (_values(np.inf, lambda rng, p: _scale(1000.0, p)),)},
-    "camera away for 3 s": {"frames": (_lost(3.0),)},
-    "camera restarts after 2 s, with a clock of its own": {"frames": (_lost(2.0), _clock(5000.0))},
-    "camera rate halved": {"frames": (_halved,)},
-    "frames twice": {"frames": (_twice,)},
-    "frames in bursts of 0.5 s": {"frames": (_bursts(0.5, 6.0),)},
-    "frames 0.1 s later": {"frames": (_later(0.1),)},
-    "frames 0.1 s later for 5 s": {"frames": (_later(0.1, 5.0),)},
-    "frames in disorder, 0.2 s": {"frames": (_disorder(0.2),)},
-    "camera clock set forward 0.3 s": {"frames": (_clock(0.3),)},
-    "camera clock set back 0.3 s": {"frames": (_clock(-0.3),)},
-    "camera clock set forward 0.05 s": {"frames": (_clock(0.05),)},
-    "camera clock set back 2 s": {"frames": (_clock(-2.0),)},
-    "both away for 3 s": {"imu": (_lost(3.0),), "frames": (_lost(3.0),)},
+EVER = np.inf
+_imu, _frames = partial(Fault, "imu"), partial(Fault, "frames")
+#: Every kind: what it is called, and its faults. The first has none.
+KINDS: dict[str, list[Fault]] = {
+    "nothing wrong": [],
+    "IMU held for 1 s": [_imu(1.0, _values(lambda r, a, g: _hold(a, g)))],
+    "gyroscope held for 1 s": [_imu(1.0, _values(lambda r, a, g: _hold(g)))],
+    "accelerometer held for 1 s": [_imu(1.0, _values(lambda r, a, g: _hold(a)))],
+    "accelerometer spikes of 30 m/s^2, 1 %": [_imu(5.0, _values(lambda r, a, g: _spikes(a, 30.0, r)))],
+    "accelerometer spikes of 100 m/s^2, 1 %": [_imu(5.0, _values(lambda r, a, g: _spikes(a, 100.0, r)))],
+    "gyroscope spikes of 30 rad/s, 1 %": [_imu(5.0, _values(lambda r, a, g: _spikes(g, 30.0, r)))],
+    "IMU of 1e6 for 1 s": [_imu(1.0, _values(lambda r, a, g: _scale(1e6, a, g)))],
+    "IMU ten times too large for 1 s": [_imu(1.0, _values(lambda r, a, g: _scale(10.0, a, g)))],
+    "IMU zero for 1 s": [_imu(1.0, _values(lambda r, a, g: _scale(0.0, a, g)))],
+    "IMU nan for 1 s": [_imu(1.0, _values(lambda r, a, g: _scale(np.nan, a, g)))],
+    "accelerometer clips at 12 m/s^2": [_imu(5.0, _values(lambda r, a, g: np.clip(a, -12, 12, out=a)))],
+    "gyroscope clips at 2 rad/s": [_imu(5.0, _values(lambda r, a, g: np.clip(g, -2, 2, out=g)))],
+    "accelerometer in g from then on": [_imu(EVER, _values(lambda r, a, g: _scale(1 / GRAVITY, a)))],
+    "gyroscope in deg/s from then on": [_imu(EVER, _values(lambda r, a, g: _scale(180 / np.pi, g)))],
+    "IMU pauses 0.2 s": [_imu(0.2, _LOST)],
+    "IMU away for 1 s": [_imu(1.0, _LOST)],
+    "IMU away for 5 s": [_imu(5.0, _LOST)],
+    "IMU restarts after 2 s, with a clock of its own": [_imu(2.0, _LOST), _imu(EVER, _clock(5000.0))],
+    "IMU rate halved": [_imu(EVER, _HALVED)],
+    "IMU loses 20 % of its samples": [_imu(EVER, _thinned(0.2))],
+    "IMU samples twice": [_imu(EVER, _TWICE)],
+    "IMU in bursts of 0.4 s": [_imu(4.0, _bursts(0.4))],
+    "IMU 0.15 s later": [_imu(EVER, _later(0.15))],
+    "IMU in disorder, 0.3 s": [_imu(EVER, _disorder(0.3))],
+    "IMU clock set forward 0.1 s": [_imu(EVER, _clock(0.1))],
+    "IMU clock set back 0.1 s": [_imu(EVER, _clock(-0.1))],
+    "IMU clock set forward 2 s": [_imu(EVER, _clock(2.0))],
+    "IMU clock set back 2 s": [_imu(EVER, _clock(-2.0))],
+    "single IMU stamps wrong": [_imu(EVER, _stamped(_single_stamps))],
+    "camera frozen for 5 s": [_frames(5.0, _values(lambda r, p: _hold(p)))],
+    "camera frozen with noise for 5 s": [_frames(5.0, _values(_noisy_hold))],
+    "other body 1 m away for 3 s": [_frames(3.0, _values(lambda r, p: np.add(p, [1.0, 0, 0], out=p)))],
+    "child 0.6 m away for 3 s": [_frames(3.0, _values(_shorter))],
+    "joints guessed at the hip for 3 s": [_frames(3.0, _values(_at_the_hip))],
+    "other arm for 3 s": [_frames(3.0, _values(_other_arm))],
+    "joints jump, 5 %": [_frames(5.0, _values(_jumps))],
+    "camera nan for 2 s": [_frames(2.0, _values(lambda r, p: p.fill(np.nan)))],
+    "camera in mm from then on": [_frames(EVER, _values(lambda r, p: _scale(1000.0, p)))],
+    "camera away for 3 s": [_frames(3.0, _LOST)],
+    "camera restarts after 2 s, with a clock of its own": [
+        _frames(2.0, _LOST),
+        _frames(EVER, _clock(5000.0)),
+    ],
+    "camera rate halved": [_frames(EVER, _HALVED)],
+    "frames twice": [_frames(EVER, _TWICE)],
+    "frames in bursts of 0.5 s": [_frames(4.0, _bursts(0.5))],
+    "frames 0.1 s later": [_frames(EVER, _later(0.1))],
+    "frames 0.1 s later for 5 s": [_frames(5.0, _later(0.1))],
+    "frames in disorder, 0.2 s": [_frames(EVER, _disorder(0.2))],
+    "camera clock set forward 0.3 s": [_frames(EVER, _clock(0.3))],
+    "camera clock set back 0.3 s": [_frames(EVER, _clock(-0.3))],
+    "camera clock set forward 0.05 s": [_frames(EVER, _clock(0.05))],
+    "camera clock set back 2 s": [_frames(EVER, _clock(-2.0))],
+    "both away for 3 s": [_imu(3.0, _LOST), _frames(3.0, _LOST)],
 }
 
 
-def damaged(streams: Streams, kind: str, at_s: float, rng: np.random.Generator, segment: str) -> Streams:
-    """Streams with a fault; one of the IMU may be of another segment's."""
+def damaged(streams: Streams, faults: list[Fault], rng: np.random.Generator, segment: str) -> Streams:
+    """Streams with faults; those of the IMU may be of another segment's."""
     found = dict(streams)
-    for name, damages in KINDS[kind].items():
-        at = segment if name == "imu" else name
-        for damage in damages:
-            found[at] = damage(found[at], found[at].arrival_s - at_s, rng)
+    for fault in faults:
+        at = segment if fault.stream == "imu" else fault.stream
+        s = found[at].arrival_s - AT_S
+        found[at] = fault.damage(found[at], (s >= 0) & (s < fault.length_s), s, rng)
     return found
 
 
@@ -239,13 +256,16 @@ def imu_rows(imu: ImuStream) -> ImuRows:
 
 
 class Sound(Playback):
-    """A sound session until a moment; faults branch off, each in a process."""
+    """A sound session until faults begin, which branch off, each in a process."""
 
-    def __init__(self, made: SimulatedArm, until_s: float) -> None:
-        recording, self.made, self.until_s = made.recording, made, until_s
+    def __init__(self, preset: str = "realistic", imus: str = "wrist", seed: int = 1) -> None:
+        made = {"protocol": "random", "imu_rate_hz": 100, "occlusion_lengths_s": (1.0,), "imus": imus}
+        self.seed = seed
+        self.made: SimulatedArm = simulate_arm(ArmSimulation.preset(preset, duration_s=32.0, **made), seed)
+        recording = self.made.recording
         arm, t_s = recording.arm, np.asarray(recording.arm.t_s, float)
         frames = FrameRows(t_s, np.array(arm.position), np.array(arm.state), t_s + OFFSET_S + LATENCY_S)
-        further = {segment: imu_rows(imu) for segment, imu in recording.further_imus.items()}
+        further = {segment: imu_rows(each) for segment, each in recording.further_imus.items()}
         self.streams: Streams = {FOREARM.name: imu_rows(recording.imu), **further, "frames": frames}
         axes = recording.camera_frame
         names = {FOREARM.name: "imu"} | {segment: segment for segment in further}
@@ -256,12 +276,12 @@ class Sound(Playback):
         calibrator = InlineCalibrator(15)
         engine = LiveSmoother(recording.side, camera_frame=axes, calibrator=calibrator, further=list(further))
         self._session = LiveSession(self, [engine], receivers=[self])
-        self._session.run(lambda: self.now_s() >= until_s - STEP_S)
+        self._session.run(lambda: self.now_s() >= AT_S - STEP_S)
 
-    def end_with(self, streams: Streams) -> None:
+    def end_with(self, streams: Streams, end_s: float) -> None:
         """Go on with other streams, which are the same until now."""
         self.play([arrivals_of(streams)])
-        self._session.run(lambda: False)
+        self._session.run(lambda: self.now_s() >= end_s)
 
     def send(self, step: LiveStep) -> None:
         """Keep what was answered and said."""
@@ -282,10 +302,16 @@ def arrivals_of(streams: Streams) -> Arrivals:
 sound: Sound  # of the seed at work; workers are forked with it
 
 
-def verdict(kind: str, seed: int, segment: str) -> tuple[list[float], list[str]]:
-    """Of a kind of fault on one arm: its row of figures, and what was said."""
-    rng, at_s = np.random.default_rng([seed, sum(kind.encode())]), sound.until_s
-    sound.end_with(damaged(sound.streams, kind, at_s, rng, segment))
+def verdict(kind: str, segment: str = FOREARM.name) -> tuple[list[float], list[str]]:
+    """Of a kind of fault: its row of figures, and what was said; in a process of its own."""
+    with multiprocessing.get_context("fork").Pool(1) as pool:
+        return pool.apply_async(_verdict, (kind, segment)).get(LONGEST_S)
+
+
+def _verdict(kind: str, segment: str) -> tuple[list[float], list[str]]:
+    faults, rng = KINDS[kind], np.random.default_rng([sound.seed, sum(kind.encode())])
+    last_s = max((fault.length_s for fault in faults if fault.length_s < EVER), default=0.0)
+    sound.end_with(damaged(sound.streams, faults, rng, segment), AT_S + last_s + AFTER_S)
     answers = [(each.now_s, each.now) for each in sound.outputs]
     t = np.array([now_s for now_s, _ in answers])
     error, sigma, visible = np.full((3, len(t)), np.nan)
@@ -294,12 +320,12 @@ def verdict(kind: str, seed: int, segment: str) -> tuple[list[float], list[str]]
         error[row], sigma[row] = np.linalg.norm(now.position - true), now.sigma_m
         visible[row] = now.state is LiveState.VISIBLE
     worst, last = int(np.nanargmax(error / sigma)), (visible > 0) & (t > t[-1] - 5.0)
-    said = [(when - at_s, text) for when, text in sound.events if when > at_s]
-    usual = {each.doubt for each in sound.outputs if each.now_s <= at_s}
-    doubts = [each.now_s - at_s for each in sound.outputs if each.now_s > at_s and each.doubt not in usual]
+    said = [(when - AT_S, text) for when, text in sound.events if when > AT_S]
+    usual = {each.doubt for each in sound.outputs if each.now_s <= AT_S}
+    doubts = [each.now_s - AT_S for each in sound.outputs if each.now_s > AT_S and each.doubt not in usual]
     row = [
         float((error > SIGMAS * sigma).sum() * STEP_S),
-        float((np.isnan(error) & (t > at_s)).sum() * STEP_S),
+        float((np.isnan(error) & (t > AT_S)).sum() * STEP_S),
         100 * float(error[worst]),
         100 * float(sigma[worst]),
         float(100 * np.sqrt(np.mean(error[last] ** 2))) if last.any() else float("nan"),
@@ -314,8 +340,6 @@ def main() -> int:
     parser = argparse.ArgumentParser(prog="python -m tools.live_faults", description=__doc__)
     parser.add_argument("--seeds", type=int, nargs="+", default=[1, 2])
     parser.add_argument("--only", nargs="+", default=[""], help="kinds whose name contains one of these")
-    parser.add_argument("--duration-s", type=float, default=32.0)
-    parser.add_argument("--at-s", type=float, default=17.0, help="when the fault begins")
     parser.add_argument("--preset", default="realistic", help="the camera")
     parser.add_argument("--imus", default="wrist", help="where IMUs are worn, as `simulate arm --imus`")
     parser.add_argument("--on", default=FOREARM.name, help="the segment whose IMU is at fault: upper_arm")
@@ -325,18 +349,9 @@ def main() -> int:
     print(f"{'kind':51} seed  wrong s   no answer  worst cm  sigma  end cm  said s  what")
     kinds = [kind for kind in KINDS if any(text in kind for text in options.only)]
     for seed in options.seeds:
-        config = ArmSimulation.preset(
-            options.preset,
-            protocol="random",
-            duration_s=options.duration_s,
-            imu_rate_hz=100,
-            occlusion_lengths_s=(1.0,),
-            imus=options.imus,
-        )
-        sound = Sound(simulate_arm(config, seed), options.at_s)
+        sound = Sound(options.preset, options.imus, seed)
         for kind in kinds:
-            with multiprocessing.get_context("fork").Pool(1) as pool:
-                row, said = pool.apply_async(verdict, (kind, seed, options.on)).get(LONGEST_S)
+            row, said = verdict(kind, options.on)
             bad |= {kind} if row[0] > MOST_S else set()
             cells = "".join(f"{value:{width}}" for value, width in zip(row, WIDTHS, strict=True))
             mark = " <--" if row[0] > MOST_S else ""
