@@ -28,7 +28,7 @@ from ..measurements.position_process import (
     mapped_covariance,
 )
 from .rts import white_sigma
-from .scene import Path, Scene, no_answer
+from .scene import Path, Scene, no_answer, path_at
 
 
 class Posterior:
@@ -107,12 +107,11 @@ def gaussian_process(scene: Scene, kernel: Kernel | None = None) -> Path:
     if scene.visible.sum() < 2:
         return no_answer(scene)
     n = len(scene.t)
-    position, velocity = np.full((n, 3), np.nan), np.full((n, 3), np.nan)
-    variance = np.full(n, np.nan)
+    position, velocity, variance = np.full((n, 3), np.nan), np.full((n, 3), np.nan), np.full(n, np.nan)
     data = measurements(scene)
     kernel = kernel or likeliest(scene, data)
     for start_s, end_s in pairwise(borders(scene)):
-        rows = np.flatnonzero((scene.t >= start_s) & (scene.t <= end_s))
+        rows = (scene.t >= start_s) & (scene.t <= end_s)
         near = data.between(start_s - MARGIN_S, end_s + MARGIN_S)
         nearest = data.position[np.argmin(np.abs(data.frame_t - 0.5 * (start_s + end_s)))]
         level = near.position.mean(axis=0) if len(near.frame_t) else nearest
@@ -121,25 +120,24 @@ def gaussian_process(scene: Scene, kernel: Kernel | None = None) -> Path:
         position[rows], velocity[rows] = level + posterior.position(t), posterior.velocity(t)
         coarse = np.linspace(t[0], t[-1], int((t[-1] - t[0]) * SIGMA_RATE_HZ) + 2)
         variance[rows] = np.interp(t, coarse, posterior.variance(coarse))
-    return Path(position, velocity, variance[:, None, None] * np.eye(3))
+    return path_at(scene, np.arange(n), position, velocity, variance[:, None])
 
 
 def measurements(scene: Scene) -> Measurements:
     """What the process gets: the visible points, and accelerations at no more than `HIGHEST_RATE_HZ`."""
-    size = max(int(np.ceil(scene.imu.rate_hz / HIGHEST_RATE_HZ)), 1)
-    acc_t, acceleration = _averaged(scene.t, scene.acceleration, size)
-    return Measurements(*scene.visible_points, acc_t, acceleration)
+    own = Measurements(*scene.visible_points, scene.t, scene.acceleration)
+    return _averaged(own, max(int(np.ceil(scene.imu.rate_hz / HIGHEST_RATE_HZ)), 1))
 
 
-def _averaged(t: FloatArray, values: FloatArray, size: int) -> tuple[FloatArray, FloatArray]:
-    """Means over this many neighbours; what is left over at the end goes."""
-    count = len(t) // size
+def _averaged(data: Measurements, size: int) -> Measurements:
+    """With means over this many neighbouring accelerations; what is left over at the end goes."""
+    count = len(data.acc_t) // size
     if size == 1 or not count:
-        return t, values
-    return (
-        t[: count * size].reshape(count, size).mean(axis=1),
-        values[: count * size].reshape(count, size, -1).mean(axis=1),
+        return data
+    t, acc = (
+        each[: count * size].reshape(count, size, -1).mean(axis=1) for each in (data.acc_t, data.acceleration)
     )
+    return replace(data, acc_t=t[:, 0], acceleration=acc)
 
 
 def borders(scene: Scene) -> list[float]:
@@ -170,11 +168,11 @@ def likeliest(scene: Scene, data: Measurements) -> Kernel:
         return start
 
     def kernel(x: FloatArray) -> Kernel:
-        w, sigma_a = np.exp(np.clip(x, BOUNDS[:, 0], BOUNDS[:, 1]))
-        return replace(start, rate=float(w), acceleration_sigma=float(sigma_a))
+        w, sigma_a = np.exp(np.clip(x, *BOUNDS.T)).tolist()
+        return replace(start, rate=w, acceleration_sigma=sigma_a)
 
     def loss(x: FloatArray) -> float:
-        outside = float(np.sum((x - np.clip(x, BOUNDS[:, 0], BOUNDS[:, 1])) ** 2))
+        outside = float(np.sum((x - np.clip(x, *BOUNDS.T)) ** 2))
         return 100.0 * outside - sum(log_likelihood(kernel(x), excerpt) for excerpt in excerpts)
 
     first = np.log([start.rate, start.acceleration_sigma])
@@ -192,6 +190,5 @@ def _training(scene: Scene, data: Measurements) -> list[Measurements]:
         excerpt = data.between(start_s, start_s + TRAINING_S)
         if len(excerpt.frame_t) >= 10 and len(excerpt.acc_t) >= 10 * size:
             level = excerpt.position.mean(axis=0)
-            averaged = _averaged(excerpt.acc_t, excerpt.acceleration, size)
-            excerpts.append(Measurements(excerpt.frame_t, excerpt.position - level, *averaged))
+            excerpts.append(_averaged(replace(excerpt, position=excerpt.position - level), size))
     return excerpts[:: max(len(excerpts) // TRAINING_EXCERPTS, 1)][:TRAINING_EXCERPTS]

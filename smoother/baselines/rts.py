@@ -309,15 +309,10 @@ def linearised(
     motion = integrate(signal, states.t, states.bias[:-1])
     information, vector = _measured(states, camera)
     mean, covariance = _prior(states, scene)
-    return Chain(
-        F=transition(states, motion),
-        Q=process_noise(signal, states.t, motion, IMU_NOISE, ARM_PRIOR.shoulder_walk),
-        drift=defects(states, motion)[..., None],
-        information=information,
-        vector=vector[..., None],
-        mean=mean[:, None],
-        covariance=covariance,
-    )
+    Q = process_noise(signal, states.t, motion, IMU_NOISE, ARM_PRIOR.shoulder_walk)
+    drift = defects(states, motion)[..., None]
+    F = transition(states, motion)
+    return Chain(F, Q, information, vector[..., None], mean[:, None], covariance, drift)
 
 
 def _prior(states: InertialTrajectory, scene: Scene) -> tuple[FloatArray, FloatArray]:

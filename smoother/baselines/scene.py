@@ -7,11 +7,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation, Slerp
 
-from ..array_types import BoolArray, FloatArray
+from ..array_types import BoolArray, FloatArray, IntArray
 from ..calibration import ArmCalibration
 from ..cameras import join_cameras
 from ..cameras.joining import FOREARM_M
@@ -101,6 +102,29 @@ Baseline = Callable[[Scene], Path]
 def no_answer(scene: Scene) -> Path:
     """The path of a scene in which the camera saw too little to begin with."""
     return Path(np.full((len(scene.t), 3), np.nan), notes=(TOO_LITTLE_SEEN,))
+
+
+def path_at(
+    scene: Scene,
+    rows: IntArray,  # (k,) of the scene's samples
+    position: FloatArray,  # (k, 3) m and m/s
+    velocity: FloatArray,
+    variance: FloatArray,  # (k, 3) m^2: of each axis by itself; or (k, 3, 3)
+    R_K_A: FloatArray | None = None,
+    attitude_covariance: FloatArray | None = None,  # (k, 3, 3)
+) -> Path:
+    """A path that is known at some of a scene's samples."""
+    covariance = variance if variance.ndim == 3 else variance[..., None] * np.eye(3)
+
+    def at_rows(values: FloatArray | None, otherwise: FloatArray | float = np.nan) -> Any:
+        if values is None:
+            return None
+        whole = np.full((len(scene.t), *values.shape[1:]), otherwise)
+        whole[rows] = values
+        return whole
+
+    known = at_rows(position), at_rows(velocity), at_rows(covariance), at_rows(R_K_A, scene.R_K_A)
+    return Path(*known, at_rows(attitude_covariance))
 
 
 def finite_rows(t: FloatArray, values: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -18,7 +18,7 @@ from ..recording import JOINTS
 from ..window.nodes import decimate
 from ..window.prepare import states_from_camera
 from .rts import TURN, P, V, joint_sigma, levers_of, orientation_at, seen_joints, turned, white_noise
-from .scene import Path, Scene, no_answer
+from .scene import Path, Scene, no_answer, path_at
 
 #: Process noise: m/s^2/sqrt(Hz) and rad/s/sqrt(Hz); the first covers a bias that was not subtracted.
 ACC_DENSITY = 0.06
@@ -45,37 +45,31 @@ class NavigationState:
 def ukf(scene: Scene) -> Path:
     """Recover one segment; nan before the camera first sees the arm."""
     levers = levers_of(scene)
-    first_visible = np.flatnonzero(scene.visible & (scene.frame_t < scene.t[-1]))
-    if not levers or len(first_visible) < 2:
+    visible = np.flatnonzero(scene.visible & (scene.frame_t < scene.t[-1]))
+    if not levers or len(visible) < 2:
         return no_answer(scene)
-    n = len(scene.t)
-    position, velocity = np.full((n, 3), np.nan), np.full((n, 3), np.nan)
-    covariance, attitude_covariance = np.full((n, 3, 3), np.nan), np.full((n, 3, 3), np.nan)
-    orientation = scene.R_K_A.copy()
-    columns = [JOINTS.index(joint) for joint in levers]
-    arms = np.array(list(levers.values()))
-    frames = np.flatnonzero(seen_joints(scene)[:, columns].sum(axis=1))
-    frames = frames[(frames >= first_visible[0]) & (scene.frame_t[frames] <= scene.t[-1])]
+    columns, arms = [JOINTS.index(joint) for joint in levers], np.array(list(levers.values()))
+    frames = visible[0] + np.flatnonzero(seen_joints(scene)[visible[0] :, columns].any(axis=1))
+    frames = frames[scene.frame_t[frames] <= scene.t[-1]]
     frames = frames[decimate(scene.frame_t[frames])]
-    start_s = float(scene.frame_t[first_visible[0]])
+    start_s = float(scene.frame_t[visible[0]])
     rows = np.flatnonzero(scene.t >= start_s)
     t = np.union1d(scene.frame_t[frames], scene.t[rows])
     motion = integrate(InertialSignal(scene.imu), t, np.concatenate([np.zeros(3), gyroscope_bias(scene)]))
     noise = white_noise(motion.dt, ACC_DENSITY**2, GYRO_DENSITY**2, SIZE)
     frame_at = dict(zip(np.searchsorted(t, scene.frame_t[frames]).tolist(), frames.tolist(), strict=True))
-    row_at = dict(zip(np.searchsorted(t, scene.t[rows]).tolist(), rows.tolist(), strict=True))
     sigma_m = max(joint_sigma(scene), LEAST_SIGMA_M)
-    state = start(scene, start_s)
+    states = [start(scene, start_s)]
     for k in range(len(t)):
-        if k:
-            state = predicted(state, motion, k - 1, scene.gravity, noise[k - 1])
+        state = predicted(states[-1], motion, k - 1, scene.gravity, noise[k - 1]) if k else states.pop()
         if k in frame_at:
             state = updated(state, scene.joints[frame_at[k], columns], arms, sigma_m)
-        if k in row_at:
-            row = row_at[k]
-            position[row], velocity[row], orientation[row] = state.p, state.v, state.R
-            covariance[row], attitude_covariance[row] = state.covariance[P, P], state.covariance[TURN, TURN]
-    return Path(position, velocity, covariance, orientation, attitude_covariance)
+        states.append(state)
+    answers = [states[k] for k in np.searchsorted(t, scene.t[rows])]
+    p, v, R, covariance = (
+        np.array([getattr(s, name) for s in answers]) for name in ("p", "v", "R", "covariance")
+    )
+    return path_at(scene, rows, p, v, covariance[:, P, P], R, covariance[:, TURN, TURN])
 
 
 def gyroscope_bias(scene: Scene) -> FloatArray:

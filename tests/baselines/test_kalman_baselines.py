@@ -105,8 +105,8 @@ def test_multirate_states_smaller_sigmas_as_published():
     two, _ = kalman_filter(wiener_model(both, moving, FENG_SIGMAS, 2000e-6))
     # the single-rate filter's sigma is constant once it has converged
     late_one, late_two = single.t > 3.0, (both.t > 0.5) & np.isfinite(both.acceleration[:, 0])
-    sigma_one = 1000.0 * np.sqrt(np.einsum("nii->ni", one.covariance[late_one])).mean(axis=0)
-    sigma_two = 1000.0 * np.sqrt(np.einsum("nii->ni", two.covariance[late_two])).mean(axis=0)
+    sigma_one = 1000.0 * np.sqrt(np.einsum("naii->ni", one.covariance[late_one]) / 3.0).mean(axis=0)
+    sigma_two = 1000.0 * np.sqrt(np.einsum("naii->ni", two.covariance[late_two]) / 3.0).mean(axis=0)
     assert sigma_one[:2] == pytest.approx([3.18, 12.26], rel=0.15)
     assert sigma_two[0] == pytest.approx(2.08, rel=0.15)
     # the share of time at rest, which the thesis does not give, moves this by some hundredths
