@@ -34,7 +34,6 @@ class LiveEstimate:
     pose_covariance: FloatArray  # (6, 6) m^2, m rad, rad^2: of (position, rotation vector) in {K}
     joints: dict[str, FloatArray]  # dict of (3,) m: by joint in {K}
     joint_covariance: dict[str, FloatArray]  # dict of (3, 3) m^2: of each joint, in {K}
-    offset: FloatArray  # (3,) m: what of a jump is still to be spread
 
     def widened(self, factor: float) -> LiveEstimate:
         """The same with sigmas times a factor."""

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from ..array_types import BoolArray, FloatArray
 from ..linalg import runs
 from ..recording import JOINTS, ImuStream, JointTracks
-from .imu_check import AGAIN_S, CONTEXT_S, TURN_DENSITY, VELOCITY_DENSITY, ImuCheck
+from .imu_check import AGAIN_S, CONTEXT_S, DENSITIES, ImuCheck
 
 
 @dataclass(frozen=True)
@@ -27,8 +27,8 @@ class SkeletonFrame:
 
 #: Samples older than this against the newest are not sorted in, s.
 LATE_S = 0.5
-#: So much more than its capacity is held before the oldest go (share).
-SLACK = 0.25
+#: Held for this many times the capacity at most; then the oldest go.
+SLACK = 1.25
 
 
 class ImuBuffer:
@@ -36,80 +36,74 @@ class ImuBuffer:
 
     def __init__(self, capacity_s: float) -> None:
         self._capacity_s = capacity_s
-        self._rows = np.zeros((1024, 9))  # t, acc, gyro as they came; doubt of the two
-        self._count = self.version = 0
-        self.late = self.duplicate = self.invalid = 0
+        self._rows = np.zeros((0, 9))  # t, acc, gyro as they came; doubt of the two
+        self.version = self.late = self.duplicate = self.invalid = 0
         self._check, self._reasons = ImuCheck(), dict[str, float]()
         self._doubted_s = -np.inf, -np.inf
 
     def __len__(self) -> int:
-        return self._count
+        return len(self._rows)
 
     @property
     def t(self) -> FloatArray:
         """Times of the samples, s; a view."""
-        return self._rows[: self._count, 0]
+        return self._rows[:, 0]
 
     @property
     def end_s(self) -> float:
         """Time of the newest sample, s; -inf without any."""
-        return float(self._rows[self._count - 1, 0]) if self._count else -np.inf
+        return float(self._rows[-1, 0]) if len(self) else -np.inf
 
     def add(self, batch: ImuStream) -> float | None:
-        """Sort samples in."""
+        """Sort samples in; from when on those that were there are followed by others, None where none are."""
         rows = np.column_stack([batch.t_s, batch.acc, batch.gyro, np.zeros((len(batch), 2))]).astype(float)
         finite = np.isfinite(rows).all(axis=1)
         self.invalid += int((~finite).sum())
         rows = rows[finite]
-        rows = rows[np.argsort(rows[:, 0], kind="stable")]
-        if not len(rows):
-            return None
-        newest_s = max(self.end_s, float(rows[-1, 0]))
-        late = rows[:, 0] < newest_s - LATE_S
-        if self._count:  # a first batch may be as long as it likes
+        rows, before_s = rows[np.argsort(rows[:, 0], kind="stable")], self.end_s
+        if len(self):  # a first batch may be as long as it likes
+            late = rows[:, 0] < max(before_s, rows[-1:, 0].max(initial=-np.inf)) - LATE_S
             self.late += int(late.sum())
             rows = rows[~late]
-        fresh = np.diff(rows[:, 0], prepend=-np.inf) > 0
-        before_s = self.end_s
-        inside = rows[:, 0] <= before_s
-        if inside.any():
-            fresh &= ~np.isin(rows[:, 0], self.t)
+        fresh = (np.diff(rows[:, 0], prepend=-np.inf) > 0) & ~np.isin(
+            rows[:, 0], self._since(before_s - LATE_S)[:, 0]
+        )
         self.duplicate += int((~fresh).sum())
-        rows, inside = rows[fresh], inside[fresh]
+        rows = rows[fresh]
         if not len(rows):
             return None
         self.version += 1
-        self._reserve(len(rows))
-        if not inside.any():
-            self._rows[self._count : self._count + len(rows)] = rows
-            self._count += len(rows)
-            return None
         first = int(np.searchsorted(self.t, rows[0, 0]))
-        tail = np.concatenate([self._rows[first : self._count], rows])
-        self._count += len(rows)
-        self._rows[first : self._count] = tail[np.argsort(tail[:, 0], kind="stable")]
-        return float(rows[0, 0])
+        tail = np.concatenate([self._rows[first:], rows])
+        self._rows = np.concatenate([self._rows[:first], tail[np.argsort(tail[:, 0], kind="stable")]])
+        if self.end_s - self._rows[0, 0] > SLACK * self._capacity_s:
+            self._rows = self._since(self.end_s - self._capacity_s)
+        return float(rows[0, 0]) if rows[0, 0] <= before_s else None
+
+    def _since(self, t_s: float) -> FloatArray:
+        """The rows from a time on; a view."""
+        return self._rows[int(np.searchsorted(self.t, t_s)) :]
 
     def since_pause_s(self, longest_s: float, looked_s: float) -> float:
         """Where the samples begin that have no longer pause, within the last `looked_s`; s."""
-        t = self.t[int(np.searchsorted(self.t, self.end_s - looked_s)) :]
+        t = self._since(self.end_s - looked_s)[:, 0]
         pauses = np.flatnonzero(np.diff(t) > longest_s)
         return float(t[pauses[-1] + 1]) if len(pauses) else float(t[0])
 
     def check(self) -> float | None:
-        """Look for samples that cannot be right."""
+        """Look for samples that cannot be right; from when on they are treated otherwise than before."""
+        if not len(self):
+            return None
         end_s = self.end_s
-        first, again = np.searchsorted(self.t, [end_s - AGAIN_S - CONTEXT_S, end_s - AGAIN_S]).tolist()
-        rows = self._rows[first : self._count]
-        doubt = self._check.doubt(rows[:, 0], rows[:, 1:4], rows[:, 4:7])
-        found = np.stack([doubt.velocity, doubt.turn], axis=1)
+        rows, late = self._since(end_s - AGAIN_S - CONTEXT_S), self._since(end_s - AGAIN_S)
+        found, reasons = self._check.doubt(rows[:, 0], rows[:, 1:4], rows[:, 4:7])
         if self._doubted_s[1] >= rows[0, 0]:
             found = np.maximum(found, self._contradicted(rows[:, 0]))
-        for why, where in doubt.reason.items():
+        for why, where in reasons.items():
             if where[-3:].any() and where.sum() >= 5:
                 self._reasons[why] = end_s
         self._reasons = {why: at for why, at in self._reasons.items() if end_s - at < AGAIN_S}
-        late, found = rows[again - first :], found[again - first :]
+        found = found[len(rows) - len(late) :]
         sound = ~found.any(axis=1)
         self._check.learn(late[sound, 1:4], late[sound, 4:7])
         changed = ((found > 0) != (late[:, 7:] > 0)).any(axis=1)
@@ -123,8 +117,7 @@ class ImuBuffer:
         """Doubt all samples from one time to another, because the camera contradicts them."""
         since_s = min(since_s, self._doubted_s[0]) if since_s <= self._doubted_s[1] else since_s
         self._doubted_s = since_s, until_s
-        first = int(np.searchsorted(self.t, since_s))
-        rows = self._rows[first : self._count]
+        rows = self._since(since_s)
         if not len(rows):
             return None
         rows[:, 7:] = np.maximum(rows[:, 7:], self._contradicted(rows[:, 0]))
@@ -135,13 +128,12 @@ class ImuBuffer:
         """What the camera's contradiction makes of samples at some times (n,): (n, 2) variances."""
         inside = (t >= self._doubted_s[0]) & (t <= self._doubted_s[1])
         each_s = float(np.median(np.diff(t))) if len(t) > 1 else 0.01
-        return np.outer(inside, np.square([VELOCITY_DENSITY, TURN_DENSITY]) * each_s)
+        return np.outer(inside, np.square(DENSITIES) * each_s)
 
     @property
     def is_doubted(self) -> bool:
         """The newest samples are doubtful, for more than a moment."""
-        newest = self._rows[max(self._count - 5, 0) : self._count, 7:]
-        return bool(len(newest)) and bool((newest > 0).any(axis=1).all())
+        return bool(len(self)) and bool((self._rows[-5:, 7:] > 0).any(axis=1).all())
 
     @property
     def doubtful_because(self) -> tuple[str, ...]:
@@ -150,7 +142,7 @@ class ImuBuffer:
 
     def doubt(self, start_s: float) -> FloatArray:
         """What replaced samples may cost velocity and turn, (n, 2) variances, from a time on."""
-        return self._rows[int(np.searchsorted(self.t, start_s)) : self._count, 7:].copy()
+        return self._since(start_s)[:, 7:].copy()
 
     def stream(self, start_s: float, end_s: float = np.inf) -> ImuStream:
         """The samples from one time to another; doubtful ones are replaced."""
@@ -162,22 +154,10 @@ class ImuBuffer:
 
     def sound_stream(self) -> ImuStream:
         """All samples without stretches that are doubtful: there is a pause."""
-        stream = self.stream(-np.inf)
-        wrong = np.asarray((self._rows[: self._count, 7:] > 0).any(axis=1))
+        stream, wrong = self.stream(-np.inf), np.asarray((self._rows[:, 7:] > 0).any(axis=1))
         for run in runs(wrong):
             wrong[run] = run.stop - run.start >= 4  # a single one was replaced well
         return stream.select(~wrong) if wrong.any() else stream
-
-    def _reserve(self, more: int) -> None:
-        """Make place for more samples: the oldest go, or the array grows."""
-        if self._count + more <= len(self._rows):
-            return
-        keep = int(np.searchsorted(self.t, self.end_s - self._capacity_s))
-        held = self._rows[keep : self._count]
-        size = max(int((1.0 + SLACK) * (len(held) + more)), 1024)
-        rows = np.zeros((size, 9))
-        rows[: len(held)] = held
-        self._rows, self._count = rows, len(held)
 
 
 def _replace(t: FloatArray, values: FloatArray, wrong: BoolArray, fades: bool) -> None:
@@ -221,7 +201,7 @@ class FrameBuffer:
             self.duplicate += 1
             return False
         self._frames.insert(index, frame)
-        if t_s - self._frames[0].t_s > 1.25 * self._capacity_s:
+        if t_s - self._frames[0].t_s > SLACK * self._capacity_s:
             del self._frames[: self._at(t_s - self._capacity_s)]
         return True
 

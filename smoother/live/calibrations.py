@@ -10,6 +10,7 @@ from concurrent.futures import Future, ProcessPoolExecutor, ThreadPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -37,8 +38,7 @@ from .further_imus import FurtherPlace, LiveFurtherImu
 LARGEST_SIGMA_M = 0.10
 
 
-@dataclass(frozen=True)
-class CalibrationJob:
+class CalibrationJob(NamedTuple):
     """What a self-calibration reads."""
 
     recording: Recording  # The last minutes
@@ -76,12 +76,13 @@ def _calibrated(job: CalibrationJob, before: Clock) -> LiveCalibration:
     """A self-calibration with the camera's stamps moved beforehand."""
     arm = job.recording.arm
     recording = replace(job.recording, arm=replace(arm, t_s=before.to_imu(arm.t_s)))
+    config = with_measured_noise(job.config, recording.imu)
     try:
-        found = informative_excerpts(recording, Timeline.of(recording))
-        excerpts = [reject_by_camera(excerpt) for excerpt in found]
+        excerpts = [
+            reject_by_camera(each) for each in informative_excerpts(recording, Timeline.of(recording))
+        ]
         if not excerpts:
             return LiveCalibration(reason="the IMU and a visible forearm do not overlap yet")
-        config = with_measured_noise(job.config, recording.imu)
         with Pool(1, 0) as here:
             further, left_out = calibrate_further_imus(recording, job.given, config, here)
             own = [without_joints_of(excerpt, further) for excerpt in excerpts]
@@ -92,21 +93,16 @@ def _calibrated(job: CalibrationJob, before: Clock) -> LiveCalibration:
         return LiveCalibration(reason="the arm has to move more: the IMU's mounting is not determined yet")
     if not model.joint_sigma_m.max() < LARGEST_SIGMA_M:
         return LiveCalibration(reason="camera and IMU do not fit each other yet: move the arm in view")
+    places, end_s = [], recording.arm.t_s[-1:]
     for imu in further:
+        shift_s = float((model.clock.at(end_s) - imu.clock.at(end_s))[0])
+        places.append(FurtherPlace(imu.segment.name, imu.model.errors.imu, shift_s))
         model = imu.joined(model)
-    if model.estimate.mountings:  # those that were given of IMUs that are not there
-        there = {imu.segment.name: model.estimate.mountings[imu.segment.name] for imu in further}
-        model = replace(model, estimate=replace(model.estimate, mountings=there))
-    end_s = recording.arm.t_s[-1:]
-    places = tuple(
-        FurtherPlace(
-            imu.segment.name, imu.model.errors.imu, float((model.clock.at(end_s) - imu.clock.at(end_s))[0])
-        )
-        for imu in further
-    )
-    return LiveCalibration(
-        model=model, clock=model.clock.after(before), further=places, left_out=tuple(left_out)
-    )
+    # without those that were given of IMUs that are not there
+    there = {each.segment: model.estimate.mountings[each.segment] for each in places}
+    model = replace(model, estimate=replace(model.estimate, mountings=there))
+    clock = model.clock.after(before)
+    return LiveCalibration(model=model, clock=clock, further=tuple(places), left_out=tuple(left_out))
 
 
 #: The background leaves the processor to what is live (`os.nice`).
@@ -145,9 +141,7 @@ class InlineCalibrator:
 class BackgroundCalibrator(InlineCalibrator):
     """Does the same in a process of its own, which ends with this one."""
 
-    def __init__(self) -> None:
-        super().__init__()
-        self._executor: ProcessPoolExecutor | None = None
+    _executor: ProcessPoolExecutor | None = None
 
     def submit(self, job: CalibrationJob) -> None:
         """As of `InlineCalibrator`."""
@@ -218,10 +212,8 @@ class Calibrations:
     def fetch(self) -> bool:
         """Fetch an answer; True where there is a new calibration."""
         answer = self._calibrator.answer()
-        if answer is None:
-            return False
-        if answer.model is None or answer.clock is None:
-            self.reason = answer.reason
+        if answer is None or answer.model is None or answer.clock is None:
+            self.reason = self.reason if answer is None else answer.reason
             return False
         self._count += 1
         self.last = answer
@@ -241,10 +233,15 @@ class Calibrations:
         if self._calibrator.busy or not len(imu) or not len(frames):
             return
         arrival_offset_s = camera.delay_s - USUAL_LATENCY_S
-        if not self._is_due(imu, frames, arrival_offset_s):
+        if self._asked_s is None:
+            start_s = max(float(imu.t[0]), frames.since(-np.inf)[0].t_s + arrival_offset_s)
+            wait_s = FIRST_S
+        else:
+            start_s = self._asked_s
+            wait_s = RETRY_S if self.last is None else AGAIN_S[min(self._count, len(AGAIN_S)) - 1]
+        if imu.end_s - start_s < wait_s:
             return
-        self._asked_s = imu.end_s
-        arm = frames.tracks(-np.inf)
+        self._asked_s, arm = imu.end_s, frames.tracks(-np.inf)
         self.needed = joints_needed(arm)
         recording = Recording(
             imu=imu.sound_stream(),
@@ -276,14 +273,3 @@ class Calibrations:
     def sigma_factor(self) -> float:
         """What sigma is multiplied by: the first calibration, of some seconds, knows less than it says."""
         return FIRST_FACTOR if self._count == 1 else 1.0
-
-    def close(self) -> None:
-        """End the background's work."""
-        self._calibrator.close()
-
-    def _is_due(self, imu: ImuBuffer, frames: FrameBuffer, arrival_offset_s: float) -> bool:
-        if self._asked_s is None:
-            start_s = max(float(imu.t[0]), frames.since(-np.inf)[0].t_s + arrival_offset_s)
-            return imu.end_s - start_s >= FIRST_S
-        wait_s = RETRY_S if self.last is None else AGAIN_S[min(self._count, len(AGAIN_S)) - 1]
-        return imu.end_s - self._asked_s >= wait_s

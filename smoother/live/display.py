@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Literal
 
 import numpy as np
@@ -46,27 +47,33 @@ class Display:
     def now(
         self, tracker: Tracker, solution: LagSolution, now_s: float, clock_sigma_s: float, delay_s: float
     ) -> LiveEstimate:
-        """The arm at the present."""
+        """The arm at the present; what the camera's clock is known to, and the frames' usual delay, s."""
         if self._jump is not None and now_s - self._jump[0] > SPREAD_S:
             self._jump = None
         prediction = predicted(tracker, solution, now_s)
-        beyond_s = max(prediction.state.t - solution.newest.t, 0.0)
-        # how far the shoulder may have gone since its knot
-        shoulder = tracker.noise.shoulder_walk**2 * beyond_s
-        seen = tracker.history.state_now(now_s, delay_s)
-        return self._estimate("now", prediction, solution, tracker.model, clock_sigma_s, shoulder, *seen)
+        estimate = _estimate(
+            "now", prediction, tracker, solution, clock_sigma_s, *self._left(prediction.state.t)
+        )
+        if solution.shoulder is not None:  # how far it may have gone since its knot
+            beyond_s = max(prediction.state.t - solution.newest.t, 0.0)
+            estimate.joint_covariance["shoulder"] += tracker.noise.shoulder_walk**2 * beyond_s * np.eye(3)
+        state, since_s = tracker.history.state_now(now_s, delay_s)
+        return replace(estimate, state=state, since_s=since_s)
 
     def settled(
         self, tracker: Tracker, solution: LagSolution, now_s: float, clock_sigma_s: float
     ) -> LiveEstimate | None:
-        """The arm a lag ago; None where the window does not reach so far back. Parameters as of `now`."""
+        """The arm a lag ago; None where the window does not reach so far back."""
         settled_s, start = now_s - self._lag_s, solution.settled
         if settled_s < float(tracker.window.t[0]):
             return None
         signal = tracker.signal.since(start.t)
         prediction = predict(start, solution, signal, max(settled_s, start.t), tracker.noise)
-        seen = tracker.history.state_at(settled_s)
-        return self._estimate("settled", prediction, solution, tracker.model, clock_sigma_s, 0.0, *seen)
+        estimate = _estimate(
+            "settled", prediction, tracker, solution, clock_sigma_s, np.zeros(3), np.zeros(3)
+        )
+        state, since_s = tracker.history.state_at(settled_s)
+        return replace(estimate, state=state, since_s=since_s)
 
     def _left(self, t_s: float) -> tuple[FloatArray, FloatArray]:
         """Offset and turn that are left at a time: all at first, none after `SPREAD_S`, smooth between."""
@@ -77,53 +84,45 @@ class Display:
         share = 1.0 - u * u * (3.0 - 2.0 * u)
         return share * offset, share * turn
 
-    def _estimate(
-        self,
-        kind: Literal["now", "settled"],
-        prediction: Prediction,
-        solution: LagSolution,
-        model: SelfCalibration,
-        clock_sigma_s: float,  # of the camera's clock
-        shoulder_variance: float,  # m^2
-        live_state: LiveState,
-        since_s: float | None,
-    ) -> LiveEstimate:
-        """The arm at a moment with its covariance."""
-        joints = list(solution.levers)
-        shoulder = ["shoulder"] if solution.shoulder is not None else []
-        of = "" if kind == "now" else "settled_"
-        covariance = prediction.covariance(solution, [*joints, *shoulder], of)
-        state = prediction.state
-        # a clock that is off by a moment moves the whole path along itself
-        common = common_error(model) + clock_sigma_s**2 * state.v[:, None] * state.v
-        R, p, offset = state.R, state.p, np.zeros(3)
-        if kind == "now" and self._jump is not None:
-            offset, turn = self._left(state.t)
-            p, R = p + offset, Rotation.from_rotvec(turn).as_matrix() @ R
-            common = common + np.outer(offset, offset)
-            covariance[:3, :3] += np.outer(turn, turn)
-        pose = covariance[_POSE]
-        pose[:3, :3] += common
-        places, spreads = {}, {}
-        for k, joint in enumerate(joints):
-            places[joint], spread = joint_at(R, p, solution.levers[joint], k, covariance)
-            spreads[joint] = spread + common
-        if solution.shoulder is not None:
-            places["shoulder"] = solution.shoulder
-            spreads["shoulder"] = covariance[-3:, -3:] + shoulder_variance * np.eye(3)
-        return LiveEstimate(
-            t_s=state.t,
-            kind=kind,
-            state=live_state,
-            since_s=since_s,
-            position=p,
-            quaternion=Rotation.from_matrix(R).as_quat(scalar_first=True),
-            velocity=state.v,
-            pose_covariance=widen_turns(pose[None])[0],
-            joints=places,
-            joint_covariance=spreads,
-            offset=offset,
-        )
+
+def _estimate(
+    kind: Literal["now", "settled"],
+    prediction: Prediction,
+    tracker: Tracker,
+    solution: LagSolution,
+    clock_sigma_s: float,  # of the camera's clock
+    offset: FloatArray,  # what of a change is still to be spread, m and rad
+    turn: FloatArray,
+) -> LiveEstimate:
+    """The arm at a moment with its covariance, as if it were visible."""
+    names, state = list(solution.levers), prediction.state
+    known = [*names, *([] if solution.shoulder is None else ["shoulder"])]
+    covariance = prediction.covariance(solution, known, "" if kind == "now" else "settled_")
+    # a clock that is off by a moment moves the whole path along itself
+    common = common_error(tracker.model) + clock_sigma_s**2 * state.v[:, None] * state.v
+    common = common + np.outer(offset, offset)
+    covariance[:3, :3] += np.outer(turn, turn)
+    p, R = state.p + offset, Rotation.from_rotvec(turn).as_matrix() @ state.R
+    pose = covariance[_POSE]
+    pose[:3, :3] += common
+    places, spreads = {}, {}
+    for k, joint in enumerate(names):
+        places[joint], spread = joint_at(R, p, solution.levers[joint], k, covariance)
+        spreads[joint] = spread + common
+    if solution.shoulder is not None:
+        places["shoulder"], spreads["shoulder"] = solution.shoulder, covariance[-3:, -3:].copy()
+    return LiveEstimate(
+        t_s=state.t,
+        kind=kind,
+        state=LiveState.VISIBLE,
+        since_s=None,
+        position=p,
+        quaternion=Rotation.from_matrix(R).as_quat(scalar_first=True),
+        velocity=state.v,
+        pose_covariance=widen_turns(pose[None])[0],
+        joints=places,
+        joint_covariance=spreads,
+    )
 
 
 def common_error(model: SelfCalibration) -> FloatArray:

@@ -6,7 +6,7 @@ may have moved meanwhile: the camera leads until sound samples come again.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
@@ -15,38 +15,37 @@ from ..array_types import BoolArray, FloatArray
 from ..linalg import middle, runs
 from ..units import GRAVITY
 
-#: No sensor that is worn measures more, m/s^2 (32 g) and rad/s (4,300 deg/s).
-LARGEST_FORCE, LARGEST_RATE = 320.0, 75.0
+
+class _Sensor(NamedTuple):
+    """What a worn sensor measures, m/s^2 or rad/s."""
+
+    name: str
+    largest: float  # No sensor that is worn measures more (32 g; 4,300 deg/s)
+    spike: float  # Samples farther than this from the median of five are spikes, at 100 Hz and above
+    share: float  # A spike may have been a knock: this share of it may be missing from velocity or turn
+    clipped: float  # An axis that repeats a value is clipped, from this value on
+    small: tuple[float, float]  # It is never so small for so long, s
+    large: tuple[float, float]  # .. nor so large
+    density: float  # What an arm may do meanwhile: change by this much per square root of a second
+    units: str = ""
+
+
+_ACCELEROMETER = _Sensor(
+    "accelerometer", 320.0, 15.0, 0.4, 10.5, (0.3 * GRAVITY, 0.15), (3.0 * GRAVITY, 0.3), 2.0
+)
+_GYROSCOPE = _Sensor(
+    "gyroscope", 75.0, 10.0, 0.05, 1.5, (0.0, 0.15), (20.0, 0.15), 2.5, ": are its units rad/s?"
+)
+#: Of the velocity, m/s, and of the direction, rad.
+DENSITIES = _ACCELEROMETER.density, _GYROSCOPE.density
 #: A value is held where it repeats this often on all axes, while the other sensor, or its own value, shows
 #: that the arm moves: rad/s, m/s^2.
 REPEATS = 4
 MOVING_RATE, MOVING_FORCE = 0.15, 0.6
 #: .. or where repeats were no more than this share of the samples before, and this many come in a row.
 USUAL_REPEATS, UNUSUAL = 0.02, 8
-#: Samples farther than this from the median of five are spikes, m/s^2 and rad/s at 100 Hz and above.
-SPIKE_FORCE, SPIKE_RATE = 15.0, 10.0
-#: A spike may have been a knock: this share of it may be missing from the velocity; from the turn, this one.
-KNOCK_SHARE, TURN_SHARE = 0.4, 0.05
-#: The specific force is never so small for this long, nor so large, in g and s; nor the rate, rad/s.
-SMALLEST_G, SMALL_S = 0.3, 0.15
-LARGE_G, LARGE_S = 3.0, 0.3
-LARGE_RATE, LARGE_RATE_S = 20.0, 0.15
-#: An axis that repeats a value is clipped, from these values on.
-CLIPPED_FORCE, CLIPPED_RATE = 10.5, 1.5
-#: What an arm may do meanwhile: its velocity and direction change by this much per square root of a second.
-VELOCITY_DENSITY, TURN_DENSITY = 2.0, 2.5
 #: With every sample this much is looked at again, s, and this much before it is its context, s.
 AGAIN_S, CONTEXT_S = 0.5, 0.5
-
-
-@dataclass(frozen=True)
-class Doubt:
-    """What is doubtful of some samples."""
-
-    # (n,), (m/s) ^2: Variance of the velocity for each sample whose specific force is not used; 0 where it is
-    velocity: FloatArray
-    turn: FloatArray  # (n,) rad^2: likewise for the angular rate
-    reason: dict[str, BoolArray]  # bool (n,): why, in words
 
 
 class ImuCheck:
@@ -58,11 +57,10 @@ class ImuCheck:
 
     def learn(self, acc: FloatArray, gyro: FloatArray) -> None:
         """Take in sound samples (n, 3) each, as what is usual."""
-        values = np.abs(np.hstack([acc, gyro]))
-        if len(values) < 2:
+        if len(acc) < 2:
             return
-        self._largest = np.maximum(self._largest, values.max(axis=0))
-        weight = min(len(values) / 500.0, 1.0)
+        self._largest = np.maximum(self._largest, np.abs(np.hstack([acc, gyro])).max(axis=0))
+        weight = min(len(acc) / 500.0, 1.0)
         share = [float(_same(each).mean()) for each in (acc, gyro)]
         self._repeats = (1.0 - weight) * self._repeats + weight * np.array(share)
 
@@ -71,56 +69,32 @@ class ImuCheck:
         t_s: FloatArray,  # (n,) s
         acc: FloatArray,  # (n, 3) m/s^2
         gyro: FloatArray,  # (n, 3) rad/s
-    ) -> Doubt:
-        """What is doubtful of the samples of about a second."""
-        count = len(t_s)
-        velocity, turn = np.zeros(count), np.zeros(count)
-        reason: dict[str, BoolArray] = {}
-        if count < 8:
-            return Doubt(velocity, turn, reason)
+    ) -> tuple[FloatArray, dict[str, BoolArray]]:  # (n, 2) (m/s)^2 and rad^2
+        """What is doubtful of a second's samples: variances of velocity and turn, 0 where sound, and why."""
+        found, reasons = np.zeros((len(t_s), 2)), dict[str, BoolArray]()
+        if len(t_s) < 8:
+            return found, reasons
         apart = t_s[1:] - t_s[:-1]
         each_s = np.clip(np.concatenate([[middle(apart)], apart]), 1e-4, 0.1)
         usual_s = middle(each_s)
-        force, rate = np.sqrt((acc * acc).sum(axis=1)), np.sqrt((gyro * gyro).sum(axis=1))
-        slow = max(usual_s / 0.01, 1.0)
-        spike, size = _spikes(acc, SPIKE_FORCE * slow)
-        if spike.any():
-            velocity[spike] = (KNOCK_SHARE * np.minimum(size, LARGEST_FORCE) * each_s)[spike] ** 2
-        spike, size = _spikes(gyro, SPIKE_RATE * slow)
-        if spike.any():
-            turn[spike] = (TURN_SHARE * np.minimum(size, LARGEST_RATE) * each_s)[spike] ** 2
-        force_held, rate_held = self._held(acc, gyro, force, rate)
-        clipped = [
-            _clipped(values, self._largest[columns], floor)
-            for values, columns, floor in (
-                (acc, slice(0, 3), CLIPPED_FORCE),
-                (gyro, slice(3, 6), CLIPPED_RATE),
-            )
-        ]
-        by_force = {
-            "the accelerometer repeats a value": force_held,
-            "the accelerometer is out of range": (np.abs(acc) > LARGEST_FORCE).any(axis=1)
-            | _on_average(force > LARGE_G * GRAVITY, usual_s, LARGE_S),
-            "the accelerometer does not show gravity: are its units m/s^2?": _on_average(
-                force < SMALLEST_G * GRAVITY, usual_s, SMALL_S
-            ),
-            "the accelerometer is clipped": clipped[0],
-        }
-        by_rate = {
-            "the gyroscope repeats a value": rate_held,
-            "the gyroscope is out of range: are its units rad/s?": (np.abs(gyro) > LARGEST_RATE).any(axis=1)
-            | _on_average(rate > LARGE_RATE, usual_s, LARGE_RATE_S),
-            "the gyroscope is clipped": clipped[1],
-        }
-        for found, variance, density in (
-            (by_force, velocity, VELOCITY_DENSITY),
-            (by_rate, turn, TURN_DENSITY),
-        ):
-            for why, rows in found.items():
+        sizes = [np.sqrt((each * each).sum(axis=1)) for each in (acc, gyro)]
+        held = self._held(acc, gyro, *sizes)
+        for column, sensor in enumerate((_ACCELEROMETER, _GYROSCOPE)):
+            values, size, variance = (acc, gyro)[column], sizes[column], found[:, column]
+            spike, off = _spikes(values, sensor.spike * max(usual_s / 0.01, 1.0))
+            variance[spike] = (sensor.share * np.minimum(off, sensor.largest) * each_s)[spike] ** 2
+            (small, small_s), (large, large_s) = sensor.small, sensor.large
+            too_large = (np.abs(values) > sensor.largest).any(axis=1)
+            for why, rows in (
+                ("repeats a value", held[column]),
+                (f"is out of range{sensor.units}", too_large | _on_average(size > large, usual_s, large_s)),
+                ("does not show gravity: are its units m/s^2?", _on_average(size < small, usual_s, small_s)),
+                ("is clipped", _clipped(values, self._largest[3 * column :][:3], sensor.clipped)),
+            ):
                 if rows.any():
-                    variance[rows] = (density**2 * each_s)[rows]
-                    reason[why] = rows
-        return Doubt(velocity, turn, reason)
+                    variance[rows] = (sensor.density**2 * each_s)[rows]
+                    reasons[f"the {sensor.name} {why}"] = rows
+        return found, reasons
 
     def _held(
         self, acc: FloatArray, gyro: FloatArray, force: FloatArray, rate: FloatArray
@@ -129,7 +103,7 @@ class ImuCheck:
         held = [_held(acc), _held(gyro)]
         if not (held[0].any() or held[1].any()):
             return held[0], held[1]
-        unusual = held[0] & held[1] & _long(held[0] & held[1]) & (self._repeats < USUAL_REPEATS).all()
+        unusual = _long(held[0] & held[1], UNUSUAL) & (self._repeats < USUAL_REPEATS).all()
         is_moving = (np.abs(force - GRAVITY) > MOVING_FORCE) | (rate > MOVING_RATE)
         turned = _over_runs(held[0], rate) > MOVING_RATE
         shaken = _over_runs(held[1], np.abs(force - middle(force))) > MOVING_FORCE
@@ -144,21 +118,14 @@ def _same(values: FloatArray) -> BoolArray:
 
 def _held(values: FloatArray) -> BoolArray:
     """Samples of a long run of repeats, without its first."""
-    held = np.zeros(len(values), bool)
-    same = _same(values)
-    if not same.any():
-        return held
-    for run in runs(same):
-        if run.stop - run.start >= REPEATS:
-            held[run.start + 1 : run.stop + 1] = True
-    return held
+    return np.append(False, _long(_same(values), REPEATS))
 
 
-def _long(rows: BoolArray) -> BoolArray:
-    """Rows in runs of `UNUSUAL` at least."""
+def _long(rows: BoolArray, least: int) -> BoolArray:
+    """Rows in runs of so many at least."""
     long = np.zeros(len(rows), bool)
-    for run in runs(rows):
-        long[run] = run.stop - run.start >= UNUSUAL
+    for run in runs(rows) if rows.any() else ():
+        long[run] = run.stop - run.start >= least
     return long
 
 

@@ -60,8 +60,12 @@ class LiveSmoother:
             raise UnoccludeError(f"The lag is {lag_s:g} s; give one from 0 to 2 s.")
         self._lag_s, self._config = lag_s, config or Config()
         self._imu, self._frames, self._camera = ImuBuffer(BUFFER_S), FrameBuffer(BUFFER_S), CameraClock()
-        given, calibrator = calibration or ArmCalibration(side=side), calibrator or BackgroundCalibrator()
-        self._calibrations = Calibrations(calibrator, side, given, self._config, gravity_hint, camera_frame)
+        given, self._calibrator = (
+            calibration or ArmCalibration(side=side),
+            calibrator or BackgroundCalibrator(),
+        )
+        about = self._calibrator, side, given, self._config, gravity_hint, camera_frame
+        self._calibrations = Calibrations(*about)
         self._worn = {name: LiveFurtherImu(SEGMENTS[name], BUFFER_S) for name in further}
         self._display = Display(lag_s)
         # who follows the arm, and who catches up beside with a newer calibration and takes its place
@@ -82,7 +86,7 @@ class LiveSmoother:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        self._calibrations.close()
+        self._calibrator.close()
 
     def add_imu(self, samples: ImuStream, segment: str = FOREARM.name) -> None:
         """Take samples in, in any order; those older than half a second before the newest are dropped."""

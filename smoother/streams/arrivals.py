@@ -9,24 +9,18 @@ from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
-from typing import Generic, Protocol, TypeVar
+from queue import SimpleQueue
+from typing import Any, Generic, Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..array_types import BoolArray, FloatArray, IntArray
+from ..array_types import FloatArray, IntArray
 from ..live.answers import LiveOutput
 from ..measurements.visibility import Gap
 from ..recording import JOINTS, CameraFrame
 
 Rows = TypeVar("Rows", bound="StreamRows")
-
-
-class RowChange(Protocol):
-    """Makes rows of a stream's rows."""
-
-    def __call__(self, rows: Rows, /) -> Rows:
-        """Of one stream."""
 
 
 class StreamRows:
@@ -52,6 +46,11 @@ class StreamRows:
         columns = {name: [vars(one)[name] for one in rows] for name in vars(cls())}
         known = {name: each for name, each in columns.items() if not any(c is None for c in each)}
         return cls(**{name: np.concatenate(each) for name, each in known.items()}) if rows else cls()
+
+
+def drained(queue: SimpleQueue[Any]) -> list[Any]:
+    """All that waits in a queue."""
+    return [queue.get_nowait() for _ in range(queue.qsize())]
 
 
 def _none(*row: int, dtype: type = float) -> Callable[[], NDArray]:
@@ -92,7 +91,7 @@ class Arrivals:
     frames: FrameRows = field(default_factory=FrameRows)
     events: tuple[str, ...] = ()  # What was done to their stamps, a sentence each
 
-    def by_row(self, change: RowChange) -> Arrivals:
+    def by_row(self, change: Callable[[Any], Any]) -> Arrivals:
         """The same with every stream's rows changed."""
         imus = {name: change(imu) for name, imu in self.imus.items()}
         return Arrivals(imus, change(self.frames), self.events)
@@ -188,103 +187,90 @@ class StampSteps(Generic[Rows]):
     """Keeps the stamps of one stream on one clock."""
 
     def __init__(self, name: str, early_s: float = EARLY_S, back_s: float = LATE_S) -> None:
-        self._early_s, self._back_s = early_s, back_s
+        self._name, self._early_s, self._back_s = name, early_s, back_s
         self.moved_s = self.stepped_s = 0.0
         self.dropped = 0
-        self._name = name
-        self._newest = self._arrival = -np.inf
-        self._least: deque[tuple[int, float]] = deque()
+        self._newest_s = self._arrival_s = -np.inf
+        self._least: deque[tuple[int, float]] = deque()  # each second's least delay
         self._odd: Rows | None = None  # rows that wait, as they came
 
     def corrected(self, rows: Rows) -> tuple[Rows, tuple[str, ...]]:
         """Rows that can be used, stamped by the clock that the stream began with."""
-        if not len(rows):
-            return rows, ()
-        events = [] if self._least else self._begin(float(rows.t_s[0]), float(rows.arrival_s[0]))
-        t, arrival = rows.t_s + self.moved_s, rows.arrival_s
-        if self._odd is None and not self._is_odd(t, arrival).any():
-            self._learn(t, arrival)
-            return rows.stamped(t), tuple(events)
         odd = list(range(0 if self._odd is None else len(self._odd)))
         new = range(len(odd), len(odd) + len(rows))
         rows = rows if self._odd is None else type(rows).joined([self._odd, rows])
-        usable, stamps = list[int](), list[float]()
+        usable, stamps, events = list[int](), list[float](), list[str]()
         for at in new:
-            t, arrival = rows.t_s[at : at + 1] + self.moved_s, rows.arrival_s[at : at + 1]
-            is_odd = bool(self._is_odd(t, arrival)[0])
-            if not is_odd and not self._ran_back(rows.select(np.array([*odd, at]))):
-                kept = [each for each in odd if self._is_late(rows.t_s[each])]
-                self.dropped += len(odd) - len(kept)
-                usable += [*kept, at]
-                stamps += [*(rows.t_s[kept] + self.moved_s), float(t[0])]
-                odd.clear()
-                self._learn(t, arrival)
-                continue
+            sent_s, arrival_s = float(rows.t_s[at]), float(rows.arrival_s[at])
+            if not self._least:
+                events += self._begin(sent_s, arrival_s)
+            is_odd = self._is_odd(sent_s + self.moved_s, arrival_s)
             odd.append(at)
-            if not is_odd or rows.arrival_s[at] - rows.arrival_s[odd[0]] >= PERSISTS_S:
-                stepped, sentence = self._step(rows.t_s[odd], rows.arrival_s[odd])
-                events.append(sentence)
-                usable += odd
-                stamps += stepped.tolist()
-                odd.clear()
+            if not is_odd and not self._ran_back(rows.t_s[odd], rows.arrival_s[odd]):
+                # of those that waited, some were only late; the others are wrong by themselves
+                kept = [
+                    k for k in odd if self._newest_s - LATE_S <= rows.t_s[k] + self.moved_s <= self._newest_s
+                ]
+                kept += [] if at in kept else [at]
+                self.dropped += len(odd) - len(kept)
+                self._learn(sent_s + self.moved_s, arrival_s)
+            elif not is_odd or arrival_s - rows.arrival_s[odd[0]] >= PERSISTS_S:
+                kept = odd
+                events.append(self._step(rows.t_s[odd], rows.arrival_s[odd]))
+            else:
+                continue
+            usable += kept
+            stamps += (rows.t_s[kept] + self.moved_s).tolist()
+            odd = []
         self._odd = rows.select(np.array(odd)) if odd else None
-        return rows.select(np.array(usable, int)).stamped(np.array(stamps)), tuple(events)
+        return rows.select(np.array(usable, int)).stamped(np.array(stamps, float)), tuple(events)
 
-    def _begin(self, t_s: float, arrival_s: float) -> list[str]:
+    def _begin(self, sent_s: float, arrival_s: float) -> list[str]:
         """The first row: a clock that is not this computer's is moved to it."""
-        delay, events = arrival_s - t_s, []
-        if not -EARLY_S <= delay <= OTHER_CLOCK_S:
-            self.moved_s = delay
-            events.append(
-                f"the stamps of {self._name} come from another clock: {delay:+.1f} s were added, so that"
-                " the first one is its arrival time"
-            )
-        self._learn(np.array([t_s + self.moved_s]), np.array([arrival_s]))
-        return events
+        delay_s = arrival_s - sent_s
+        is_own = -EARLY_S <= delay_s <= OTHER_CLOCK_S
+        self.moved_s = 0.0 if is_own else delay_s
+        self._learn(sent_s + self.moved_s, arrival_s)
+        said = f"the stamps of {self._name} come from another clock: {delay_s:+.1f} s were added, so that"
+        return [] if is_own else [f"{said} the first one is its arrival time"]
 
-    def _is_odd(self, t_s: FloatArray, arrival_s: FloatArray) -> BoolArray:
-        newest = np.maximum.accumulate(np.append(self._newest, t_s))[:-1]
-        passed_s = arrival_s - np.append(self._arrival, arrival_s)[:-1]
+    def _is_odd(self, t_s: float, arrival_s: float) -> bool:
         # a queue that empties after a pause has ever shorter delays, and stamps that go on one by one
-        early = arrival_s - t_s < self._least_delay - self._early_s
-        return np.asarray((t_s < newest - self._back_s) | (early & (t_s - newest > passed_s + self._early_s)))
+        early = arrival_s - t_s < self._least_delay_s - self._early_s
+        ahead_s = t_s - self._newest_s
+        return ahead_s < -self._back_s or (early and ahead_s > arrival_s - self._arrival_s + self._early_s)
 
-    def _ran_back(self, rows: Rows) -> bool:
+    def _ran_back(self, t_s: FloatArray, arrival_s: FloatArray) -> bool:
         """Whether those that wait and the row after them go on as one, later than ever by the same time."""
-        if len(rows) <= BACK_IN_A_ROW or self._back_s >= LATE_S:
+        if len(t_s) <= BACK_IN_A_ROW or self._back_s >= LATE_S:
             return False
-        delays = rows.arrival_s - rows.t_s - self.moved_s
-        is_even = bool((np.diff(rows.t_s) > 0).all()) and float(np.ptp(delays)) < SAME_DELAY_S
-        return is_even and float(delays.min()) > self._least_delay + 0.5 * self._back_s
-
-    def _is_late(self, t_s: float) -> bool:
-        """Whether a row that waited was only late; the others are wrong by themselves."""
-        return self._newest - LATE_S <= t_s + self.moved_s <= self._newest
+        delays = arrival_s - t_s - self.moved_s
+        is_even = bool((np.diff(t_s) > 0).all()) and float(np.ptp(delays)) < SAME_DELAY_S
+        return is_even and float(delays.min()) > self._least_delay_s + 0.5 * self._back_s
 
     @property
-    def _least_delay(self) -> float:
+    def _least_delay_s(self) -> float:
         return min(delay for _, delay in self._least)
 
-    def _learn(self, t_s: FloatArray, arrival_s: FloatArray) -> None:
+    def _learn(self, t_s: float, arrival_s: float) -> None:
         """Remember the newest stamp, and each second's least delay."""
-        self._newest = max(self._newest, float(t_s.max()))
-        self._arrival = float(arrival_s[-1])
-        second, delay = int(arrival_s[-1]), float((arrival_s - t_s).min())
+        self._newest_s, self._arrival_s = max(self._newest_s, t_s), arrival_s
+        second, delay_s = int(arrival_s), arrival_s - t_s
         if self._least and self._least[-1][0] == second:
-            delay = min(delay, self._least.pop()[1])
-        self._least.append((second, delay))
+            delay_s = min(delay_s, self._least.pop()[1])
+        self._least.append((second, delay_s))
         while self._least[0][0] < second - _RECENT_S and len(self._least) > 1:
             self._least.popleft()
 
-    def _step(self, t_s: FloatArray, arrival_s: FloatArray) -> tuple[FloatArray, str]:
-        """Take the clock of the samples that wait as the stream's; their stamps on it, and a sentence."""
-        before, self.moved_s = self.moved_s, float((arrival_s - t_s).min()) - self._least_delay
-        step_s = before - self.moved_s
-        self.stepped_s -= step_s
+    def _step(self, t_s: FloatArray, arrival_s: FloatArray) -> str:
+        """Take the clock of the samples that wait as the stream's; a sentence."""
+        before_s, self.moved_s = self.moved_s, float((arrival_s - t_s).min()) - self._least_delay_s
+        self.stepped_s += self.moved_s - before_s
         t_s = t_s + self.moved_s
-        self._newest = float(t_s[0])
-        self._learn(t_s, arrival_s)
-        return t_s, (
-            f"the clock of {self._name} stepped by {step_s:+.3f} s at {t_s[0]:.1f} s;"
+        self._newest_s = float(t_s[0])
+        for each in zip(t_s.tolist(), arrival_s.tolist(), strict=True):
+            self._learn(*each)
+        return (
+            f"the clock of {self._name} stepped by {before_s - self.moved_s:+.3f} s at {t_s[0]:.1f} s;"
             " its stamps after it were moved back"
         )

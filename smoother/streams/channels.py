@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from ..array_types import FloatArray
 from ..errors import RecordingError
 from ..io.tables.imu import SensorChannels, find_sensors, joint_label, kind_of, stem_of
-from ..io.tables.joints import find_joint_columns, words_of
+from ..io.tables.joints import find_joint_columns, program_of, words_of
 from ..io.tables.skeleton_formats import kinect_states, share_states
 from ..io.tables.skeletons import without_origin
 from ..io.tables.units import ACCELERATION, ANGULAR_VELOCITY, METRES, plain_unit
@@ -31,6 +31,13 @@ _STRINGS = 3
 Axes = tuple[int, int, int]
 #: Words of a label beside a joint's whose numbers are a Kinect's states, not shares of one.
 _STATES = {"state", "trackingstate", "status", "level"}
+#: The camera's axes where names of joints show which program sent them.
+_FRAMES = {"azure": CameraFrame.OPTICAL, "kinect": CameraFrame.KINECT}
+#: Of an IMU's sensors: what they are called, their units, and examples of these.
+_SENSORS = {
+    "acc": ("accelerometer", ACCELERATION, "m/s^2 or g"),
+    "gyro": ("gyroscope", ANGULAR_VELOCITY, "rad/s or deg/s"),
+}
 
 
 @dataclass(frozen=True)
@@ -38,10 +45,10 @@ class StreamLabels:
     """A stream's description of itself."""
 
     name: str  # Its name and type
-    kind: str  # Its name and type
+    kind: str
     labels: list[str]  # Of its channels; "" where there is none
-    types: list[str]  # Of its channels; "" where there is none
-    units: list[str]  # Of its channels; "" where there is none
+    types: list[str]
+    units: list[str]
     is_text: bool = False  # It sends strings instead of numbers
 
     @classmethod
@@ -59,12 +66,21 @@ class StreamLabels:
             channel = channel.next_sibling("channel")
         return cls(info.name(), info.type(), labels, types, units, info.channel_format() == _STRINGS)
 
+    @property
+    def sensors(self) -> list[SensorChannels]:
+        """The IMUs' sensors among its channels."""
+        return find_sensors(self.labels, self.types, f"{self.name} {self.kind}")
+
+    def refused(self, why: str) -> RecordingError:
+        """The error of a stream that cannot be used."""
+        return RecordingError(f"The stream {printable(self.name)} {why}")
+
     def check_numbers(self) -> None:
         """Refuse a stream of text."""
         if self.is_text:
-            raise RecordingError(
-                f"The stream {printable(self.name)} sends text, not numbers; name the one with the samples"
-                " (markers and notes of a session usually are of this kind)."
+            raise self.refused(
+                "sends text, not numbers; name the one with the samples (markers and notes of a session"
+                " usually are of this kind)."
             )
 
     @property
@@ -76,12 +92,19 @@ class StreamLabels:
         more = f", and {len(labels) - 8} more" if len(labels) > 8 else ""
         return f"its channels are {printable(', '.join(labels[:8])[:150])}{more}"
 
-
-#: Of an IMU's sensors: what they are called, their units, and examples of these.
-_SENSORS = {
-    "acc": ("accelerometer", ACCELERATION, "m/s^2 or g"),
-    "gyro": ("gyroscope", ANGULAR_VELOCITY, "rad/s or deg/s"),
-}
+    def factor(
+        self, columns: Axes, known: dict[str, float], what: str, such_as: str, plain: Callable[[str], str]
+    ) -> float:
+        """What a unit of these channels is in SI."""
+        units = {self.units[column].strip() for column in columns}
+        factors = {known.get(plain(unit)) for unit in units}
+        if len(factors) == 1 and (factor := factors.pop()) is not None:
+            return factor
+        stated = printable(", ".join(sorted(units))[:60])
+        problem = f"is stated as {stated!r}, which is not known" if any(units) else "is missing"
+        raise self.refused(
+            f"cannot be used: the unit of its {what} {problem}; send {such_as} as the channels' unit."
+        )
 
 
 @dataclass(frozen=True)
@@ -95,30 +118,27 @@ class ImuChannels:
     def of(cls, stream: StreamLabels, half: str = "") -> ImuChannels:
         """What an IMU's stream contains; of one half, `acc` or `gyro`, where that is asked for."""
         stream.check_numbers()
-        name, wanted = printable(stream.name), [half] if half else list(_SENSORS)
-        sensors = _sensors_of(stream)
-        check_one_of_each(stream, sensors)
+        wanted, sensors = [half] if half else list(_SENSORS), stream.sensors
+        _check_one_of_each(stream, sensors)
         whole = [sensor for sensor in sensors if set(wanted) <= sensor.axes.keys()]
         if not whole:
             there = {kind for sensor in sensors for kind in sensor.axes}
             lacks = [f"{kind}_x, {kind}_y, {kind}_z" for kind in wanted if kind not in there]
-            raise RecordingError(
-                f"The stream {name} cannot be used as {_SENSORS[half][0] if half else 'IMU'}: {stream.shown};"
+            raise stream.refused(
+                f"cannot be used as {_SENSORS[half][0] if half else 'IMU'}: {stream.shown};"
                 f" {' and '.join(lacks)} are missing: send accelerometer and gyroscope with these labels and"
                 " their units, in one stream or in two (--gyro names the second)."
             )
         if len(whole) > 1:
             names = printable(", ".join(sensor.name for sensor in whole))
-            raise RecordingError(
-                f"The stream {name} contains several IMUs ({names}); send that of the forearm in a stream"
-                " of its own."
+            raise stream.refused(
+                f"contains several IMUs ({names}); send that of the forearm in a stream of its own."
             )
         axes = {kind: at for kind, at in whole[0].axes.items() if kind in (*wanted, "mag")}
-        units = {
-            kind: unit_factor(stream, axes[kind], known, what, such_as)
-            for kind, (what, known, such_as) in _SENSORS.items()
-            if kind in wanted
-        }
+        units = {}
+        for kind in wanted:
+            what, known, such_as = _SENSORS[kind]
+            units[kind] = stream.factor(axes[kind], known, what, such_as, plain_unit)
         return cls(axes, units)
 
     def with_gyroscope(self, gyro: ImuChannels, behind: int) -> ImuChannels:
@@ -134,7 +154,7 @@ class ImuChannels:
 
 def is_accelerometer(stream: StreamLabels) -> bool:
     """Whether it has an IMU's accelerometer and no gyroscope."""
-    kinds = {kind for sensor in _sensors_of(stream) for kind in sensor.axes}
+    kinds = {kind for sensor in stream.sensors for kind in sensor.axes}
     return not stream.is_text and kinds & _SENSORS.keys() == {"acc"}
 
 
@@ -143,11 +163,7 @@ def belongs(name: str, kind: str, to_name: str) -> bool:
     return kind_of(words_of(f"{name} {kind}")) == "gyro" and stem_of(name) == stem_of(to_name)
 
 
-def _sensors_of(stream: StreamLabels) -> list[SensorChannels]:
-    return find_sensors(stream.labels, stream.types, f"{stream.name} {stream.kind}")
-
-
-def check_one_of_each(stream: StreamLabels, sensors: Sequence[SensorChannels]) -> None:
+def _check_one_of_each(stream: StreamLabels, sensors: Sequence[SensorChannels]) -> None:
     """Refuse a stream with two sensors of a kind of which it does not show which belong together."""
     for kind, (what, *_) in _SENSORS.items():
         used = [at for sensor in sensors for at in sensor.axes.get(kind, ())]
@@ -158,10 +174,7 @@ def check_one_of_each(stream: StreamLabels, sensors: Sequence[SensorChannels]) -
         ]
         if spare:
             shown = printable(", ".join(dict.fromkeys([*(stream.labels[at] for at in used), *spare])))
-            raise RecordingError(
-                f"The stream {printable(stream.name)} has several {what}s ({shown}); send the one with"
-                " the larger range."
-            )
+            raise stream.refused(f"has several {what}s ({shown}); send the one with the larger range.")
 
 
 @dataclass(frozen=True)
@@ -170,8 +183,8 @@ class SkeletonChannels:
 
     side: str  # "left", "right" or ""
     axes: dict[str, Axes]  # Columns of x, y, z by joint
-    confidence: dict[str, int]  # Column of the confidence (a share of one) by joint
-    states: dict[str, int]  # Column of a Kinect's tracking state by joint
+    confidence: dict[str, int]  # Column of a confidence (a share of one) or a Kinect's state by joint
+    states: set[str]  # Joints of which it is a state
     metres: float  # In one of their units
     camera_frame: CameraFrame | None  # Where the joints' names identify the camera
 
@@ -182,33 +195,30 @@ class SkeletonChannels:
         """What a skeleton's stream contains of one arm."""
         stream.check_numbers()
         stream = _of_one_body(stream, body)
-        name = printable(stream.name)
         columns = find_joint_columns(stream.labels)
         by_side: dict[str, dict[str, Axes]] = {}
-        for joint, triple in columns.axes.items():
-            by_side.setdefault(joint.rpartition("_")[2], {})[joint.rpartition("_")[0]] = triple
-        for of_side, triple in _straps(stream.labels).items():
-            by_side.setdefault(of_side, {})["strap"] = triple
-        by_side = {of: axes for of, axes in by_side.items() if _usable(axes)}
+        for name, triple in {**columns.axes, **_straps(stream.labels)}.items():
+            joint, _, of_side = name.rpartition("_")
+            by_side.setdefault(of_side, {})[joint] = triple
+        by_side = {of: axes for of, axes in by_side.items() if _is_usable(axes)}
         if not by_side:
-            raise RecordingError(
-                f"The stream {name} cannot be used as skeleton: {stream.shown}; shoulder, elbow and wrist of"
-                " an arm are missing: send their x, y, z with labels such as wrist_right_x, and the unit."
+            raise stream.refused(
+                f"cannot be used as skeleton: {stream.shown}; shoulder, elbow and wrist of an arm are"
+                " missing: send their x, y, z with labels such as wrist_right_x, and the unit."
             )
         chosen = side or (prefer_side if prefer_side in by_side else None)
-        chosen = chosen or (next(iter(by_side)) if len(by_side) == 1 else None)
-        if chosen is None:
-            raise RecordingError(f"The stream {name} shows both arms; choose the one with the IMU by --side.")
+        if chosen is None and len(by_side) > 1:
+            raise stream.refused("shows both arms; choose the one with the IMU by --side.")
+        chosen = next(iter(by_side)) if chosen is None else chosen
         axes = by_side.get(chosen, by_side.get(""))
         if axes is None:
-            raise RecordingError(f"The stream {name} shows no {chosen} arm: {stream.shown}.")
-        unit = next(iter(axes.values()))
-        metres = unit_factor(stream, unit, METRES, "positions", "m or mm", plain=str.lower)
+            raise stream.refused(f"shows no {chosen} arm: {stream.shown}.")
+        metres = stream.factor(next(iter(axes.values())), METRES, "positions", "m or mm", str.lower)
         beside = {joint: columns.confidence.get(f"{joint}_{chosen}") for joint in axes}
         known = {joint: at for joint, at in beside.items() if at is not None}
-        states = {joint: at for joint, at in known.items() if _STATES & set(words_of(stream.labels[at]))}
-        confidence = {joint: at for joint, at in known.items() if joint not in states}
-        return cls(chosen, axes, confidence, states, metres, _camera_frame(stream.labels))
+        states = {joint for joint, at in known.items() if _STATES & set(words_of(stream.labels[at]))}
+        frame = _FRAMES.get(program_of(stream.labels))
+        return cls(chosen, axes, known, states, metres, frame)
 
     @property
     def joints(self) -> tuple[str, ...]:
@@ -220,13 +230,14 @@ class SkeletonChannels:
         samples = samples.astype(float)
         position = np.full((len(samples), len(JOINTS), 3), np.nan)
         state = np.full((len(samples), len(JOINTS)), JointState.NOT_TRACKED, np.int8)
-        states = {joint: kinect_states(samples[:, at]) for joint, at in self.states.items()}
-        states |= {joint: share_states(samples[:, at]) for joint, at in self.confidence.items()}
         for joint, columns in self.axes.items():
-            at = JOINTS.index(joint)
+            at, stated = JOINTS.index(joint), self.confidence.get(joint)
             position[:, at] = without_origin(samples[:, columns]) * self.metres
-            is_there = np.isfinite(position[:, at]).all(axis=1)
-            state[:, at] = np.where(is_there, states.get(joint, JointState.TRACKED), JointState.NOT_TRACKED)
+            is_there, read = np.isfinite(position[:, at]).all(axis=1), share_states
+            if joint in self.states:
+                read = kinect_states
+            tracked = JointState.TRACKED if stated is None else read(samples[:, stated])
+            state[:, at] = np.where(is_there, tracked, JointState.NOT_TRACKED)
         return position, state
 
 
@@ -236,12 +247,12 @@ def _of_one_body(stream: StreamLabels, body: str | None) -> StreamLabels:
     bodies = sorted({match["body"].lower() for match in found if match})
     if not bodies:
         return stream
-    name, there = printable(stream.name), ", ".join(bodies[:8])
+    there = ", ".join(bodies[:8])
     if body is None and len(bodies) > 1:
-        raise RecordingError(f"The stream {name} shows several bodies ({there}); choose with --body.")
+        raise stream.refused(f"shows several bodies ({there}); choose with --body.")
     wanted = bodies[0] if body is None else body.lower()
     if wanted not in bodies:
-        raise RecordingError(f"The stream {name} shows no body {printable(wanted)}, but {there}.")
+        raise stream.refused(f"shows no body {printable(wanted)}, but {there}.")
     labels = [
         label if match is None else match["label"] if match["body"].lower() == wanted else ""
         for label, match in zip(stream.labels, found, strict=True)
@@ -249,45 +260,16 @@ def _of_one_body(stream: StreamLabels, body: str | None) -> StreamLabels:
     return replace(stream, labels=labels)
 
 
-def unit_factor(
-    stream: StreamLabels,
-    columns: Axes,
-    known: dict[str, float],
-    what: str,
-    such_as: str,
-    plain: Callable[[str], str] = plain_unit,
-) -> float:
-    """What a unit of these channels is in SI."""
-    units = {stream.units[column].strip() for column in columns}
-    factors = {known.get(plain(unit)) for unit in units}
-    if len(factors) == 1 and (factor := factors.pop()) is not None:
-        return factor
-    stated = printable(", ".join(sorted(units))[:60])
-    problem = f"is stated as {stated!r}, which is not known" if any(units) else "is missing"
-    raise RecordingError(
-        f"The stream {printable(stream.name)} cannot be used: the unit of its {what} {problem};"
-        f" send {such_as} as the channels' unit."
-    )
-
-
 def _straps(labels: Sequence[str]) -> dict[str, Axes]:
-    """Columns of the strap's own position by side."""
+    """Columns of the strap's own position by its name and side."""
     columns: dict[str, dict[str, int]] = {}
     for at, label in enumerate(labels):
         words = words_of(label)
         if "strap" in words and words[-1] in ("x", "y", "z"):
             side = next((word for word in words if word in ("left", "right")), "")
-            columns.setdefault(side, {})[words[-1]] = at
-    return {side: (c["x"], c["y"], c["z"]) for side, c in columns.items() if len(c) == 3}
+            columns.setdefault(f"strap_{side}", {})[words[-1]] = at
+    return {name: (c["x"], c["y"], c["z"]) for name, c in columns.items() if len(c) == 3}
 
 
-def _usable(axes: dict[str, Axes]) -> bool:
+def _is_usable(axes: dict[str, Axes]) -> bool:
     return "strap" in axes or ("elbow" in axes and bool({"wrist", "hand"} & axes.keys()))
-
-
-def _camera_frame(labels: Sequence[str]) -> CameraFrame | None:
-    """The camera's axes where names of joints show which program sent them."""
-    words = {word for label in labels for word in words_of(label)}
-    if words & {"navel", "clavicle"}:
-        return CameraFrame.OPTICAL
-    return CameraFrame.KINECT if "spine" in words and words & {"base", "mid"} else None

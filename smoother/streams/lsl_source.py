@@ -19,7 +19,16 @@ from ..body import FOREARM, SEGMENTS
 from ..errors import UnoccludeError
 from ..io.recording.names import named_side
 from ..runtime.printable import printable
-from .arrivals import STEP_OF_IMU_S, Arrivals, FrameRows, ImuRows, SourceInfo, StampSteps, StreamRows
+from .arrivals import (
+    STEP_OF_IMU_S,
+    Arrivals,
+    FrameRows,
+    ImuRows,
+    SourceInfo,
+    StampSteps,
+    StreamRows,
+    drained,
+)
 from .channels import ImuChannels, SkeletonChannels, StreamLabels, belongs, is_accelerometer
 from .lsl import lsl_module
 
@@ -49,7 +58,7 @@ class LslSamples(StreamRows):
 
 
 class LslInlet:
-    """Receives a stream, also after it was lost."""
+    """Receives a stream by a thread, also after it was lost."""
 
     def __init__(
         self,
@@ -59,17 +68,18 @@ class LslInlet:
         wake: Callable[[], None],
         start_s: float = 0.0,
     ) -> None:
-        self._option, self._start_s = option, start_s
+        self._option, self._wanted, self._types = option, wanted, types
+        self._wake, self._start_s = wake, start_s
         self.stream: Any = None
         self.others: list[Any] = []
         self.correction_s = float("nan")
-        self._wanted, self._types, self._wake = wanted, types, wake
         self._samples: SimpleQueue[LslSamples] = SimpleQueue()
         self._events: SimpleQueue[str] = SimpleQueue()
         self._labels: StreamLabels | None = None
         self._failure: UnoccludeError | None = None
         self._closing = threading.Event()
         self._thread = threading.Thread(target=self._work, name="lsl-inlet", daemon=True)
+        self.start = self._thread.start
 
     @property
     def name(self) -> str:
@@ -83,18 +93,14 @@ class LslInlet:
             return f"{self._option}{self._wanted}"
         return f"{self._option.strip(' -')} of type {self._types[0]}"
 
-    def start(self) -> None:
-        """Look for the stream, and receive it."""
-        self._thread.start()
-
     def samples(self) -> list[LslSamples]:
         """What came since the last call."""
         self.check()
-        return [self._samples.get_nowait() for _ in range(self._samples.qsize())]
+        return drained(self._samples)
 
     def events(self) -> list[str]:
         """What happened to the stream since the last call, a sentence each."""
-        return [self._events.get_nowait() for _ in range(self._events.qsize())]
+        return drained(self._events)
 
     def check(self) -> None:
         """Raise what the thread failed by."""
@@ -109,74 +115,57 @@ class LslInlet:
 
     def _work(self) -> None:
         while not self._closing.is_set():
-            try:
-                inlet = self._connected()
-                while inlet is not None and not self._closing.is_set():
-                    self._receive(inlet)
-            except UnoccludeError as failure:
-                self._failure = failure
-                self._wake()
-                return
-            except RuntimeError:  # the library's: lost, or no answer in time
-                continue  # look for it again
+            # the library's error: lost, or no answer in time; it is looked for again
+            with suppress(RuntimeError):
+                try:
+                    self.others = list(lsl_module().resolve_streams(_RESOLVE_S))
+                    if (found := self._matching()) is not None:
+                        inlet = self._connected(found)
+                        while not self._closing.is_set():
+                            self._receive(inlet)
+                except UnoccludeError as failure:
+                    self._failure = failure
+                    self._wake()
+                    return
 
-    def _connected(self) -> Any:
-        """An inlet of the stream once it is there; None where this ends before."""
-        lsl = lsl_module()
-        while not self._closing.is_set():
-            self.others = list(lsl.resolve_streams(_RESOLVE_S))
-            found = self._matching()
-            if found is None:
-                continue
-            # the library itself would wait for the same source_id for ever
-            inlet = lsl.StreamInlet(found, max_buflen=_BUFFER_S, recover=False)
-            stream = inlet.info(_CLOCK_S)
-            labels = StreamLabels.of(stream)
-            if self._labels is not None:
-                self._compare(self._labels, labels, stream)
-            self._labels = labels
-            self.correction_s = inlet.time_correction(_CLOCK_S)
-            inlet.open_stream(_CLOCK_S)  # last: what waits inside has no arrival of its own
-            self.stream = stream
-            self._wake()
-            return inlet
-        return None
-
-    def _compare(self, before: StreamLabels, now: StreamLabels, stream: Any) -> None:
-        """Refuse a stream that came back as another one."""
-        if now != before:
+    def _connected(self, found: Any) -> Any:
+        """An inlet of a stream; refused where it came back as another one."""
+        # the library itself would wait for the same source_id for ever
+        inlet = lsl_module().StreamInlet(found, max_buflen=_BUFFER_S, recover=False)
+        stream = inlet.info(_CLOCK_S)
+        labels = StreamLabels.of(stream)
+        if self._labels not in (None, labels):
             raise UnoccludeError(
                 f"the stream {self.name} came back with other labels, units or channels; begin a new session"
             )
-        if stream.source_id() != self.stream.source_id():
+        if self.stream is not None and stream.source_id() != self.stream.source_id():
             self._events.put(f"{self.name}: found again by its name, its source_id is another")
+        self._labels = labels
+        self.correction_s = inlet.time_correction(_CLOCK_S)
+        inlet.open_stream(_CLOCK_S)  # last: what waits inside has no arrival of its own
+        self.stream = stream
+        self._wake()
+        return inlet
 
     def _matching(self) -> Any:
         """The stream that is meant among those that answered; None where it is not there."""
-        if self.stream is not None:
-            return self._again()
+        if self.stream is not None:  # received before: the same source_id, or the only one of name and type
+            meant = self.stream.name(), self.stream.type()
+            named = [each for each in self.others if (each.name(), each.type()) == meant]
+            same = [each for each in named if each.source_id() == self.stream.source_id()]
+            return next((each[0] for each in (same, named) if _is_one(each)), None)
         part = (self._wanted or "").lower()
-        exact = [s for s in self.others if self._wanted in (s.name(), s.source_id())]
-        fitting = exact or [s for s in self.others if part in s.name().lower()]
+        exact = [each for each in self.others if self._wanted in (each.name(), each.source_id())]
+        fitting = exact or [each for each in self.others if part in each.name().lower()]
         # some devices give all of their streams one name
-        of_type = [stream for stream in fitting if stream.type().lower() in self._types]
+        of_type = [each for each in fitting if each.type().lower() in self._types]
         fitting = of_type if self._wanted is None else of_type or fitting
-        if len({stream.uid() for stream in fitting}) <= 1:
+        if not fitting or _is_one(fitting):
             return fitting[0] if fitting else None
         raise UnoccludeError(
             f"several streams are meant by {self.described}: {listed(fitting)}; give the whole name or the"
             " source_id"
         )
-
-    def _again(self) -> Any:
-        """The stream that was received before: the same source_id, or the only one of its name and type."""
-        meant = (self.stream.name(), self.stream.type())
-        named = [stream for stream in self.others if (stream.name(), stream.type()) == meant]
-        same = [stream for stream in named if stream.source_id() == self.stream.source_id()]
-        for fitting in (same, named):
-            if len({stream.uid() for stream in fitting}) == 1:
-                return fitting[0]
-        return None
 
     def _receive(self, inlet: Any) -> None:
         values, stamps = inlet.pull_chunk(timeout=_PULL_S, max_samples=_MOST, min_samples=1, as_numpy=True)
@@ -188,6 +177,11 @@ class LslInlet:
         t_s = np.asarray(stamps, float) + self.correction_s - self._start_s
         self._samples.put(LslSamples(t_s, np.asarray(values), np.full(len(t_s), arrival - self._start_s)))
         self._wake()
+
+
+def _is_one(streams: Sequence[Any]) -> bool:
+    """Whether it is one stream, however often it answered."""
+    return len({each.uid() for each in streams}) == 1
 
 
 #: Between samples of the accelerometer farther apart than this nothing is interpolated, s.
@@ -236,15 +230,54 @@ _IMU_TYPES, _SKELETON_TYPES = ("imu", "accelerometer", "acc"), ("mocap", "skelet
 _GYRO_TYPES = ("gyroscope", "gyro", "gyr")
 
 
-class _Arm:
-    """The streams of one arm: its IMUs by segment; the skeleton's is of all arms."""
+@dataclass
+class _Imu:
+    """The streams of an IMU: one, or two with a gyroscope's of its own."""
 
-    def __init__(self, side: str | None, imus: dict[str, LslInlet]) -> None:
-        self.side, self.imus = side, imus
-        self.gyros: dict[str, LslInlet] = {}  # Gyroscopes of IMUs that have one in a stream of its own
-        self.halves: dict[str, ImuHalves] = {}
-        self.channels: dict[str, ImuChannels] = {}
-        self.skeleton: SkeletonChannels | None = None
+    segment: str
+    inlet: LslInlet
+    gyro: LslInlet | None = None
+    halves: ImuHalves | None = None
+    channels: ImuChannels | None = None  # Once the streams are there
+
+    def take(self, say: Callable[[str], None], found_gyro: Callable[[str, str], LslInlet]) -> None:
+        """Take down what it sends, unless its gyroscope has a stream that is still to come."""
+        stream, name = self.inlet.stream, self.inlet.name
+        labels = StreamLabels.of(stream)
+        where = "" if self.segment == FOREARM.name else f" of the {SEGMENTS[self.segment].label}"
+        if self.gyro is None and is_accelerometer(labels):
+            beside = [each for each in self.inlet.others if each.uid() != stream.uid()]
+            found = [each for each in beside if belongs(each.name(), each.type(), stream.name())]
+            if len(found) == 1:
+                self.gyro = found_gyro(found[0].name(), found[0].type().lower())
+                self.gyro.start()
+        if self.gyro is None:
+            self.channels = ImuChannels.of(labels)
+            say(f"IMU stream {name}{where} is there")
+        elif self.gyro.stream is not None:
+            turns = ImuChannels.of(StreamLabels.of(self.gyro.stream), "gyro")
+            self.channels = ImuChannels.of(labels, "acc").with_gyroscope(turns, len(labels.labels))
+            self.halves = ImuHalves(name, self.gyro.name)
+            say(f"accelerometer stream {name} and gyroscope stream {self.gyro.name}{where} are there")
+
+    def rows(self) -> tuple[ImuRows, list[str]]:
+        """What came since the last call, and what was done to its stamps."""
+        batches, said = self.inlet.samples(), list[str]()
+        if self.halves is not None and self.gyro is not None:
+            batches, said = self.halves.joined(batches, self.gyro.samples())
+        assert self.channels is not None
+        values = [(each, self.channels.values(each.values)) for each in batches]
+        rows = [ImuRows(each.t_s, arrival_s=each.arrival_s, **columns) for each, columns in values]
+        return ImuRows.joined(rows), said
+
+
+@dataclass
+class _Arm:
+    """The streams of one arm; the skeleton's is of all arms."""
+
+    side: str | None
+    imus: list[_Imu]  # The forearm's first
+    skeleton: SkeletonChannels | None = None  # Once its stream is there
 
 
 class LslSource:
@@ -265,29 +298,23 @@ class LslSource:
         self._something = threading.Event()
         self._start_s = float(np.floor(lsl.local_clock()))
         self._origin_ns = time.time_ns() - int((lsl.local_clock() - self._start_s) * 1e9)
-        self._skeleton = self._inlet("--skeleton ", skeleton, _SKELETON_TYPES)
-        self._arms = [self._of_arm(side, named) for side, named in arms.items()]
-        self._inlets = [inlet for arm in self._arms for inlet in arm.imus.values()]
-        self._inlets.insert(1, self._skeleton)
+        self._inlets: list[LslInlet] = []
+        self._skeleton = self._inlet("--skeleton ", skeleton, *_SKELETON_TYPES)
+        self._arms = []
+        for side, named in arms.items():
+            imus = []
+            for segment, wanted in {FOREARM.name: None, **named}.items():
+                place = "" if segment == FOREARM.name else f"{segment.replace('_', '-')}="
+                imus.append(_Imu(segment, self._inlet(f"--imu {place}", wanted, *_IMU_TYPES)))
+            self._arms.append(_Arm(side, imus))
         if gyro is not None:
-            self._add_gyro(self._arms[0], FOREARM.name, gyro, _GYRO_TYPES)
+            self._arms[0].imus[0].gyro = self._inlet("--gyro ", gyro, *_GYRO_TYPES)
         self._prefer_side, self._body = prefer_side, body
         self.infos: list[SourceInfo] = []
 
-    def _inlet(self, option: str, wanted: str | None, types: tuple[str, ...]) -> LslInlet:
-        return LslInlet(option, wanted, types, self._something.set, self._start_s)
-
-    def _add_gyro(self, arm: _Arm, segment: str, wanted: str, types: tuple[str, ...]) -> None:
-        arm.gyros[segment] = self._inlet("--gyro ", wanted, types)
-        self._inlets.append(arm.gyros[segment])
-
-    def _of_arm(self, side: str | None, named: Mapping[str, str]) -> _Arm:
-        streams: dict[str, str | None] = {FOREARM.name: None, **named}
-        inlets = {}
-        for segment, wanted in streams.items():
-            option = "--imu " if segment == FOREARM.name else f"--imu {segment.replace('_', '-')}="
-            inlets[segment] = self._inlet(option, wanted, _IMU_TYPES)
-        return _Arm(side, inlets)
+    def _inlet(self, option: str, wanted: str | None, *types: str) -> LslInlet:
+        self._inlets.append(LslInlet(option, wanted, types, self._something.set, self._start_s))
+        return self._inlets[-1]
 
     def open(
         self,
@@ -303,9 +330,13 @@ class LslSource:
             if stopped():
                 return False
             if time.monotonic() > until:
-                raise UnoccludeError(self._missing(seconds))
-            self._something.wait(0.1)
-            self._something.clear()
+                names = [inlet.described for inlet in self._inlets if inlet.stream is None]
+                there = listed([stream for inlet in self._inlets for stream in inlet.others])
+                raise UnoccludeError(
+                    f"no stream for {' and '.join(names)} arrived within {seconds:g} s; streams on the"
+                    f" network: {there}"
+                )
+            self.wait(0.1)
         self.infos = [self._described(arm) for arm in self._arms]
         return True
 
@@ -315,36 +346,18 @@ class LslSource:
             inlet.check()
         skeleton = self._skeleton.stream
         for arm in self._arms:
-            for segment, inlet in arm.imus.items():
-                if segment not in arm.channels and inlet.stream is not None:
-                    self._take_imu(arm, segment, inlet, say)
-            imu = arm.imus[FOREARM.name].stream
+            for imu in arm.imus:
+                if imu.channels is None and imu.inlet.stream is not None:
+                    imu.take(say, partial(self._inlet, "--gyro "))
+            forearm = arm.imus[0].inlet.stream
             if arm.skeleton is None and skeleton is not None:
-                side = arm.side or named_side("" if imu is None else imu.name())
+                side = arm.side or named_side("" if forearm is None else forearm.name())
                 labels = StreamLabels.of(skeleton)
                 arm.skeleton = SkeletonChannels.of(labels, side or None, self._prefer_side, self._body)
                 if arm is self._arms[0]:
-                    say(f"skeleton stream {skeleton.name()} is there")
-        return skeleton is not None and all(len(arm.channels) == len(arm.imus) for arm in self._arms)
-
-    def _take_imu(self, arm: _Arm, segment: str, inlet: LslInlet, say: Callable[[str], None]) -> None:
-        """Take down what an IMU sends, unless its gyroscope has a stream that is still to come."""
-        stream, labels = inlet.stream, StreamLabels.of(inlet.stream)
-        where = "" if segment == FOREARM.name else f" of the {SEGMENTS[segment].label}"
-        if segment not in arm.gyros and is_accelerometer(labels):
-            beside = [each for each in inlet.others if each.uid() != stream.uid()]
-            found = [each for each in beside if belongs(each.name(), each.type(), stream.name())]
-            if len(found) == 1:
-                self._add_gyro(arm, segment, found[0].name(), (found[0].type().lower(),))
-                arm.gyros[segment].start()
-        if segment not in arm.gyros:
-            arm.channels[segment] = ImuChannels.of(labels)
-            say(f"IMU stream {stream.name()}{where} is there")
-        elif (gyro := arm.gyros[segment]).stream is not None:
-            turns = ImuChannels.of(StreamLabels.of(gyro.stream), "gyro")
-            arm.channels[segment] = ImuChannels.of(labels, "acc").with_gyroscope(turns, len(labels.labels))
-            arm.halves[segment] = ImuHalves(inlet.name, gyro.name)
-            say(f"accelerometer stream {inlet.name} and gyroscope stream {gyro.name}{where} are there")
+                    say(f"skeleton stream {self._skeleton.name} is there")
+        imus = [imu for arm in self._arms for imu in arm.imus]
+        return skeleton is not None and all(imu.channels is not None for imu in imus)
 
     def now_s(self) -> float:
         """The LSL clock of this computer, after the session's beginning."""
@@ -361,16 +374,9 @@ class LslSource:
         came: list[Arrivals] = []
         for arm in self._arms:
             imus = {}
-            for segment, inlet in arm.imus.items():
-                batches, channels = inlet.samples(), arm.channels[segment]
-                if segment in arm.halves:
-                    batches, said = arm.halves[segment].joined(batches, arm.gyros[segment].samples())
-                    events += said
-                rows = [
-                    ImuRows(each.t_s, arrival_s=each.arrival_s, **channels.values(each.values))
-                    for each in batches
-                ]
-                imus[segment] = ImuRows.joined(rows)
+            for imu in arm.imus:
+                imus[imu.segment], said = imu.rows()
+                events += said
             assert arm.skeleton is not None  # since `open`
             arm_frames = [
                 FrameRows(each.t_s, *arm.skeleton.values(each.values), each.arrival_s) for each in frames
@@ -386,16 +392,17 @@ class LslSource:
 
     def _described(self, arm: _Arm) -> SourceInfo:
         assert arm.skeleton is not None
-        inlets = [*arm.imus.values(), self._skeleton, *arm.gyros.values()]
+        gyros = [(imu.inlet, imu.gyro) for imu in arm.imus if imu.gyro is not None]
+        inlets = [*(imu.inlet for imu in arm.imus), self._skeleton, *(gyro for _, gyro in gyros)]
         corrections = [f"{each.name} {1e3 * each.correction_s:+.1f} ms" for each in inlets]
         notes = [f"LSL's time correction: {', '.join(corrections)}."]
         notes += [
-            f"Accelerometer {arm.imus[segment].name} and gyroscope {gyro.name} are two streams: the"
-            " accelerometer is interpolated to the gyroscope's stamps."
-            for segment, gyro in arm.gyros.items()
+            f"Accelerometer {acc.name} and gyroscope {gyro.name} are two streams: the accelerometer is"
+            " interpolated to the gyroscope's stamps."
+            for acc, gyro in gyros
         ]
         return SourceInfo(
-            {segment: inlet.name for segment, inlet in arm.imus.items()},
+            {imu.segment: imu.inlet.name for imu in arm.imus},
             self._skeleton.name,
             arm.skeleton.side,
             arm.skeleton.joints,
@@ -403,12 +410,4 @@ class LslSource:
             arm.skeleton.camera_frame,
             lsl_start_s=self._start_s,
             notes=tuple(notes),
-        )
-
-    def _missing(self, seconds: float) -> str:
-        names = [inlet.described for inlet in self._inlets if inlet.stream is None]
-        there = listed([stream for inlet in self._inlets for stream in inlet.others])
-        return (
-            f"no stream for {' and '.join(names)} arrived within {seconds:g} s; streams on the network:"
-            f" {there}"
         )

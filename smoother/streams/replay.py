@@ -12,7 +12,7 @@ from ..body import FOREARM
 from ..errors import RecordingError
 from ..io.mcap.messages import SECOND_NS, seconds
 from ..io.recording.choose import StreamChoice, choose_arms
-from ..io.recording.read import RecordingFile, open_recording
+from ..io.recording.read import open_recording
 from ..io.recording.write import joints_there
 from ..recording import JOINTS
 from .arrivals import Arrivals, FrameRows, ImuRows, Rows, SourceInfo
@@ -101,41 +101,28 @@ class Replay(Playback):
         file = open_recording(path, truth=False)
         choices: list[StreamChoice] = []
         with file.damage_told():
-            for side, imu in (imus or {None: None}).items():
+            for side, named in (imus or {None: None}).items():
                 found, _ = choose_arms(
-                    file, prefer_side=prefer_side, alone=True, imu=imu, skeleton=skeleton, side=side
+                    file, prefer_side=prefer_side, alone=True, imu=named, skeleton=skeleton, side=side
                 )
                 choices += found
-        origin = int(choices[0].imu.stamp_ns.min(initial=2**62)) // SECOND_NS * SECOND_NS
+        origin_ns = int(choices[0].imu.stamp_ns.min(initial=2**62)) // SECOND_NS * SECOND_NS
+        infos, arms = [], []
         for choice in choices:
+            arm, of_arm, topics = choice.arm, dict[str, ImuRows](), dict[str, str]()
             _check(path, choice, round(latency_s * 1e9))
-        infos = [_info(file, choice, origin, latency_s) for choice in choices]
-        super().__init__(infos, [_rows(choice, origin, latency_s) for choice in choices], speed)
-
-
-def _rows(choice: StreamChoice, origin_ns: int, latency_s: float) -> Arrivals:
-    imus, arm = {}, choice.arm
-    for segment, each in {FOREARM.name: choice.imu, **choice.further}.items():
-        if len(each.stamp_ns):
-            t_s = seconds(each.stamp_ns, origin_ns)
-            imus[segment] = ImuRows(t_s, each.acc, each.gyro, t_s, each.mag)
-    t_s, arrival_s = (seconds(arm.stamp_ns + later, origin_ns) for later in (0, round(latency_s * 1e9)))
-    return Arrivals(imus, FrameRows(t_s, arm.position, arm.state, arrival_s))
-
-
-def _info(file: RecordingFile, choice: StreamChoice, origin_ns: int, latency_s: float) -> SourceInfo:
-    further = {segment: each.topic for segment, each in choice.further.items() if len(each.stamp_ns)}
-    return SourceInfo(
-        {FOREARM.name: choice.imu.topic, **further},
-        choice.arm.topic,
-        choice.side,
-        tuple(JOINTS[i] for i in joints_there(choice.arm.state)),
-        origin_ns,
-        file.camera_frame or choice.arm.camera_frame,
-        file.gravity_hint,
-        file.name,
-        notes=(*file.notes, *choice.notes, f"Frames arrive {latency_s:g} s after their stamps."),
-    )
+            for segment, each in {FOREARM.name: choice.imu, **choice.further}.items():
+                if len(each.stamp_ns):
+                    t_s, topics[segment] = seconds(each.stamp_ns, origin_ns), each.topic
+                    of_arm[segment] = ImuRows(t_s, each.acc, each.gyro, t_s, each.mag)
+            t_s, arrival_s = (seconds(arm.stamp_ns + ns, origin_ns) for ns in (0, round(latency_s * 1e9)))
+            arms.append(Arrivals(of_arm, FrameRows(t_s, arm.position, arm.state, arrival_s)))
+            joints = tuple(JOINTS[column] for column in joints_there(arm.state))
+            frame = file.camera_frame or arm.camera_frame
+            notes = (*file.notes, *choice.notes, f"Frames arrive {latency_s:g} s after their stamps.")
+            about = choice.side, joints, origin_ns, frame, file.gravity_hint, file.name, None, notes
+            infos.append(SourceInfo(topics, arm.topic, *about))
+        super().__init__(infos, arms, speed)
 
 
 def _check(path: Path, choice: StreamChoice, latency_ns: int) -> None:

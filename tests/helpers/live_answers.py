@@ -22,6 +22,6 @@ def answer(t_s: float, bent_deg: float) -> LiveOutput:
     spread = dict.fromkeys(joints, 1e-4 * np.eye(3))
     estimate = LiveEstimate(
         t_s, "now", LiveState.VISIBLE, None, wrist,
-        np.array([1.0, 0.0, 0.0, 0.0]), np.zeros(3), 1e-4 * np.eye(6), joints, spread, np.zeros(3),
+        np.array([1.0, 0.0, 0.0, 0.0]), np.zeros(3), 1e-4 * np.eye(6), joints, spread,
     )  # fmt: skip
     return LiveOutput(t_s, LiveState.VISIBLE, estimate)

@@ -48,7 +48,7 @@ class CameraEcho:
             covariance = 1e-4 * np.eye(3)
             return LiveEstimate(
                 t_s, kind, state, self._since, frame.position[2], np.array([1.0, 0.0, 0.0, 0.0]),
-                np.zeros(3), 1e-4 * np.eye(6), joints, dict.fromkeys(joints, covariance), np.zeros(3),
+                np.zeros(3), 1e-4 * np.eye(6), joints, dict.fromkeys(joints, covariance),
             )  # fmt: skip
 
         return LiveOutput(

@@ -189,7 +189,7 @@ def test_a_background_that_dies_while_it_answers(tmp_path: Path, monkeypatch: py
 
 def test_clocks_far_apart_are_brought_together_by_the_arrival():
     arm = replace(RECORDING.arm, t_s=RECORDING.arm.t_s + 1000.0)
-    job = replace(JOB, recording=replace(RECORDING, arm=arm), offset_s=-1000.1)
+    job = JOB._replace(recording=replace(RECORDING, arm=arm), offset_s=-1000.1)
     answer = calibrate_excerpts(job)
     assert answer.model is not None
     assert answer.clock.mean_s == pytest.approx(-1000.02, abs=0.01)
@@ -197,5 +197,5 @@ def test_clocks_far_apart_are_brought_together_by_the_arrival():
 
 def test_what_does_not_suffice_is_said():
     hidden = RECORDING.arm.hide(np.ones(len(RECORDING.arm), bool))
-    answer = calibrate_excerpts(replace(JOB, recording=replace(RECORDING, arm=hidden)))
+    answer = calibrate_excerpts(JOB._replace(recording=replace(RECORDING, arm=hidden)))
     assert answer.model is None and answer.reason
