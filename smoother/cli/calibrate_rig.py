@@ -182,9 +182,9 @@ def world(
             raise typer.BadParameter("give either a recording or files, not both")
         from ..io.rig.panel import read_session
 
-        found = read_session(recording, panel_topic, base_topic, lens)
-        views, times, lens, notes = found.views, found.times_s, found.lens, tuple(found.notes)
-        panels, bases = [found.panel] * len(views), [found.base] * len(views)
+        views, times, imus, lens, said = read_session(recording, panel_topic, base_topic, lens)
+        panels, bases = ([imu] * len(views) for imu in imus)
+        notes = tuple(said)
     else:
         views, times, panels, bases = _from_files(*images)
         notes = ()

@@ -124,28 +124,28 @@ def _block(message: McapMessage) -> tuple[float, FloatArray, float]:
 
 def _tracks(blocks: list[tuple[float, FloatArray, float]], source: str) -> list[Track]:
     """Blocks put together to runs whose stamps keep step; a run's stamps are averaged to one start."""
+    runs: list[list[tuple[float, FloatArray, float]]] = []
+    count = 0
+    for block in blocks:
+        stamp, samples, rate = block
+        first_s, _, own_rate = runs[-1][0] if runs else (np.inf, None, rate)
+        away_s = abs(stamp - first_s - count / rate)
+        if rate != own_rate or away_s > max(JUMP_PART * len(samples) / rate, 0.05):
+            runs.append([])
+            count = 0
+        runs[-1].append(block)
+        count += len(samples)
     tracks: list[Track] = []
-    first = 0
-    while first < len(blocks):
-        rate, last, count = blocks[first][2], first, 0
-        start = blocks[first][0]
-        while last < len(blocks) and blocks[last][2] == rate:
-            length = len(blocks[last][1])
-            if abs(blocks[last][0] - start - count / rate) > max(JUMP_PART * length / rate, 0.05):
-                break
-            count, last = count + length, last + 1
-        part = blocks[first:last]
-        starts = np.cumsum([0, *(len(block) for _, block, _ in part[:-1])])
-        stamps = np.array([stamp for stamp, _, _ in part])
-        offset = stamps - starts / rate
+    for part in runs:
+        rate = part[0][2]
+        starts = np.cumsum([0, *(len(samples) for _, samples, _ in part[:-1])]) / rate
+        offset = np.array([stamp for stamp, _, _ in part]) - starts
+        slope, level = 0.0, float(np.median(offset))
         if len(part) >= 20:  # the sound card's crystal against the recorder's clock
-            slope, level = np.polyfit(starts / rate, offset, 1)
+            slope, level = np.polyfit(starts, offset, 1)
             slope = slope if abs(slope) < 1e-3 else 0.0
-        else:
-            slope, level = 0.0, float(np.median(offset))
-        samples = _loudest(np.concatenate([block for _, block, _ in part]))
+        samples = _loudest(np.concatenate([samples for _, samples, _ in part]))
         tracks.append(Track(samples, rate / (1 + slope), float(level), source))
-        first = last
     if not tracks:
         raise RecordingError(f"{source} has no sound; record it again.")
     return tracks
@@ -161,8 +161,7 @@ def read_broadcast(path: str | os.PathLike[str], resolution_s: float) -> Recepti
     path = Path(path)
     _, texts = read_exact(path, COLUMNS, words=COLUMNS)
     rounds: dict[str, int] = {}
-    row_of: dict[tuple[int, str], int] = {}
-    event, node, t = [], [], []
+    rows: dict[tuple[int, str], tuple[int, float]] = {}  # row and time by round and node
     for row, (of_round, name, text) in enumerate(zip(*(texts[each] for each in COLUMNS), strict=True), 1):
         if text.lower() in MISSED and name:
             continue  # not received
@@ -172,20 +171,19 @@ def read_broadcast(path: str | os.PathLike[str], resolution_s: float) -> Recepti
             time = float("nan")
         if not name or not np.isfinite(time) or not of_round:
             raise RecordingError(f"{path}, row {row}: round, node and a time in seconds are needed.")
-        number = rounds.setdefault(of_round, len(rounds))
-        if (number, name) in row_of:
+        key = rounds.setdefault(of_round, len(rounds)), name
+        if key in rows:
             raise RecordingError(
                 f"{path}, row {row}: {name} has a second time in round {of_round} (the first is in row"
-                f" {row_of[number, name]}); keep the first reception of each round."
+                f" {rows[key][0]}); keep the first reception of each round."
             )
-        row_of[number, name] = row
-        event.append(number)
-        node.append(name)
-        t.append(time)
-    if len(set(node)) < 2:
-        raise RecordingError(f"{path} contains the times of {len(set(node))} node; two or more are needed.")
-    sigma = np.full(len(t), resolution_s / np.sqrt(12))  # stamps are rounded to their step
-    return Receptions(np.array(event, dtype=np.int64), node, np.array(t), sigma, f"broadcast {path.name}")
+        rows[key] = row, time
+    if len(nodes := {name for _, name in rows}) < 2:
+        raise RecordingError(f"{path} contains the times of {len(nodes)} node; two or more are needed.")
+    event, names = np.array([number for number, _ in rows], dtype=np.int64), [name for _, name in rows]
+    sigma = np.full(len(rows), resolution_s / np.sqrt(12))  # stamps are rounded to their step
+    times = np.array([time for _, time in rows.values()])
+    return Receptions(event, names, times, sigma, f"broadcast {path.name}")
 
 
 SOUND, TIMES, MOTION, TRUTH = "beep.wav", "times.csv", "session.mcap", "truth.toml"

@@ -27,6 +27,8 @@ IMAGES = {
     "sensor_msgs/msg/Image",
     "sensor_msgs/msg/CompressedImage",
 }
+#: Words in the names of topics of infrared images.
+INFRARED = ("infrared", "/ir", "_ir", "amplitude")
 LENSES = {"foxglove.CameraCalibration", "sensor_msgs/msg/CameraInfo"}
 #: Encodings of uncompressed images: numpy's type and channels.
 _ENCODINGS = {

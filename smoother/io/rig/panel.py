@@ -31,11 +31,13 @@ from ..recording.clean import clean_imu
 from ..recording.read import open_recording
 from ..recording.streams import ImuSamples
 from ..recording.write import imu_messages
+from ..tables.columns import IMU_COLUMNS
 from ..wire.cdr import markers_of
 from ..wire.layout import BROKEN
 from ..wire.schemas import message_class, parsed
 from .images import (
     CAMERA_CALIBRATION,
+    INFRARED,
     RAW_IMAGE,
     ImageMessage,
     LensMessage,
@@ -48,19 +50,9 @@ from .images import (
 PAIR_S = 0.02
 #: Pairs that follow sooner than this belong to one pose, of which the middle one is taken, s.
 POSE_S = 1.0
-_INFRARED = ("infrared", "/ir", "_ir", "amplitude", "intensity")
-
-
-@dataclass(frozen=True)
-class PanelSession:
-    """What a recording of a session contains."""
-
-    views: list[View]  # A pair of images a pose
-    times_s: list[float]  # Of the views
-    panel: ImuStream  # The IMU on the panel and the one on the camera; times as in `times_s`
-    base: ImuStream  # The IMU on the panel and the one on the camera; times as in `times_s`
-    lens: Intrinsics  # Of the depth camera
-    notes: list[str]  # What was dropped, one sentence each
+#: Markers within this time of a pose's images are averaged, s.
+ABOUT_S = 0.25
+_SCENE, _ARRAY = "foxglove.SceneUpdate", "visualization_msgs/MarkerArray"
 
 
 def read_session(
@@ -68,12 +60,12 @@ def read_session(
     panel_topic: str = "panel",
     base_topic: str = "base",
     lens: Intrinsics | None = None,
-) -> PanelSession:
-    """Read the panel's images and the IMUs on panel and camera."""
+) -> tuple[list[View], list[float], list[ImuStream], Intrinsics, list[str]]:
+    """Views of the panel, one a pose, and their times, s; the IMUs on panel and camera on the same clock, the
+    depth camera's lens, and what was dropped.
+    """
     file = open_recording(path)
-    notes = list(file.notes)
-    streams: list[ImuStream] = []
-    stamped = []
+    notes, stamped = list(file.notes), []
     for name in (panel_topic, base_topic):
         kept, dropped = clean_imu(choose_imu(file, name), str(path))
         notes += dropped
@@ -81,65 +73,13 @@ def read_session(
     if stamped[0].topic == stamped[1].topic:
         raise RecordingError(f"{path}: {stamped[0].topic} cannot be on the panel and on the camera.")
     origin = int(min(kept.stamp_ns[0] for kept in stamped))
-    for kept in stamped:
-        name = kept.topic.rpartition("/")[2]
-        streams.append(ImuStream(name, seconds(kept.stamp_ns, origin), kept.acc, kept.gyro, kept.mag))
-    pairs, lens = read_pairs(path, lens)
-    views, times = [], []
-    for depth, infrared in pairs:
-        t_s = (depth.stamp_ns - origin) / 1e9
-        views.append(view(depth.pixels(), infrared.pixels(), f"{Path(path).name} at {t_s:.2f} s"))
-        times.append(t_s)
-    return PanelSession(views, times, streams[0], streams[1], lens, notes)
-
-
-def read_pairs(
-    path: str | os.PathLike[str], lens: Intrinsics | None = None, notes: list[str] | None = None
-) -> tuple[list[tuple[ImageMessage, ImageMessage]], Intrinsics]:
-    """Depth and infrared images of one exposure each, one pair a pose, and the depth camera's lens."""
-    found: dict[bool, list[ImageMessage]] = {True: [], False: []}
-    lenses: list[LensMessage] = []
-    for message in read_images(path, notes=notes):
-        if isinstance(message, LensMessage):
-            lenses.append(message)
-            continue
-        name = f"{message.topic}/{message.frame_id}".lower()
-        if any(word in message.topic.lower() for word in _INFRARED):
-            found[False].append(message)
-        elif "depth" in message.topic.lower() or ("depth" in name and message.encoding == "16UC1"):
-            found[True].append(message)
-    if not found[True] or not found[False]:
-        lacks = "depth (16UC1, mm)" if not found[True] else "infrared"
-        raise RecordingError(
-            f"{path} has no {lacks} images on a topic that is named so; record /../depth and /../infrared."
-        )
-    stamps = np.array([image.stamp_ns for image in found[False]])
-    pairs = []
-    for depth in sorted(found[True], key=lambda image: image.stamp_ns):
-        nearest = int(np.argmin(np.abs(stamps - depth.stamp_ns)))
-        if abs(stamps[nearest] - depth.stamp_ns) <= PAIR_S * 1e9:
-            pairs.append((depth, found[False][nearest]))
-    if not pairs:
-        raise RecordingError(
-            f"{path}: depth and infrared images have no stamps in common; record them together."
-        )
-    times = np.array([depth.stamp_ns for depth, _ in pairs]) / 1e9
-    runs = np.split(np.arange(len(pairs)), np.flatnonzero(np.diff(times) > POSE_S) + 1)
-    named = [lens for lens in lenses if lens.frame_id == pairs[0][0].frame_id] or [
-        lens for lens in lenses if "depth" in lens.topic.lower()
+    streams = [
+        ImuStream(k.topic.rpartition("/")[2], seconds(k.stamp_ns, origin), k.acc, k.gyro, k.mag)
+        for k in stamped
     ]
-    lens = lens or (named[0].intrinsics if named else None)
-    if lens is None:
-        raise RecordingError(
-            f"{path} has no lens (CameraCalibration, CameraInfo) of the depth camera; give --intrinsics."
-        )
-    return [pairs[run[len(run) // 2]] for run in runs], lens
-
-
-#: Markers within this time of a pose's images are averaged, s.
-ABOUT_S = 0.25
-_SCENE, _ARRAY = "foxglove.SceneUpdate", "visualization_msgs/MarkerArray"
-_NAMED = ("marker", "mocap")
+    pairs, lens = read_pairs(path, lens)
+    times = [(depth.stamp_ns - origin) / 1e9 for depth, _ in pairs]
+    return _views(pairs, times, path), times, streams, lens, notes
 
 
 def read_panel_session(
@@ -149,37 +89,77 @@ def read_panel_session(
     notes: list[str] | None = None,
 ) -> tuple[list[View], list[dict[str, FloatArray]], Intrinsics]:
     """Views of the panel, one per pose, with the mocap markers of their moment, and the lens."""
-    path = Path(path)
     pairs, lens = read_pairs(path, lens, notes)
     if given and len(given) != len(pairs):
         raise RecordingError(
             f"{path} shows {len(pairs)} poses of the panel and --markers is given {len(given)} times; give it"
             " once per pose, in their order."
         )
-    stamps = [depth.stamp_ns for depth, _ in pairs]
-    first = stamps[0]
-    views = [
-        view(depth.pixels(), infrared.pixels(), f"{path.name} at {(depth.stamp_ns - first) / 1e9:.2f} s")
-        for depth, infrared in pairs
-    ]
-    return views, given or _markers_at(path, stamps), lens
+    stamps = np.array([depth.stamp_ns for depth, _ in pairs])
+    views = _views(pairs, ((stamps - stamps[0]) / 1e9).tolist(), path)
+    return views, given or _markers_at(Path(path), stamps), lens
 
 
-def _markers_at(path: Path, stamps: list[int]) -> list[dict[str, FloatArray]]:
+def _views(
+    pairs: list[tuple[ImageMessage, ImageMessage]], times_s: list[float], path: str | os.PathLike[str]
+) -> list[View]:
+    names = [f"{Path(path).name} at {t_s:.2f} s" for t_s in times_s]
+    return [view(d.pixels(), i.pixels(), name) for (d, i), name in zip(pairs, names, strict=True)]
+
+
+def read_pairs(
+    path: str | os.PathLike[str], lens: Intrinsics | None = None, notes: list[str] | None = None
+) -> tuple[list[tuple[ImageMessage, ImageMessage]], Intrinsics]:
+    """Depth and infrared images of one exposure each, one pair a pose, and the depth camera's lens."""
+    depths: list[ImageMessage] = []
+    infrareds: list[ImageMessage] = []
+    lenses: list[LensMessage] = []
+    for message in read_images(path, notes=notes):
+        topic = message.topic.lower()
+        if isinstance(message, LensMessage):
+            lenses.append(message)
+        elif any(word in topic for word in (*INFRARED, "intensity")):
+            infrareds.append(message)
+        elif "depth" in topic or ("depth" in message.frame_id.lower() and message.encoding == "16UC1"):
+            depths.append(message)
+    if not depths or not infrareds:
+        lacks = "infrared" if depths else "depth (16UC1, mm)"
+        raise RecordingError(
+            f"{path} has no {lacks} images on a topic that is named so; record /../depth and /../infrared."
+        )
+    stamps, pairs = np.array([image.stamp_ns for image in infrareds]), []
+    for depth in sorted(depths, key=lambda image: image.stamp_ns):
+        nearest = int(np.argmin(np.abs(stamps - depth.stamp_ns)))
+        if abs(stamps[nearest] - depth.stamp_ns) <= PAIR_S * 1e9:
+            pairs.append((depth, infrareds[nearest]))
+    if not pairs:
+        raise RecordingError(
+            f"{path}: depth and infrared images have no stamps in common; record them together."
+        )
+    times = np.array([depth.stamp_ns for depth, _ in pairs]) / 1e9
+    poses = np.split(np.arange(len(pairs)), np.flatnonzero(np.diff(times) > POSE_S) + 1)
+    named = [each for each in lenses if each.frame_id == pairs[0][0].frame_id]
+    named += [each for each in lenses if "depth" in each.topic.lower()]
+    if lens is None and not named:
+        raise RecordingError(
+            f"{path} has no lens (CameraCalibration, CameraInfo) of the depth camera; give --intrinsics."
+        )
+    return [pairs[pose[len(pose) // 2]] for pose in poses], lens or named[0].intrinsics
+
+
+def _markers_at(path: Path, stamps: NDArray[np.int64]) -> list[dict[str, FloatArray]]:
     """Mean positions of the markers about every stamp."""
     tracks: list[dict[str, list[FloatArray]]] = [{} for _ in stamps]
-    at = np.array(stamps)
-    any_marker = False
-    for stamp, name, position in _markers(path):
-        any_marker = True
-        nearest = int(np.argmin(np.abs(at - stamp)))
-        if abs(at[nearest] - stamp) <= ABOUT_S * SECOND_NS:
-            tracks[nearest].setdefault(name, []).append(position)
-    if not any_marker:
+    found = list(_markers(path))
+    if not found:
         raise RecordingError(
             f"{path} has no mocap markers (SceneUpdate or MarkerArray on a topic named marker or mocap);"
             " give --markers once per pose."
         )
+    for stamp, name, position in found:
+        nearest = int(np.argmin(np.abs(stamps - stamp)))
+        if abs(stamps[nearest] - stamp) <= ABOUT_S * SECOND_NS:
+            tracks[nearest].setdefault(name, []).append(position)
     for stamp, track in zip(stamps, tracks, strict=True):
         if not track:
             raise RecordingError(
@@ -191,42 +171,37 @@ def _markers_at(path: Path, stamps: list[int]) -> list[dict[str, FloatArray]]:
 
 def _markers(path: Path) -> Iterator[tuple[int, str, FloatArray]]:
     """Stamp (ns), name and position (3,) m of every marker in the file."""
-    for message in Container(path).messages(_wanted):
+
+    def wanted(topic: Topic) -> bool:
+        schema, name = topic.schema.replace("/msg/", "/"), topic.name.lower()
+        return schema in (_SCENE, _ARRAY) and ("marker" in name or "mocap" in name)
+
+    for message in Container(path).messages(wanted):
         with suppress(*BROKEN):  # the other messages may be intact
             if message.topic.schema == _SCENE:
-                yield from _scene_markers(message.data, message.log_ns)
+                for entity in parsed(_SCENE, message.data).entities:
+                    stamp = entity.timestamp.ToNanoseconds() or message.log_ns
+                    for number, sphere in enumerate(entity.spheres):
+                        name = entity.id if len(entity.spheres) == 1 else f"{entity.id}_{number + 1}"
+                        place = sphere.pose.position
+                        yield stamp, name, np.array([place.x, place.y, place.z])
                 continue
             layout = markers_of(message.topic.schema_data)(message.data)
             if layout.counts["markers"]:
                 block = np.frombuffer(message.data, np.uint8)[None]
                 stamp = int(layout.stamps(block, np.array([message.log_ns]))[0])
                 names, places = layout.many(block, "id")[0, :, 0], layout.many(block, "position")[0]
-                for name, place in zip(names.tolist(), places.astype(float), strict=True):
-                    yield stamp, str(name), place
+                for number, place in zip(names.tolist(), places.astype(float), strict=True):
+                    yield stamp, str(number), place
 
 
-def _wanted(topic: Topic) -> bool:
-    schema = topic.schema.replace("/msg/", "/")
-    return schema in (_SCENE, _ARRAY) and any(word in topic.name.lower() for word in _NAMED)
+# ----------------------------------------------------------------------------------------- simulated sessions
 
-
-def _scene_markers(payload: bytes, log_ns: int) -> Iterator[tuple[int, str, FloatArray]]:
-    for entity in parsed(_SCENE, payload).entities:
-        stamp = entity.timestamp.ToNanoseconds() or log_ns
-        for number, sphere in enumerate(entity.spheres):
-            name = entity.id if len(entity.spheres) == 1 else f"{entity.id}_{number + 1}"
-            place = sphere.pose.position
-            yield stamp, name, np.array([place.x, place.y, place.z])
-
-
-DEPTH_TOPIC = "/camera/depth/image"
-INFRARED_TOPIC = "/camera/infrared/image"
-LENS_TOPIC = "/camera/depth/calibration"
-MARKER_TOPIC = "/mocap/markers"
-MOCAP = "mocap"
+DEPTH_TOPIC, INFRARED_TOPIC = "/camera/depth/image", "/camera/infrared/image"
+LENS_TOPIC, MARKER_TOPIC = "/camera/depth/calibration", "/mocap/markers"
+CAMERA, MOCAP = "depth_camera", "mocap"
 #: Markers are shown as spheres of this size, m.
 SHOWN_M = 0.016
-CAMERA = "depth_camera"
 _TRUTH = "truth.toml"
 
 
@@ -234,9 +209,9 @@ _TRUTH = "truth.toml"
 class PanelShot:
     """What is written of one pose."""
 
-    t_s: float  # Time of the images
-    depth: NDArray[np.uint16]  # (height, width): depth in mm, 0 where there is none
-    infrared: NDArray[np.uint16]  # (height, width): depth in mm, 0 where there is none
+    t_s: float  # Of the images
+    depth: NDArray[np.uint16]  # (height, width) mm; 0 where there is none
+    infrared: NDArray[np.uint16]  # (height, width)
     marker_names: Sequence[str]  # Of the mocap
     markers: FloatArray  # (n, 3) m: their positions
 
@@ -273,10 +248,16 @@ def write_panel_folder(
             for what, image in (("depth", shot.depth), ("infrared", shot.infrared)):
                 _, packed = cv2.imencode(".png", image)
                 (folder / f"{name}_{what}.png").write_bytes(packed.tobytes())
-            _write_markers(folder / f"{name}_markers.csv", shot)
+            markers = zip(shot.marker_names, shot.markers, strict=True)
+            lines = ["marker,x,y,z", *(f"{each},{x:.6f},{y:.6f},{z:.6f}" for each, (x, y, z) in markers), ""]
+            (folder / f"{name}_markers.csv").write_text("\n".join(lines), encoding="utf-8")
             for imu in imus:
                 near = imu.select(np.abs(imu.t_s - shot.t_s) <= half_s)
-                _write_imu(folder / f"{name}_imu_{imu.name}.csv", near)
+                vectors = [values for values in (near.acc, near.gyro, near.mag) if values is not None]
+                header = ",".join(["t_s", *IMU_COLUMNS[1 : 1 + 3 * len(vectors)]])
+                rows = np.hstack([near.t_s[:, None], *vectors])
+                file = folder / f"{name}_imu_{imu.name}.csv"
+                np.savetxt(file, rows, fmt="%.9g", delimiter=",", header=header, comments="")
         for file_name, document in tables.items():
             (folder / file_name).write_text(to_toml(document), encoding="utf-8")
 
@@ -313,7 +294,7 @@ def write_panel_recording(
                 stream(
                     INFRARED_TOPIC, RAW_IMAGE, lambda shot, at: raw_image(CAMERA, "mono16", shot.infrared, at)
                 ),
-                OutputStream(lens_channel, stamp[:1], lambda part: lens_data[part]),
+                OutputStream(lens_channel, stamp[:1], lens_data.__getitem__),
                 stream(MARKER_TOPIC, _SCENE, _scene),
             ]
         )
@@ -329,18 +310,3 @@ def _scene(shot: PanelShot, time_ns: int) -> bytes:
         entity = message.entities.add(frame_id=MOCAP, id=name, spheres=[sphere])
         entity.timestamp.FromNanoseconds(time_ns)
     return bytes(message.SerializeToString(deterministic=True))
-
-
-def _write_markers(path: Path, shot: PanelShot) -> None:
-    rows = zip(shot.marker_names, shot.markers, strict=True)
-    lines = [f"{name},{x:.6f},{y:.6f},{z:.6f}" for name, (x, y, z) in rows]
-    path.write_text("\n".join(["marker,x,y,z", *lines, ""]), encoding="utf-8")
-
-
-def _write_imu(path: Path, imu: ImuStream) -> None:
-    columns = [imu.t_s[:, None], imu.acc, imu.gyro]
-    header = "t_s,ax,ay,az,gx,gy,gz"
-    if imu.mag is not None:
-        columns.append(imu.mag)
-        header += ",mx,my,mz"
-    np.savetxt(path, np.hstack(columns), fmt="%.9g", delimiter=",", header=header, comments="")

@@ -27,6 +27,7 @@ from ..wire.schemas import message_class, parsed
 from .images import (
     CAMERA_CALIBRATION,
     COMPRESSED_IMAGE,
+    INFRARED,
     RAW_IMAGE,
     TRANSFORMS,
     ImageMessage,
@@ -37,7 +38,6 @@ from .images import (
     read_images,
 )
 
-_INFRARED = ("infrared", "/ir", "_ir", "amplitude")
 #: Child frame to its parent, R and t: p_parent = R p_child + t.
 Transforms = dict[str, tuple[str, FloatArray, FloatArray]]
 
@@ -89,15 +89,11 @@ class Cameras:
                 self._lenses[message.frame_id] = self._lenses[folder] = message.intrinsics
                 continue
             met.add(message.topic)
-            for role, topic in self.chosen.items():
-                if topic == message.topic:
-                    yield role, message
-                    break
-            else:
-                role = self._role(message)
-                if role and role not in self.chosen:
-                    self.chosen[role] = message.topic
-                    yield role, message
+            own = next((role for role, topic in self.chosen.items() if topic == message.topic), "")
+            if not own and (own := self._role(message)) not in ("", *self.chosen):
+                self.chosen[own] = message.topic
+            if own and self.chosen[own] == message.topic:
+                yield own, message
         missing = [role for role in ("colour", "depth") if role not in self.chosen]
         if missing:
             raise RecordingError(
@@ -113,7 +109,7 @@ class Cameras:
         wanted = self._wanted[role]
         if wanted is not None:
             return role if wanted in message.topic else ""
-        return "" if any(word in message.topic.lower() for word in _INFRARED) else role
+        return "" if any(word in message.topic.lower() for word in INFRARED) else role
 
     def camera(
         self, role: str, shape: tuple[int, ...], image: ImageMessage, reference: ImageMessage
@@ -175,11 +171,11 @@ def transform_between(
         return poses
 
     here, there = to_root(source), to_root(target)
-    for frame, (R, t) in here.items():
-        if frame in there:
-            back, shift = there[frame]
-            return back.T @ R, back.T @ (t - shift)
-    return None
+    shared = next((frame for frame in here if frame in there), None)
+    if shared is None:
+        return None
+    (R, t), (back, shift) = here[shared], there[shared]
+    return back.T @ R, back.T @ (t - shift)
 
 
 COLOUR, DEPTH = "colour", "depth"
