@@ -23,7 +23,7 @@ from ..recording.write import arm_messages, joints_there
 from ..wire.protobuf_encode import alike
 from ..wire.schemas import message_class
 from . import drawing as scene
-from .drawing import AlikeRows, arm_point_clouds, world_transform
+from .drawing import AlikeRows, world_transform
 
 #: Pictures a second where the camera's rate is not known.
 PICTURES_HZ = 30.0
@@ -41,195 +41,188 @@ def recovery_streams(
     """The messages of one recovery; the joints of the camera are those that it ever has, unless stated."""
     rates = [median_rate_hz(t) if len(t) > 1 else PICTURES_HZ for t in (recovery.t_s, recovery.arm.t_s)]
     step = max(round(rates[0] / rates[1]), 1) if np.isfinite(rates).all() and rates[1] > 0.0 else 1
-    each = _Streams(output, suffix, frame_id, shift, forearm_mounting(recovery), recovery.origin_ns)
     some = recovery.rows(slice(None, None, step))
-    present = joints_there(recovery.arm.state) if camera_joints is None else list(camera_joints)
-    return [
-        *each.skeleton(some),
-        *each.poses(some),
-        *each.drawn(some),
-        *each.transforms(some, world_transform(down, frame_id)),
-        *each.joint_states(some),
-        *each.camera(recovery, present),
-        *each.gaps(recovery),
-    ]
+    stamp = nanoseconds(some.t_s, recovery.origin_ns)
+    body, name = f"forearm_imu{suffix.replace('/', '_')}", f"arm{suffix.replace('/', '_')}"
 
-
-class _Streams:
-    """The streams of one recovery; what each of them needs."""
-
-    def __init__(
-        self,
-        output: Output,
-        suffix: str,
-        frame_id: str,
-        shift: int,
-        mounting: ForearmMounting,
-        origin_ns: int,
-    ):
-        self.output, self.suffix, self.frame_id, self.shift = output, suffix, frame_id, shift
-        self.mounting, self.origin_ns = mounting, origin_ns
-        self.body = "forearm_imu" + suffix.replace("/", "_")
-        self.name = f"arm{suffix.replace('/', '_')}"
-
-    def _stamps(self, t_s: FloatArray) -> IntArray:
-        return nanoseconds(t_s, self.origin_ns)
-
-    def _stream(self, topic: str, schema: str, stamp: IntArray, alike_rows: AlikeRows) -> OutputStream:
-        """Some rows of stamps (n,) on a topic."""
-        rows, constants, columns = alike_rows
-        name, time_ns = f"{RESULT_PREFIX}{topic}{self.suffix}", stamp[rows] + self.shift
-        return self.output.stream(name, schema, time_ns, constants, lambda part: columns(rows[part]))
-
-    def poses(self, r: Recovery) -> Iterator[OutputStream]:
-        """Of the forearm's IMU, and where there are, of those on further segments and the trunk."""
-        stamp, nothing = self._stamps(r.t_s), np.full((len(r), 3), np.nan)
-        poses = {"forearm": ((r.position, r.quaternion, r.pose_covariance), self.body)}
-        for name, motion in r.segments.items():
-            pose = (motion.position, motion.quaternion, motion.pose_covariance)
-            poses[name] = pose, self.body.replace("forearm", name)
-        if (trunk := r.trunk) is not None:  # the thorax, drawn at the arm's shoulder
-            covariance = np.zeros((len(r), 6, 6))
-            covariance[:, 3:, 3:] = trunk.covariance
-            place = np.nan_to_num(r.joints.get("shoulder", nothing))
-            place[~np.isfinite(trunk.quaternion).all(axis=1)] = np.nan
-            poses["trunk"] = (place, trunk.quaternion, covariance), self.body.replace("forearm_imu", "thorax")
-        unknown = np.full((len(r), 3, 3), np.nan)
-        for topic, (pose, body) in poses.items():
-            moved = (r.velocity, r.velocity_covariance) if topic == "forearm" else (nothing, unknown)
-            for rows in self._odometry(pose, moved, body, stamp):
-                yield self._stream(topic, "foxglove.Odometry", stamp, rows)
-
-    def _odometry(
-        self,
-        poses: tuple[FloatArray, FloatArray, FloatArray],  # (n, 3) m; (n, 4); (n, 6, 6)
-        moved: tuple[FloatArray, FloatArray],  # (n, 3) m/s: velocity; (n, 3, 3): its covariance
-        body: str,
-        stamp: IntArray,
-    ) -> Iterator[AlikeRows]:
-        """The samples with a position, those with orientation and velocity apart."""
-        (position, quaternion, covariance), (velocity, spread) = poses, moved
-        has = [np.isfinite(each).all(axis=1) for each in (position, quaternion, velocity)]
-        for (placed, turned, moving), mine in alike(np.stack(has, axis=1)):
-            if not placed:
-                continue
-
-            def columns(rows: IntArray, turned: int = turned, moving: int = moving) -> dict[str, NDArray]:
-                speed, whole = velocity[rows], np.zeros((len(rows), 6, 6))
-                whole[:, :3, :3] = spread[rows]
-                if turned:
-                    back = Rotation.from_quat(quaternion[rows], scalar_first=True).inv().as_matrix()
-                    speed = np.einsum("nij,nj->ni", back, speed)
-                    whole[:, :3, :3] = back @ whole[:, :3, :3] @ back.transpose(0, 2, 1)
-                each = {"timestamp": stamp[rows], "pose.position": position[rows]}
-                each |= {"pose.orientation": quaternion[rows][:, [1, 2, 3, 0]]} if turned else {}
-                each |= {"linear_velocity": speed} if moving else {}
-                return each | {
-                    "pose_covariance": np.nan_to_num(covariance[rows], nan=0.0).reshape(-1, 36),
-                    "velocity_covariance": np.nan_to_num(whole, nan=0.0).reshape(-1, 36),
-                }
-
-            frames = {"frame_id": self.frame_id, "body_frame_id": body if turned else self.frame_id}
-            yield mine, frames | {"pose": {"orientation": {"w": 1.0}}}, columns
-
-    def skeleton(self, r: Recovery) -> Iterator[OutputStream]:
-        """Every moment, so that times and occlusion are whole even where there is no answer."""
-        names = [joint for joint in JOINTS if joint in r.joints]
-        side = f"_{r.side}" if r.side else ""
-        stamp = self._stamps(r.t_s)
-
-        def columns(rows: IntArray) -> dict[str, NDArray]:
-            occluded = r.occluded[rows]
-            arrays: dict[str, NDArray] = {"timestamp": stamp[rows], "occluded": occluded.astype(np.int64)}
-            for k, joint in enumerate(names):
-                position = r.joints[joint][rows]
-                state = np.where(occluded, JointState.INFERRED, JointState.TRACKED)
-                state[~np.isfinite(position).all(axis=1)] = JointState.NOT_TRACKED
-                arrays |= {f"joints.{k}.position": position, f"joints.{k}.state": state}
-                arrays[f"joints.{k}.position_covariance"] = r.joint_covariance[joint][rows].reshape(-1, 9)
-            return arrays
-
-        constants = {"frame_id": self.frame_id, "joints": [{"name": joint + side} for joint in names]}
-        yield self._stream("skeleton", "unocclude.Skeleton", stamp, (np.arange(len(r)), constants, columns))
-
-    def camera(self, r: Recovery, present: list[int]) -> Iterator[OutputStream]:
-        """The camera's joints on the IMU's clock, as messages and drawn."""
-        topic, stamp = f"{RESULT_PREFIX}camera{self.suffix}", self._stamps(r.arm.t_s)
-        arm = ArmFrames(topic, self.frame_id, 0, r.side, stamp, r.arm.position, r.arm.state)
-        stream = arm_messages(self.output, arm, present)
-        yield OutputStream(stream.channel, stream.time_ns + self.shift, stream.encode)
-        guessed = (r.arm.state == JointState.INFERRED).astype(np.int64)
-        colors, name = (scene.CAMERA, scene.GUESSED), f"{self.name}_camera"
-        for rows in scene.drawings(r.arm.position, guessed, colors, self.frame_id, name, stamp):
-            yield self._stream("arm_camera", "foxglove.SceneUpdate", stamp, rows)
-
-    def drawn(self, r: Recovery) -> Iterator[OutputStream]:
-        """The arm, as a scene and as beads."""
-        stamp, position = self._stamps(r.t_s), np.full((len(r), len(JOINTS), 3), np.nan)
-        for joint, places in {"strap": r.position, **r.joints}.items():
-            position[:, JOINTS.index(joint)] = places
-        kind = np.where(r.trusted, r.occluded.astype(np.int64), scene.DISTRUST)
-        shade = np.repeat(kind[:, None], len(JOINTS), axis=1)
-        for rows in scene.drawings(position, shade, scene.ANSWER, self.frame_id, self.name, stamp):
-            yield self._stream("arm", "foxglove.SceneUpdate", stamp, rows)
-        for rows in arm_point_clouds(position, kind, self.frame_id, stamp):
-            yield self._stream("beads", "foxglove.PointCloud", stamp, rows)
-
-    def transforms(self, r: Recovery, world: dict[str, Any] | None) -> Iterator[OutputStream]:
-        """The camera to the forearm's IMU, and the level frame, in every message: viewers begin anywhere."""
-        has_pose = np.isfinite(r.position).all(axis=1) & np.isfinite(r.quaternion).all(axis=1)
-        stamp = self._stamps(r.t_s)
-        forearm = {"parent_frame_id": self.frame_id, "child_frame_id": self.body}
-        for posed in (True, False):
-            transforms = [*([forearm] if posed else []), *([world] if world else [])]
-
-            def columns(
-                rows: IntArray, posed: bool = posed, count: int = len(transforms)
-            ) -> dict[str, NDArray]:
-                pose: dict[str, NDArray] = {f"transforms.{k}.timestamp": stamp[rows] for k in range(count)}
-                if posed:
-                    pose["transforms.0.translation"] = r.position[rows]
-                    pose["transforms.0.rotation"] = r.quaternion[rows][:, [1, 2, 3, 0]]
-                return pose
-
-            rows = np.flatnonzero(has_pose == posed)
-            if transforms and len(rows):
-                yield self._stream(
-                    "tf", "foxglove.FrameTransforms", stamp, (rows, {"transforms": transforms}, columns)
-                )
-
-    def joint_states(self, r: Recovery) -> Iterator[OutputStream]:
-        """The joint angles that are known at a sample, and behind them their sigmas, rad."""
-        angles = joint_angles(r, self.mounting)
-        names = [*angles.values, *(f"{name}_sigma" for name in angles.sigmas)]
-        table = np.radians(np.column_stack([*angles.values.values(), *angles.sigmas.values()]))
-        side = f"_{r.side}" if r.side else ""
-        stamp = self._stamps(r.t_s)
-        for pattern, rows in alike(np.isfinite(table)):  # samples with the same ones are written alike
-            places = np.flatnonzero(pattern).tolist()
-
-            def of_rows(chosen: IntArray, places: list[int] = places) -> dict[str, NDArray]:
-                angles = {f"joints.{k}.position": table[chosen, place] for k, place in enumerate(places)}
-                return {"timestamp": stamp[chosen]} | angles
-
-            if places:
-                constants = {"joints": [{"name": names[k] + side} for k in places]}
-                yield self._stream("joints", "foxglove.JointStates", stamp, (rows, constants, of_rows))
-
-    def gaps(self, r: Recovery) -> Iterator[OutputStream]:
-        """Each gap as an event, and as a line of a log, which more programs show."""
-        if not r.gaps:
-            return
-        times = self._stamps(np.array([[gap.start_s, gap.end_s] for gap in r.gaps]))
-        verdicts = r.gap_verdicts if r.has_verdict else (None,) * len(r.gaps)
-        each = [
-            gap_messages(gap, start, end, r.side, verdict)
-            for gap, (start, end), verdict in zip(r.gaps, times.tolist(), verdicts, strict=True)
+    def streams(topic: str, schema: str, kinds: Iterator[AlikeRows], stamp: IntArray) -> list[OutputStream]:
+        topic = f"{RESULT_PREFIX}{topic}{suffix}"
+        return [
+            output.stream(
+                topic,
+                schema,
+                stamp[rows] + shift,
+                constants,
+                lambda part, rows=rows, columns=columns: columns(rows[part]),  # type: ignore[misc]
+            )
+            for rows, constants, columns in kinds
         ]
-        events, lines = ([messages[k] for messages in each] for k in range(2))
-        for topic, schema, data in (("gaps", "foxglove.Event", events), ("log", "foxglove.Log", lines)):
-            channel = self.output.channel(f"{RESULT_PREFIX}{topic}{self.suffix}", schema)
-            yield OutputStream(channel, times[:, 0] + self.shift, data.__getitem__)
+
+    outgoing = streams("skeleton", "unocclude.Skeleton", _skeleton(some, frame_id, stamp), stamp)
+    for topic, poses in _poses(some).items():
+        of_body = (
+            body.replace("forearm_imu", "thorax") if topic == "trunk" else body.replace("forearm", topic)
+        )
+        outgoing += streams(topic, "foxglove.Odometry", _odometry(*poses, frame_id, of_body, stamp), stamp)
+    outgoing += streams("arm", "foxglove.SceneUpdate", _drawn(some, frame_id, name, stamp), stamp)
+    world = world_transform(down, frame_id)
+    outgoing += streams(
+        "tf", "foxglove.FrameTransforms", _transforms(some, frame_id, body, world, stamp), stamp
+    )
+    mounting = forearm_mounting(recovery)
+    outgoing += streams("joints", "foxglove.JointStates", _joint_states(some, mounting, stamp), stamp)
+    # the camera's joints on the IMU's clock, as messages and drawn
+    seen, of_camera = recovery.arm, nanoseconds(recovery.arm.t_s, recovery.origin_ns)
+    topic = f"{RESULT_PREFIX}camera{suffix}"
+    arm = ArmFrames(topic, frame_id, 0, recovery.side, of_camera, seen.position, seen.state)
+    present = joints_there(seen.state) if camera_joints is None else list(camera_joints)
+    messages = arm_messages(output, arm, present)
+    outgoing.append(OutputStream(messages.channel, of_camera + shift, messages.encode))
+    guessed = (seen.state == JointState.INFERRED).astype(np.int64)
+    shades = (seen.position, guessed, (scene.CAMERA, scene.GUESSED), frame_id, f"{name}_camera", of_camera)
+    outgoing += streams("arm_camera", "foxglove.SceneUpdate", scene.drawings(*shades), of_camera)
+    return outgoing + _gaps(output, recovery, suffix, shift)
+
+
+#: Positions (n, 3) m, quaternions (n, 4), covariances (n, 6, 6), velocities (n, 3) m/s, their (n, 3, 3).
+_Motion = tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]
+
+
+def _poses(r: Recovery) -> dict[str, _Motion]:
+    """By topic: of the forearm's IMU, and where there are, of those on further segments and the trunk."""
+    nothing, unknown = np.full((len(r), 3), np.nan), np.full((len(r), 3, 3), np.nan)
+    poses = {"forearm": (r.position, r.quaternion, r.pose_covariance, r.velocity, r.velocity_covariance)}
+    for name, motion in r.segments.items():
+        poses[name] = motion.position, motion.quaternion, motion.pose_covariance, nothing, unknown
+    if (trunk := r.trunk) is not None:  # the thorax, drawn at the arm's shoulder
+        covariance = np.zeros((len(r), 6, 6))
+        covariance[:, 3:, 3:] = trunk.covariance
+        place = np.nan_to_num(r.joints.get("shoulder", nothing))
+        place[~np.isfinite(trunk.quaternion).all(axis=1)] = np.nan
+        poses["trunk"] = place, trunk.quaternion, covariance, nothing, unknown
+    return poses
+
+
+def _odometry(
+    position: FloatArray,
+    quaternion: FloatArray,
+    covariance: FloatArray,
+    velocity: FloatArray,
+    spread: FloatArray,
+    frame_id: str,
+    body: str,
+    stamp: IntArray,
+) -> Iterator[AlikeRows]:
+    """The samples with a position, those with orientation and velocity apart."""
+    has = [np.isfinite(each).all(axis=1) for each in (position, quaternion, velocity)]
+    for (placed, turned, moving), mine in alike(np.stack(has, axis=1)):
+        if not placed:
+            continue
+
+        def columns(rows: IntArray, turned: int = turned, moving: int = moving) -> dict[str, NDArray]:
+            speed, whole = velocity[rows], np.zeros((len(rows), 6, 6))
+            whole[:, :3, :3] = spread[rows]
+            if turned:
+                back = Rotation.from_quat(quaternion[rows], scalar_first=True).inv().as_matrix()
+                speed = np.einsum("nij,nj->ni", back, speed)
+                whole[:, :3, :3] = back @ whole[:, :3, :3] @ back.transpose(0, 2, 1)
+            each = {"timestamp": stamp[rows], "pose.position": position[rows]}
+            each |= {"pose.orientation": quaternion[rows][:, [1, 2, 3, 0]]} if turned else {}
+            each |= {"linear_velocity": speed} if moving else {}
+            return each | {
+                "pose_covariance": np.nan_to_num(covariance[rows], nan=0.0).reshape(-1, 36),
+                "velocity_covariance": np.nan_to_num(whole, nan=0.0).reshape(-1, 36),
+            }
+
+        frames = {"frame_id": frame_id, "body_frame_id": body if turned else frame_id}
+        yield mine, frames | {"pose": {"orientation": {"w": 1.0}}}, columns
+
+
+def _skeleton(r: Recovery, frame_id: str, stamp: IntArray) -> Iterator[AlikeRows]:
+    """Every moment, so that times and occlusion are whole even where there is no answer."""
+    names = [joint for joint in JOINTS if joint in r.joints]
+    side = f"_{r.side}" if r.side else ""
+
+    def columns(rows: IntArray) -> dict[str, NDArray]:
+        occluded = r.occluded[rows]
+        arrays: dict[str, NDArray] = {"timestamp": stamp[rows], "occluded": occluded.astype(np.int64)}
+        for k, joint in enumerate(names):
+            position = r.joints[joint][rows]
+            state = np.where(occluded, JointState.INFERRED, JointState.TRACKED)
+            state[~np.isfinite(position).all(axis=1)] = JointState.NOT_TRACKED
+            arrays |= {f"joints.{k}.position": position, f"joints.{k}.state": state}
+            arrays[f"joints.{k}.position_covariance"] = r.joint_covariance[joint][rows].reshape(-1, 9)
+        return arrays
+
+    constants = {"frame_id": frame_id, "joints": [{"name": joint + side} for joint in names]}
+    yield np.arange(len(r)), constants, columns
+
+
+def _drawn(r: Recovery, frame_id: str, name: str, stamp: IntArray) -> Iterator[AlikeRows]:
+    """The arm."""
+    position = np.full((len(r), len(JOINTS), 3), np.nan)
+    for joint, places in {"strap": r.position, **r.joints}.items():
+        position[:, JOINTS.index(joint)] = places
+    kind = np.where(r.trusted, r.occluded.astype(np.int64), scene.DISTRUST)
+    shade = np.repeat(kind[:, None], len(JOINTS), axis=1)
+    yield from scene.drawings(position, shade, scene.ANSWER, frame_id, name, stamp)
+
+
+def _transforms(
+    r: Recovery, frame_id: str, body: str, world: dict[str, Any] | None, stamp: IntArray
+) -> Iterator[AlikeRows]:
+    """The camera to the forearm's IMU, and the level frame, in every message: viewers begin anywhere."""
+    has_pose = np.isfinite(r.position).all(axis=1) & np.isfinite(r.quaternion).all(axis=1)
+    forearm = {"parent_frame_id": frame_id, "child_frame_id": body}
+    for posed in (True, False):
+        transforms = [*([forearm] if posed else []), *([world] if world else [])]
+
+        def columns(rows: IntArray, posed: bool = posed, count: int = len(transforms)) -> dict[str, NDArray]:
+            pose: dict[str, NDArray] = {f"transforms.{k}.timestamp": stamp[rows] for k in range(count)}
+            if posed:
+                pose["transforms.0.translation"] = r.position[rows]
+                pose["transforms.0.rotation"] = r.quaternion[rows][:, [1, 2, 3, 0]]
+            return pose
+
+        rows = np.flatnonzero(has_pose == posed)
+        if transforms and len(rows):
+            yield rows, {"transforms": transforms}, columns
+
+
+def _joint_states(r: Recovery, mounting: ForearmMounting, stamp: IntArray) -> Iterator[AlikeRows]:
+    """The joint angles that are known at a sample, and behind them their sigmas, rad."""
+    angles = joint_angles(r, mounting)
+    side = f"_{r.side}" if r.side else ""
+    names = [*(f"{name}{side}" for name in angles.values), *(f"{name}_sigma{side}" for name in angles.sigmas)]
+    table = np.radians(np.column_stack([*angles.values.values(), *angles.sigmas.values()]))
+    for pattern, rows in alike(np.isfinite(table)):  # samples with the same ones are written alike
+        places = np.flatnonzero(pattern).tolist()
+
+        def columns(chosen: IntArray, places: list[int] = places) -> dict[str, NDArray]:
+            known = {f"joints.{k}.position": table[chosen, place] for k, place in enumerate(places)}
+            return {"timestamp": stamp[chosen]} | known
+
+        if places:
+            yield rows, {"joints": [{"name": names[place]} for place in places]}, columns
+
+
+def _gaps(output: Output, r: Recovery, suffix: str, shift: int) -> list[OutputStream]:
+    """Each gap as an event, and as a line of a log, which more programs show."""
+    if not r.gaps:
+        return []
+    times = nanoseconds(np.array([[gap.start_s, gap.end_s] for gap in r.gaps]), r.origin_ns)
+    verdicts = r.gap_verdicts if r.has_verdict else (None,) * len(r.gaps)
+    each = [
+        gap_messages(gap, start, end, r.side, verdict)
+        for gap, (start, end), verdict in zip(r.gaps, times.tolist(), verdicts, strict=True)
+    ]
+    outgoing = []
+    for topic, schema, data in zip(
+        ("gaps", "log"), ("foxglove.Event", "foxglove.Log"), map(list, zip(*each, strict=True)), strict=True
+    ):
+        channel = output.channel(f"{RESULT_PREFIX}{topic}{suffix}", schema)
+        outgoing.append(OutputStream(channel, times[:, 0] + shift, data.__getitem__))
+    return outgoing
 
 
 def gap_messages(
