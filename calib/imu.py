@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.ndimage import binary_dilation, uniform_filter1d
@@ -28,14 +28,11 @@ from .file import CalibrationFile
 from .protocol import Answer, Check
 from .sensor import sensor_name
 
-#: Directions that the sphere is looked at; neighbours are some 4 degrees apart.
-_GRID = 2000
-#: Cells that a sphere's coverage is counted in; each is some 20 degrees across.
-_CELLS = 100
+#: Directions that the sphere is looked at, some 4 degrees apart; cells to count coverage in, some 20.
+_GRID, _CELLS = 2000, 100
 
 
-@dataclass(frozen=True)
-class Coverage:
+class Coverage(NamedTuple):
     """What was covered of the sphere."""
 
     hole_rad: float  # Radius of the largest cap without a direction in it
@@ -49,11 +46,8 @@ def cover(direction: FloatArray) -> Coverage:
     apart, _ = cKDTree(direction).query(grid)
     worst = int(np.argmax(apart))
     _, cell = cKDTree(sphere(_CELLS)).query(direction)
-    return Coverage(
-        hole_rad=2.0 * float(np.arcsin(min(apart[worst] / 2.0, 1.0))),
-        towards=grid[worst],
-        share=len(np.unique(cell)) / _CELLS,
-    )
+    hole = 2.0 * float(np.arcsin(min(apart[worst] / 2.0, 1.0)))
+    return Coverage(hole, grid[worst], len(np.unique(cell)) / _CELLS)
 
 
 def axis_words(direction: FloatArray) -> str:
@@ -105,49 +99,44 @@ class Rests:
         return len(np.unique(self.pose))
 
     @property
-    def samples(self) -> int:
-        """Still samples in all."""
-        return int(np.sum(self.ranges[:, 1] - self.ranges[:, 0])) if len(self) else 0
-
-    def longest(self) -> slice:
-        """Samples of the longest rest."""
-        k = int(np.argmax(self.ranges[:, 1] - self.ranges[:, 0]))
-        return slice(int(self.ranges[k, 0]), int(self.ranges[k, 1]))
-
-
-_NO = np.zeros((0, 3))
-NO_RESTS = Rests(np.zeros((0, 2), int), _NO, _NO, np.zeros(3), np.zeros(3), np.zeros(0, int))
+    def length(self) -> FloatArray:
+        """(n,) samples of each."""
+        return np.diff(self.ranges, axis=1)[:, 0].astype(float)
 
 
 def find_rests(imu: ImuStream, slack: float = 1.0) -> Rests:
     """All rests of a stream; `slack` times as much motion passes as in a sensor that lies, as in a hand."""
     rate = imu.rate_hz
     width = max(round(LOOK_S * rate), 5) | 1
-    if len(imu) < 2 * width:
-        return NO_RESTS
-    still = _still(imu.acc, width, slack * STILL_ACC, MOVING_ACC, slack * CREEP_ACC)
-    still &= _still(imu.gyro, width, slack * STILL_GYRO, MOVING_GYRO, slack * CREEP_GYRO)
-    # less than half a look, so that two rests with nothing but a jump between them stay two
-    let_go = max(width // 6, 1)
-    still = binary_dilation(still, iterations=width // 2 - let_go)
-    edges = np.array([(rows.start, rows.stop) for rows in runs(still)], dtype=int).reshape(-1, 2)
-    edges = _joined(edges, imu.acc, width // 2)
-    gaps = np.flatnonzero(np.diff(imu.t_s) > max(5.0 / rate, 0.1)) + 1
-    ranges = [
-        (a, b)
-        for first, last in edges.tolist()
-        for a, b in pairwise([first, *gaps[(gaps > first) & (gaps < last)].tolist(), last])
-        if imu.t_s[b - 1] - imu.t_s[a] >= SHORTEST_S
-    ]
+    ranges: list[tuple[int, int]] = []
+    if len(imu) >= 2 * width:
+        still = _still(imu.acc, width, slack * STILL_ACC, MOVING_ACC, slack * CREEP_ACC)
+        still &= _still(imu.gyro, width, slack * STILL_GYRO, MOVING_GYRO, slack * CREEP_GYRO)
+        # less than half a look, so that two rests with nothing but a jump between them stay two
+        still = binary_dilation(still, iterations=width // 2 - max(width // 6, 1))
+        gaps = np.flatnonzero(np.diff(imu.t_s) > max(5.0 / rate, 0.1)) + 1
+        ranges = [
+            (a, b)
+            for first, last in _joined(runs(still), imu.acc, width // 2)
+            for a, b in pairwise([first, *gaps[(gaps > first) & (gaps < last)].tolist(), last])
+            if imu.t_s[b - 1] - imu.t_s[a] >= SHORTEST_S
+        ]
     if not ranges:
-        return NO_RESTS
-    length = np.diff(ranges)[:, 0].astype(float)
+        none = np.zeros((0, 3))
+        return Rests(np.zeros((0, 2), int), none, none, np.zeros(3), np.zeros(3), np.zeros(0, int))
     acc, gyro = (np.array([x[a:b].mean(axis=0) for a, b in ranges]) for x in (imu.acc, imu.gyro))
     acc_sigma, gyro_sigma = (
-        np.sqrt(np.average([x[a:b].var(axis=0) for a, b in ranges], axis=0, weights=length))
+        np.sqrt(np.average([x[a:b].var(axis=0) for a, b in ranges], axis=0, weights=np.diff(ranges)[:, 0]))
         for x in (imu.acc, imu.gyro)
     )
-    return Rests(np.array(ranges), acc, gyro, acc_sigma, gyro_sigma, _poses(acc))
+    first: list[int] = []
+    pose, up = np.zeros(len(acc), int), unit(acc)
+    for k, direction in enumerate(up):  # one within `SAME_POSE_RAD` of an earlier one has its number
+        angle = np.arccos(np.clip(up[first] @ direction, -1.0, 1.0)) if first else np.full(1, np.inf)
+        pose[k] = int(np.argmin(angle)) if angle.min() < SAME_POSE_RAD else len(first)
+        if pose[k] == len(first):
+            first.append(k)
+    return Rests(np.array(ranges), acc, gyro, acc_sigma, gyro_sigma, pose)
 
 
 def _still(values: FloatArray, width: int, floor: float, moving: float, creep: float) -> BoolArray:
@@ -168,30 +157,19 @@ def _still(values: FloatArray, width: int, floor: float, moving: float, creep: f
     return np.asarray((deviation <= limit) & (drift <= creep + 3.0 * noise))
 
 
-def _joined(ranges: np.ndarray, acc: FloatArray, half: int) -> np.ndarray:
-    """Ranges (n, 2), neighbours as one where an impact parts them and the pose is the same after it."""
-    if len(ranges) < 2:
-        return ranges
-    apart = []
-    for last, first in zip(ranges[:-1, 1].tolist(), ranges[1:, 0].tolist(), strict=True):
-        before, after = (np.median(acc[a:b], axis=0) for a, b in ((last - half, last), (first, first + half)))
-        apart.append(first - last > half or float(np.linalg.norm(after - before)) > KNOCKED_ACC)
-    return np.column_stack([ranges[np.r_[True, apart], 0], ranges[np.r_[apart, True], 1]])
-
-
-def _poses(acc: FloatArray) -> np.ndarray:
-    """Number the directions (n, 3): one within `SAME_POSE_RAD` of an earlier one has its number."""
-    up = unit(acc)
-    first: list[int] = []
-    pose = np.zeros(len(acc), int)
-    for k, direction in enumerate(up):
-        angle = np.arccos(np.clip(up[first] @ direction, -1.0, 1.0)) if first else np.empty(0)
-        if len(angle) and angle.min() < SAME_POSE_RAD:
-            pose[k] = int(np.argmin(angle))
-        else:
-            pose[k] = len(first)
-            first.append(k)
-    return pose
+def _joined(still: list[slice], acc: FloatArray, half: int) -> list[tuple[int, int]]:
+    """Neighbours as one where an impact parts them and the pose is the same after it."""
+    found: list[tuple[int, int]] = []
+    for first, last in ((rows.start, rows.stop) for rows in still):
+        if found and first - (end := found[-1][1]) <= half:
+            before, after = (
+                np.median(acc[a:b], axis=0) for a, b in ((end - half, end), (first, first + half))
+            )
+            if float(np.linalg.norm(after - before)) <= KNOCKED_ACC:
+                found[-1] = found[-1][0], last
+                continue
+        found.append((first, last))
+    return found
 
 
 #: Unknowns, and this many different poses at least.
@@ -256,8 +234,7 @@ def calibrate_accelerometer(rests: Rests, gravity: float) -> AccelerometerCalibr
         )
     residual = np.linalg.norm((rests.acc - offset) @ matrix, axis=1) - gravity
     freedom = max(len(rests) - 9, 1)
-    length = (rests.ranges[:, 1] - rests.ranges[:, 0]).astype(float)
-    sampling = float(np.sqrt(np.mean(rests.acc_sigma**2) * np.mean(1.0 / length)))
+    sampling = float(np.sqrt(np.mean(rests.acc_sigma**2) * np.mean(1.0 / rests.length)))
     pose_sigma = max(float(np.sqrt(np.sum(residual**2) / freedom)), float(np.hypot(sampling, POSE_SIGMA)))
     # |S(V-O)|^2 - g^2 over 2g is the length's own error
     design = _mapped(answer.x, rests.acc)[1] / gravity
@@ -335,8 +312,7 @@ RUNNING_SAMPLES = 500
 _LARGEST_BIAS = np.radians(15.0)
 
 
-@dataclass(frozen=True)
-class GyroscopeCalibration:
+class GyroscopeCalibration(NamedTuple):
     """corrected = raw - offset, rad/s."""
 
     offset: FloatArray  # (3,) rad/s
@@ -347,18 +323,19 @@ class GyroscopeCalibration:
 
 def calibrate_gyroscope(imu: ImuStream, rests: Rests) -> GyroscopeCalibration:
     """The mean of the still samples (Le et al.); without 200 of them the running rule (`running_bias`)."""
-    if rests.samples >= STILL_SAMPLES:
-        length = (rests.ranges[:, 1] - rests.ranges[:, 0]).astype(float)
+    length = rests.length
+    still = int(length.sum())
+    if still >= STILL_SAMPLES:
         offset = np.average(rests.gyro, axis=0, weights=length)
         # rests differ by more than their noise where the bias wandered
-        effective = length.sum() ** 2 / np.sum(length**2)
+        effective = still**2 / np.sum(length**2)
         between = np.average((rests.gyro - offset) ** 2, axis=0, weights=length) / effective
-        sigma = np.sqrt(np.maximum(rests.gyro_sigma**2 / length.sum(), between if len(rests) > 1 else 0.0))
-        return GyroscopeCalibration(offset, sigma, int(length.sum()), "rest")
+        sigma = np.sqrt(np.maximum(rests.gyro_sigma**2 / still, between if len(rests) > 1 else 0.0))
+        return GyroscopeCalibration(offset, sigma, still, "rest")
     path, stable = running_bias(imu.gyro)
     if stable.sum() < STILL_SAMPLES or np.abs(path[-1]).max() > _LARGEST_BIAS:
         raise CalibrationError(
-            f"the gyroscope was still for {rests.samples} samples only, and its bias needs {STILL_SAMPLES};"
+            f"the gyroscope was still for {still} samples only, and its bias needs {STILL_SAMPLES};"
             " leave the sensor lying for some seconds while it records."
         )
     used = imu.gyro[1:][stable]
@@ -370,18 +347,12 @@ def running_bias(gyro: FloatArray) -> tuple[FloatArray, np.ndarray]:  # -> path 
     """The slow running mean of Jatesiktat and Ang (II-E.2) after each stable sample."""
     stable = np.asarray((np.abs(np.diff(gyro, axis=0)) < STABLE_RAD_S).all(axis=1))
     values = gyro[1:][stable]
-    if not len(values):
-        return np.zeros((0, 3)), stable
     # a plain mean until there are enough samples to forget with
-    count = np.arange(1, len(values) + 1)
-    path = np.cumsum(values, axis=0) / count[:, None]
+    path = np.cumsum(values, axis=0) / np.arange(1, len(values) + 1)[:, None]
     if len(values) > RUNNING_SAMPLES:
-        keep = 1.0 - 1.0 / RUNNING_SAMPLES
-        start = path[RUNNING_SAMPLES - 1]
-        later, _ = lfilter(
-            [1.0 - keep], [1.0, -keep], values[RUNNING_SAMPLES:], axis=0, zi=keep * start[None, :]
-        )
-        path[RUNNING_SAMPLES:] = later
+        keep, later = 1.0 - 1.0 / RUNNING_SAMPLES, values[RUNNING_SAMPLES:]
+        start = keep * path[RUNNING_SAMPLES - 1 : RUNNING_SAMPLES]
+        path[RUNNING_SAMPLES:], _ = lfilter([1.0 - keep], [1.0, -keep], later, axis=0, zi=start)
     return path, stable
 
 
@@ -400,43 +371,22 @@ class ImuCalibration:
     # None where the recording is one long rest, which gives the noise only
     accelerometer: AccelerometerCalibration | None
     noise_rest_s: float  # Length of the longest rest
-    densities: dict[str, FloatArray]  # (3,): white noise by sensor, per sqrt(Hz); empty of a short rest
+    densities: dict[str, float]  # White noise by sensor, per sqrt(Hz), rms of the axes; empty of a short rest
     gravity: float = GRAVITY  # m/s^2: that the accelerometer was fitted to
-
-    def tables(self) -> dict[str, dict[str, Any]]:
-        """The sensor's tables for the calibration file; of noise the axes' root mean square."""
-        gyro = {"offset": self.gyroscope.offset.tolist(), "offset_sigma": self.gyroscope.sigma.tolist()}
-        tables: dict[str, dict[str, Any]] = {"gyroscope": gyro, "accelerometer": {}}
-        if (found := self.accelerometer) is not None:
-            sigma = np.sqrt(np.diag(found.covariance))
-            tables["accelerometer"] = {
-                "offset": found.offset.tolist(),
-                "matrix": found.matrix.tolist(),
-                "offset_sigma": sigma[:3].tolist(),
-                "matrix_sigma": sigma[3:].tolist(),
-                "poses": found.poses,
-                "residual_rms": found.rms,
-                "sigma": found.sigma,
-                "worst_sigma": found.worst_sigma,
-            }
-        for name, density in self.densities.items():
-            own = {"noise_density": float(np.sqrt(np.mean(density**2))), "noise_rest_s": self.noise_rest_s}
-            tables[name] |= own
-        return {name: table for name, table in tables.items() if table}
 
 
 def calibrate_imu(imu: ImuStream, gravity: float = GRAVITY) -> ImuCalibration:
     """Calibrate accelerometer and gyroscope from a recording of rest poses, or of one long rest."""
     rests = find_rests(imu)
-    densities, rest_s, is_long = {}, 0.0, False
+    densities, rest_s, noise_only = {}, 0.0, False
     if len(rests):
-        rest = rests.longest()
+        rest = slice(*rests.ranges[int(np.argmax(rests.length))].tolist())
         rest_s = (rest.stop - rest.start) / imu.rate_hz
         for name, samples in (("accelerometer", imu.acc), ("gyroscope", imu.gyro)):
             if (density := noise_density(samples[rest], imu.rate_hz)) is not None:
-                densities[name] = density
+                densities[name] = float(np.sqrt(np.mean(density**2)))
         is_long = rest_s >= LONG_REST_S and rest.stop - rest.start >= _MOSTLY * len(imu)
-    noise_only = is_long and rests.poses < 3
+        noise_only = is_long and rests.poses < 3
     accelerometer = None if noise_only else calibrate_accelerometer(rests, gravity)
     gyroscope = calibrate_gyroscope(imu, rests)
     return ImuCalibration(imu.name, rests, gyroscope, accelerometer, rest_s, densities, gravity)
@@ -447,15 +397,12 @@ POSES = "twelve rest poses of three seconds each, the sensor on its six sides an
 
 def imu_answer(calibration: ImuCalibration) -> Answer:
     """What was found of accelerometer and gyroscope, whether it serves, and what to record next."""
-    acc, gyro, tables = calibration.accelerometer, calibration.gyroscope, calibration.tables()
-    figures: dict[str, Any] = {
-        "imu": calibration.name,
-        "rests": len(calibration.rests),
-        "poses": calibration.rests.poses,
-        "gravity": calibration.gravity,
-        "accelerometer": {**tables.get("accelerometer", {})},
-        "gyroscope": tables["gyroscope"] | {"rule": gyro.rule, "samples": gyro.samples},
+    acc, gyro = calibration.accelerometer, calibration.gyroscope
+    tables: dict[str, dict[str, Any]] = {
+        "gyroscope": {"offset": gyro.offset.tolist(), "offset_sigma": gyro.sigma.tolist()},
+        "accelerometer": {},
     }
+    more: dict[str, Any] = {}  # of the accelerometer, for programs
     checks = [
         Check("still samples of the gyroscope", gyro.samples * (gyro.rule == "rest"), STILL_SAMPLES, "",
                 "for the gyroscope's bias: leave the sensor lying for five seconds while it records", True),
@@ -466,9 +413,18 @@ def imu_answer(calibration: ImuCalibration) -> Answer:
     if acc is None:
         checks.insert(0, Check("offset, scale and cross-axis", remedy=f"record {POSES}", is_open=True))
     else:
-        figures["accelerometer"] |= {
-            name: getattr(acc, name) for name in ("covariance", "worst_direction", "residual")
+        sigma = np.sqrt(np.diag(acc.covariance))
+        tables["accelerometer"] = {
+            "offset": acc.offset.tolist(),
+            "matrix": acc.matrix.tolist(),
+            "offset_sigma": sigma[:3].tolist(),
+            "matrix_sigma": sigma[3:].tolist(),
+            "poses": acc.poses,
+            "residual_rms": acc.rms,
+            "sigma": acc.sigma,
+            "worst_sigma": acc.worst_sigma,
         }
+        more = {name: getattr(acc, name) for name in ("covariance", "worst_direction", "residual")}
         off = np.linalg.norm(calibration.rests.acc, axis=1) - calibration.gravity
         sentence = (
             f"{acc.poses} rest poses determine the accelerometer: corrected, gravity's length is known to"
@@ -484,7 +440,18 @@ def imu_answer(calibration: ImuCalibration) -> Answer:
             Check(f"rest {worst + 1} off gravity", abs(float(acc.residual[worst])), LARGE_RESIDUAL, "m/s^2",
                     "lay the sensor on something firm, and leave it quite still"),
         ]  # fmt: skip
-    file = CalibrationFile().with_table("imu", {sensor_name(calibration.name): tables})
+    for name, density in calibration.densities.items():
+        tables[name] |= {"noise_density": density, "noise_rest_s": calibration.noise_rest_s}
+    figures: dict[str, Any] = {
+        "imu": calibration.name,
+        "rests": len(calibration.rests),
+        "poses": calibration.rests.poses,
+        "gravity": calibration.gravity,
+        "accelerometer": tables["accelerometer"] | more,
+        "gyroscope": tables["gyroscope"] | {"rule": gyro.rule, "samples": gyro.samples},
+    }
+    written = {name: table for name, table in tables.items() if table}
+    file = CalibrationFile().with_table("imu", {sensor_name(calibration.name): written})
     return Answer(grade, sentence, checks, file, figures)
 
 
@@ -548,10 +515,21 @@ def calibrate_magnetometer(raw: FloatArray) -> MagnetometerCalibration:
             " direction."
         )
     even = (samples - middle) / scale
-    first = fit_ellipsoid(even)
-    rough = np.linalg.norm((even - first[0]) @ first[1], axis=1) - 1.0
+    offset, matrix = fit_ellipsoid(even)
+    rough = np.linalg.norm((even - offset) @ matrix, axis=1) - 1.0
     _check_residual(0.5 * float(np.sqrt(np.mean(rough**2))))  # a magnet that passed may have pulled it
-    offset, matrix = _refine(even, *first)
+
+    def off_sphere(p: FloatArray) -> FloatArray:
+        return np.asarray(np.linalg.norm(_mapped(p, even)[0], axis=1) - 1.0)
+
+    def slope(p: FloatArray) -> FloatArray:
+        mapped, slopes = _mapped(p, even)
+        return slopes / np.linalg.norm(mapped, axis=1)[:, None]
+
+    start = np.concatenate([offset, matrix[_ROWS, _COLUMNS]])
+    far = max(_FAR * float(robust_sigma(off_sphere(start))), 1e-6)  # from here samples (a magnet) pull less
+    refined = least_squares(off_sphere, start, slope, loss="soft_l1", f_scale=far, x_scale="jac", max_nfev=40)
+    offset, matrix = refined.x[:3], symmetric(refined.x[3:])
     radii, corrected = np.sort(scale / np.linalg.eigvalsh(matrix)), (even - offset) @ matrix
     length = np.linalg.norm(corrected, axis=1)
     residual = float(np.sqrt(np.mean((length - 1.0) ** 2)))
@@ -595,30 +573,6 @@ def fit_ellipsoid(points: FloatArray) -> tuple[FloatArray, FloatArray]:
     centre = -np.linalg.solve(quadric, linear)
     level = 1.0 + centre @ quadric @ centre
     return centre, (axes * np.sqrt(values / level)) @ axes.T
-
-
-def _refine(points: FloatArray, centre: FloatArray, matrix: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """The same by least squares on the distance to the unit sphere; far samples (a magnet) pull less."""
-
-    def residual(p: FloatArray) -> FloatArray:
-        return np.asarray(np.linalg.norm(_mapped(p, points)[0], axis=1) - 1.0)
-
-    def jacobian(p: FloatArray) -> FloatArray:
-        mapped, slope = _mapped(p, points)
-        return slope / np.linalg.norm(mapped, axis=1)[:, None]
-
-    start = np.concatenate([centre, matrix[_ROWS, _COLUMNS]])
-    spread = float(robust_sigma(residual(start)))
-    answer = least_squares(
-        residual,
-        start,
-        jacobian,
-        loss="soft_l1",
-        f_scale=max(_FAR * spread, 1e-6),
-        x_scale="jac",
-        max_nfev=40,
-    )
-    return answer.x[:3], symmetric(answer.x[3:])
 
 
 def _check_residual(residual: float) -> None:

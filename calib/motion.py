@@ -2,7 +2,7 @@
 
 The forearm frame {F}: y from elbow to wrist, x towards the back of the hand, z = x cross y, origin in the
 arm's core under the strap. The lever arms give y. The IMU sits on the back of the wrist, so that x points
-from the elbow-wrist line to the IMU.
+from the line between elbow and wrist to the IMU.
 """
 
 from __future__ import annotations
@@ -15,10 +15,10 @@ from typing import Any
 import numpy as np
 
 from smoother.array_types import BoolArray, FloatArray
-from smoother.calibration import ArmCalibration, LeverArm
+from smoother.calibration import ArmCalibration
 from smoother.config import Config
 from smoother.errors import CalibrationError
-from smoother.measurements.clock import LARGEST_OFFSET_S, Clock
+from smoother.measurements.clock import LARGEST_OFFSET_S
 from smoother.measurements.outliers import reject_by_camera
 from smoother.measurements.segment import Segment, split_into_segments
 from smoother.recording import JOINTS, Recording
@@ -51,8 +51,8 @@ class ForearmFrame:
     direction_sigma_rad: float  # Its standard deviation
     length_m: float  # Elbow to wrist
     length_sigma_m: float  # Elbow to wrist
-    distance_m: float  # Of the IMU from the elbow-wrist line
-    distance_sigma_m: float  # Of the IMU from the elbow-wrist line
+    distance_m: float  # Of the IMU from the line between elbow and wrist
+    distance_sigma_m: float  # Of the IMU from the line between elbow and wrist
     roll_sigma_rad: float  # Of the angle about the forearm's axis; inf where the IMU is too near to the line
     R_F_A: FloatArray | None  # (3, 3): none where the roll or the direction is not known well enough
 
@@ -62,50 +62,33 @@ def forearm_frame(calibration: ArmCalibration) -> ForearmFrame | None:
     along = calibration.forearm_direction
     if along is None:
         return None
-    elbow, wrist = calibration.lever_arms["elbow"], calibration.lever_arms["wrist"]
-    length = float(np.linalg.norm(wrist.position_m - elbow.position_m))
+    levers = [calibration.lever_arms[joint] for joint in ("elbow", "wrist")]
+    elbow, wrist = (lever.position_m for lever in levers)
+    sigma = np.array([lever.sigma_m for lever in levers])
+    length = float(np.linalg.norm(wrist - elbow))
     # the point of the line that is nearest to the IMU, the origin of {A}
-    part = float(-elbow.position_m @ along) / length
-    foot = elbow.position_m + part * length * along
+    part = float(-elbow @ along) / length
+    foot = elbow + part * length * along
     distance = float(np.linalg.norm(foot))
-    sideways = np.linalg.norm([_sigma_across(lever, along) for lever in (elbow, wrist)])
-    ends = np.linalg.norm([_sigma_along(lever, along) for lever in (elbow, wrist)])
-    tilt = float(sideways) / length
-    roll, R_F_A = np.inf, None
+    sideways = np.linalg.svd(along[None])[2][1:]  # in the worst direction across
+    tilt = float(np.linalg.norm([np.linalg.norm(sideways * each, 2) for each in sigma])) / length
     away = -foot / max(distance, 1e-12)
-    if distance > NEAREST_M:
-        across = np.cross(away, along)
-        roll = _sigma_at(elbow, wrist, part, across) / distance
-        if roll < WORST_ROLL_RAD and tilt < WORST_DIRECTION_RAD:
-            R_F_A = np.stack([away, along, across])
+    across = np.cross(away, along)
+    # of a point of the line both ends' errors go together
+    off, beside = np.linalg.norm(sigma * away, axis=1), np.linalg.norm(sigma * across, axis=1)
+    share = np.abs([1.0 - part, part])
+    roll = float(share @ beside) / distance if distance > NEAREST_M else np.inf
+    is_known = roll < WORST_ROLL_RAD and tilt < WORST_DIRECTION_RAD
     return ForearmFrame(
         direction=along,
         direction_sigma_rad=tilt,
         length_m=length,
-        length_sigma_m=float(ends),
+        length_sigma_m=float(np.linalg.norm(sigma * along)),
         distance_m=distance,
-        distance_sigma_m=_sigma_at(elbow, wrist, part, away),
-        roll_sigma_rad=float(roll),
-        R_F_A=R_F_A,
+        distance_sigma_m=float(share @ off),
+        roll_sigma_rad=roll,
+        R_F_A=np.stack([away, along, across]) if is_known else None,
     )
-
-
-def _sigma_along(lever: LeverArm, direction: FloatArray) -> float:
-    """Standard deviation of a lever arm along a direction, m."""
-    return float(np.linalg.norm(lever.sigma_m * direction))
-
-
-def _sigma_across(lever: LeverArm, direction: FloatArray) -> float:
-    """Standard deviation of a lever arm in the worst direction across the given one, m."""
-    across = np.linalg.svd(direction[None])[2][1:]
-    spread = across * lever.sigma_m
-    return float(np.sqrt(np.linalg.eigvalsh(spread @ spread.T)[-1]))
-
-
-def _sigma_at(elbow: LeverArm, wrist: LeverArm, part: float, direction: FloatArray) -> float:
-    """Of a point of the elbow-wrist line, along a direction, m: both ends' errors go together."""
-    ends = abs(1.0 - part) * _sigma_along(elbow, direction), abs(part) * _sigma_along(wrist, direction)
-    return float(sum(ends))
 
 
 #: Turning about the forearm's axis is measured within this much time: the gyro's sum drifts, s.
@@ -179,11 +162,12 @@ def _evidence(
 
 def _counted(parts: Iterable[BoolArray]) -> dict[str, int]:
     """Samples by joint; `upper_arm` counts frames with shoulder and elbow."""
-    counts, both = np.zeros(len(JOINTS), np.int64), 0
-    for used in parts:
-        counts += np.count_nonzero(used, axis=0)
-        both += int(used[:, [JOINTS.index("shoulder"), JOINTS.index("elbow")]].all(axis=1).sum())
-    return dict(zip(JOINTS, counts.tolist(), strict=True)) | {"upper_arm": both}
+    both = [JOINTS.index("shoulder"), JOINTS.index("elbow")]
+    counts = sum(
+        (np.append(np.count_nonzero(used, axis=0), used[:, both].all(axis=1).sum()) for used in parts),
+        np.zeros(len(JOINTS) + 1, np.int64),
+    )
+    return dict(zip((*JOINTS, "upper_arm"), counts.tolist(), strict=True))
 
 
 def _turns(recovery: Recovery) -> tuple[FloatArray, BoolArray]:
@@ -277,12 +261,33 @@ def not_determined(
         open_axes = [f"{axis} to {1e3 * lever.sigma_m[k]:.0f} mm" for k, axis in enumerate("xyz") if own[k]]
         if open_axes:
             said.append(f"the {joint} is known only roughly in the IMU's axes: {', '.join(open_axes)}")
-    if known.R_F_A is None:
-        said += _axes_not_determined(calibration, frame, evidence, joint_bias_m)
+    if known.R_F_A is None and frame is None:
+        said.append("the forearm's axes in the IMU (R_F_A) need both elbow and wrist")
+    elif known.R_F_A is None and frame is not None:
+        if frame.direction_sigma_rad > DIRECTION_SIGMA_RAD:
+            said.append(f"the forearm's direction in the IMU is {known_to(frame.direction_sigma_rad)}")
+        if not np.isfinite(frame.roll_sigma_rad):
+            said.append(
+                f"the IMU was found {1e3 * frame.distance_m:.0f} mm from the line between elbow and wrist,"
+                " too near to tell on which side of the forearm it sits: roll is not known"
+            )
+        elif frame.roll_sigma_rad > ROLL_SIGMA_RAD:
+            cause, levers = "", calibration.lever_arms
+            worst_m = max(float(np.max(levers[joint].sigma_m)) for joint in ("elbow", "wrist"))
+            if evidence.axial_rad < LITTLE_AXIAL_RAD:
+                turned = np.degrees(evidence.axial_rad)
+                cause = f"the forearm hardly turned about its own axis ({turned:.0f} degrees): "
+            elif joint_bias_m > JOINT_BIAS_M and joint_bias_m**2 > 0.5 * worst_m**2:
+                cause = "with the camera's constant errors "
+            said.append(f"{cause}roll is {known_to(frame.roll_sigma_rad)}")
+        if frame.R_F_A is None:
+            said.append(
+                "how the IMU is turned on the forearm: R_F_A is left open; recovering does not need it"
+            )
     together, upper_arm = evidence.frames.get("upper_arm", 0), calibration.upper_arm
     if known.upper_arm is not None:
-        pass
-    elif together == 0:
+        return said
+    if together == 0:
         said.append("shoulder and elbow were never seen together: the upper arm's length is not known")
     elif together < FEW_FRAMES:
         said.append(f"shoulder and elbow were seen together in {together} frames only")
@@ -301,34 +306,6 @@ def beyond(sigma_m: FloatArray, joint_bias_m: float) -> FloatArray:
     """What a standard deviation holds besides the camera's constant errors, m."""
     bias = joint_bias_m if np.isfinite(joint_bias_m) else 0.0
     return np.sqrt(np.maximum(np.square(sigma_m) - bias**2, 0.0))
-
-
-def _axes_not_determined(
-    calibration: ArmCalibration, frame: ForearmFrame | None, evidence: Evidence, joint_bias_m: float
-) -> list[str]:
-    """What is open of how the IMU is turned on the forearm."""
-    if frame is None:
-        return ["the forearm's axes in the IMU (R_F_A) need both elbow and wrist"]
-    said = []
-    if frame.direction_sigma_rad > DIRECTION_SIGMA_RAD:
-        said.append(f"the forearm's direction in the IMU is {known_to(frame.direction_sigma_rad)}")
-    if not np.isfinite(frame.roll_sigma_rad):
-        said.append(
-            f"the IMU was found {1e3 * frame.distance_m:.0f} mm from the line between elbow and wrist, too"
-            " near to tell on which side of the forearm it sits: roll is not known"
-        )
-    elif frame.roll_sigma_rad > ROLL_SIGMA_RAD:
-        cause = ""
-        worst_m = max(float(np.max(calibration.lever_arms[joint].sigma_m)) for joint in ("elbow", "wrist"))
-        if evidence.axial_rad < LITTLE_AXIAL_RAD:
-            turned = np.degrees(evidence.axial_rad)
-            cause = f"the forearm hardly turned about its own axis ({turned:.0f} degrees): "
-        elif joint_bias_m > JOINT_BIAS_M and joint_bias_m**2 > 0.5 * worst_m**2:
-            cause = "with the camera's constant errors "
-        said.append(f"{cause}roll is {known_to(frame.roll_sigma_rad)}")
-    if frame.R_F_A is None:
-        said.append("how the IMU is turned on the forearm: R_F_A is left open; recovering does not need it")
-    return said
 
 
 def known_to(sigma_rad: float) -> str:
@@ -536,14 +513,19 @@ def calibrate_motion(
     if calibration.sigma_factors is None and (short := short_recordings(recordings)):
         calibration = replace(calibration, sigma_factors=hidden_gap_factors(short, calibration, config))
     evidence = gather(segments, calibration.forearm_direction)
-    coarse = [clock for _, clock in moved]
-    offsets = _offsets(recordings, coarse, {segment.recording for segment in segments}, solved)
+    used, offsets = {segment.recording for segment in segments}, []
+    for number, (recording, (_, coarse)) in enumerate(zip(recordings, moved, strict=True)):
+        offset = ClockOffset(recording.name)
+        if number in used and number < len(solved.clocks):
+            clock = solved.clocks[number].after(coarse)
+            offset = ClockOffset(recording.name, clock.mean_s, clock.sigma_s, clock.drift_s)
+        offsets.append(offset)
     bias_m = solved.joint_bias.sigma_m
     shifts_m = np.linalg.norm(solved.joint_bias.error_m, axis=1)
     return ArmEstimates(
         calibration=calibration,
         frame=frame,
-        offsets=offsets,
+        offsets=tuple(offsets),
         evidence=evidence,
         not_determined=(
             *not_determined(calibration, frame, evidence, known, bias_m),
@@ -621,44 +603,26 @@ def _require_one_mounting(
 
 
 def mountings(alone: dict[str, ArmCalibration]) -> list[list[str]]:
-    """Recordings whose lever arms agree, as groups."""
+    """Recordings whose lever arms agree, as groups: none is elsewhere by centimetres and by sigmas."""
+
+    def worst_m(name: str) -> float:
+        levers = alone[name].lever_arms.values()
+        return max((float(np.max(lever.sigma_m)) for lever in levers), default=np.inf)
+
+    def agree(one: ArmCalibration, other: ArmCalibration) -> bool:
+        for joint in set(one.lever_arms) & set(other.lever_arms):
+            a, b = one.lever_arms[joint], other.lever_arms[joint]
+            most = np.maximum(APART_M, APART_SIGMAS * np.hypot(a.sigma_m, b.sigma_m))
+            if (np.abs(a.position_m - b.position_m) > most).any():
+                return False
+        return True
+
     groups: list[list[str]] = []
-    for name in sorted(alone, key=lambda name: _worst_sigma_m(alone[name])):
-        for group in groups:
-            if not _disagree(alone[group[0]], alone[name]):
-                group.append(name)
-                break
-        else:
+    for name in sorted(alone, key=worst_m):
+        own = next((group for group in groups if agree(alone[group[0]], alone[name])), None)
+        if own is None:
             groups.append([name])
+        else:
+            own.append(name)
     order = list(alone)
     return sorted((sorted(group, key=order.index) for group in groups), key=lambda g: order.index(g[0]))
-
-
-def _worst_sigma_m(arm: ArmCalibration) -> float:
-    return max((float(np.max(lever.sigma_m)) for lever in arm.lever_arms.values()), default=np.inf)
-
-
-def _disagree(one: ArmCalibration, other: ArmCalibration) -> bool:
-    """Whether a lever arm is elsewhere on some axis, by centimetres and by sigmas."""
-    for joint in set(one.lever_arms) & set(other.lever_arms):
-        a, b = one.lever_arms[joint], other.lever_arms[joint]
-        apart = np.abs(a.position_m - b.position_m)
-        if (apart > np.maximum(APART_M, APART_SIGMAS * np.hypot(a.sigma_m, b.sigma_m))).any():
-            return True
-    return False
-
-
-def _offsets(
-    recordings: Sequence[Recording],
-    coarse: Sequence[Clock | None],
-    used: set[int],
-    solved: SelfCalibration,
-) -> tuple[ClockOffset, ...]:
-    offsets = []
-    for number, recording in enumerate(recordings):
-        if number not in used or number >= len(solved.clocks):
-            offsets.append(ClockOffset(recording.name))
-            continue
-        clock = solved.clocks[number].after(coarse[number])
-        offsets.append(ClockOffset(recording.name, clock.mean_s, clock.sigma_s, clock.drift_s))
-    return tuple(offsets)

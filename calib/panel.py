@@ -12,9 +12,10 @@ from __future__ import annotations
 import os
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import combinations, permutations
 from pathlib import Path
-from typing import Annotated, Any, Self
+from typing import Annotated, Any, NamedTuple, Self
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, model_validator
@@ -31,12 +32,11 @@ from .plane import (
     Frame,
     Panel,
     Plane,
-    Regions,
     fit_plane,
     on_plane,
     panel_regions,
-    regions_on_plane,
     robust_plane,
+    strip,
 )
 from .protocol import Answer, Check
 
@@ -93,11 +93,13 @@ def frame_of_points(
     """The panel in the camera by principal components, as published (JA II-F.1)."""
     if min(along_x.sum(), along_y.sum()) < FEWEST:
         return None
-    centre_x, axes_x = principal(points_K[along_x])
-    centre_y, axes_y = principal(points_K[along_y])
-    axes = np.column_stack([axes_x[:, 0], axes_y[:, 0], principal(points_K)[1][:, 2]])
+    (a, axes_x), (b, axes_y), (_, axes_all) = map(principal, (points_K[along_x], points_K[along_y], points_K))
+    axes = np.column_stack([axes_x[:, 0], axes_y[:, 0], axes_all[:, 2]])
     axes *= np.sign(np.sum(axes * about_R, axis=0))
-    return Frame(nearest_rotation(axes), _meeting(centre_x, axes[:, 0], centre_y, axes[:, 1]))
+    x, y = axes[:, 0], axes[:, 1]
+    # the middle of the shortest link between the lines a + s x and b + t y
+    s, t = np.linalg.lstsq(np.column_stack([x, -y]), b - a, rcond=None)[0]
+    return Frame(nearest_rotation(axes), 0.5 * (a + s * x + b + t * y))
 
 
 def frame_of_markers(markers: FloatArray, panel: Panel) -> Frame:
@@ -136,12 +138,6 @@ def principal(points: FloatArray) -> tuple[FloatArray, FloatArray]:
     mean, covariance = cloud.compute_mean_and_covariance()
     axes = np.linalg.eigh(np.asarray(covariance))[1][:, ::-1]
     return np.asarray(mean, dtype=np.float64), np.asarray(axes, dtype=np.float64)
-
-
-def _meeting(a: FloatArray, x: FloatArray, b: FloatArray, y: FloatArray) -> FloatArray:
-    """Middle of the shortest link between the lines a + s x and b + t y."""
-    s, t = np.linalg.lstsq(np.column_stack([x, -y]), b - a, rcond=None)[0]
-    return np.asarray(0.5 * (a + s * x + b + t * y))
 
 
 #: Distances between markers agree with the panel's this well (rms), m or as a share of its size.
@@ -337,10 +333,9 @@ class PanelSolution:
     # (6, 6): Of a small rotation about {K}'s axes at the camera's place (rad) and a shift (m)
     covariance: FloatArray
     depth_offset_m: float  # The camera's depth is this much too long; 0 and inf where it was not solved
-    depth_offset_sigma_m: float  # The camera's depth is this much too long; 0 and inf where it was not solved
+    depth_offset_sigma_m: float
     ray_residuals: FloatArray  # (poses, 4): of a marker's ray from where the answer puts the mocap marker
-    # (poses, 4) m: Distance between a marker in mocap and where the answer puts it
-    marker_residuals_m: FloatArray
+    marker_residuals_m: FloatArray  # (poses, 4) m: between a marker in mocap and where the answer puts it
     # (poses, 4) m: Mocap markers' distances from the depth's plane, signed, away positive
     plane_residuals_m: FloatArray
     misfit: float  # Squared residuals over what the stated noise makes expected
@@ -357,11 +352,41 @@ def solve(poses: list[PoseData]) -> PanelSolution:
     return replace(answer, offset_apart_m=free.depth_offset_m, offset_apart_sigma_m=free.depth_offset_sigma_m)
 
 
+#: Variables of the graph; those of a pose follow: its four markers and its plane.
+_CAMERA, _OFFSET, _FIRST = 0, 1, 2
+#: A depth error that is not solved for is held at zero to this, m.
+HELD_M = 1e-7
+
+
 def graph_solution(poses: list[PoseData], solve_offset: bool) -> PanelSolution:
-    """The optimum of the graph of all poses, with or without the depth's error."""
+    """The optimum of the graph of all poses, with or without the depth's error.
+
+    It starts with Kabsch on rays that meet the depth's plane.
+    """
     import gtsam
 
-    graph, start = _build(poses, solve_offset)
+    noise = gtsam.noiseModel
+    graph, start = gtsam.NonlinearFactorGraph(), gtsam.Values()
+    lens, huber = gtsam.Cal3_S2(1.0, 1.0, 0.0, 0.0, 0.0), noise.mEstimator.Huber.Create(HUBER)
+    seen = np.concatenate([pose.points_K() for pose in poses])
+    first = kabsch(seen, np.concatenate([pose.markers_E for pose in poses]))
+    start.insert(_CAMERA, gtsam.Pose3(gtsam.Rot3(first.R), first.origin))
+    start.insert(_OFFSET, np.zeros(1))
+    known = noise.Isotropic.Sigma(1, OFFSET_SIGMA_M if solve_offset else HELD_M)
+    graph.add(gtsam.PriorFactorVector(_OFFSET, np.zeros(1), known))
+    for p, pose in enumerate(poses):
+        plane, markers = _FIRST + 5 * p, range(_FIRST + 5 * p + 1, _FIRST + 5 * p + 5)
+        start.insert(plane, pose.plane.theta)
+        spread = noise.Gaussian.Covariance(pose.plane.covariance)
+        graph.add(gtsam.CustomFactor(spread, [plane, _OFFSET], partial(_off_depth, pose.plane)))
+        mocap = noise.Robust.Create(huber, noise.Isotropic.Sigma(3, pose.sigma_E_m))
+        for key, at, ray, sigma in zip(markers, pose.markers_E, pose.rays, pose.sigmas, strict=True):
+            start.insert(key, at)
+            graph.add(gtsam.PriorFactorPoint3(key, at, mocap))
+            pixel = noise.Robust.Create(huber, noise.Isotropic.Sigma(2, float(sigma)))
+            graph.add(gtsam.GenericProjectionFactorCal3_S2(ray, pixel, _CAMERA, key, lens))
+            flat, keys = noise.Isotropic.Sigma(1, ON_PLANE_SIGMA_M), [_CAMERA, key, plane]
+            graph.add(gtsam.CustomFactor(flat, keys, partial(_off_plane, pose.height_m)))
     settings = gtsam.LevenbergMarquardtParams()
     settings.setRelativeErrorTol(1e-12)
     settings.setAbsoluteErrorTol(1e-12)
@@ -375,11 +400,13 @@ def graph_solution(poses: list[PoseData], solve_offset: bool) -> PanelSolution:
             "the panel's poses contradict each other or do not determine the transform; check that images and"
             " markers of a pose were taken at the same moment"
         ) from error
-    camera_in_mocap = values.atPose3(_CAMERA)
-    inverse = camera_in_mocap.inverse()
+    inverse = values.atPose3(_CAMERA).inverse()
     transform = Frame(inverse.rotation().matrix(), np.array(inverse.translation()))
     offset = float(values.atVector(_OFFSET)[0]) if solve_offset else 0.0
-    rays, markers_m, planes_m = _residuals(poses, transform, offset)
+    theta = np.array([pose.plane.at_offset(offset) for pose in poses])
+    at = np.array([pose.markers_E for pose in poses]) @ transform.R.T + transform.origin
+    away = (np.einsum("pki,pi->pk", at, theta) - 1) / np.linalg.norm(theta, axis=1)[:, None]
+    rays = np.array([pose.rays for pose in poses])
     misfit, count = 2 * graph.error(values), 6 * len(poses)
     scale = (PRIOR_RESIDUALS + misfit) / (PRIOR_RESIDUALS + count)
     return PanelSolution(
@@ -389,116 +416,35 @@ def graph_solution(poses: list[PoseData], solve_offset: bool) -> PanelSolution:
         depth_offset_sigma_m=float(np.sqrt(offset_variance * scale)),
         misfit=misfit / count,
         residuals=count,
-        ray_residuals=rays,
-        marker_residuals_m=markers_m,
-        plane_residuals_m=planes_m,
+        ray_residuals=np.linalg.norm(at[..., :2] / at[..., 2:] - rays, axis=2),
+        marker_residuals_m=np.linalg.norm(at - np.array([each.points_K(offset) for each in poses]), axis=2),
+        plane_residuals_m=away + np.array([[pose.height_m] for pose in poses]),
     )
 
 
-_CAMERA, _OFFSET = 0, 1
+def _off_depth(plane: Plane, this: Any, values: Any, jacobians: Any) -> FloatArray:
+    """A pose's plane from what the depth has it as once its constant error is taken off."""
+    own, of_offset = this.keys()
+    offset = float(values.atVector(of_offset)[0])
+    if jacobians is not None:
+        jacobians[0] = np.eye(3)
+        jacobians[1] = -(plane.offset_rate + 2 * offset * plane.offset_curve)[:, None]
+    return np.asarray(values.atVector(own) - plane.at_offset(offset))
 
 
-def _marker(pose: int, k: int) -> int:
-    return 10 + 5 * pose + k
-
-
-def _plane(pose: int) -> int:
-    return 10 + 5 * pose + 4
-
-
-def _build(poses: list[PoseData], solve_offset: bool) -> tuple[Any, Any]:
-    """The graph and its start: Kabsch on rays that meet the depth's plane."""
-    import gtsam
-
-    graph, start = gtsam.NonlinearFactorGraph(), gtsam.Values()
-    lens = gtsam.Cal3_S2(1.0, 1.0, 0.0, 0.0, 0.0)
-    huber = gtsam.noiseModel.mEstimator.Huber.Create(HUBER)
-    on_plane = gtsam.noiseModel.Isotropic.Sigma(1, ON_PLANE_SIGMA_M)
-    seen = np.concatenate([pose.points_K() for pose in poses])
-    first = kabsch(seen, np.concatenate([pose.markers_E for pose in poses]))
-    start.insert(_CAMERA, gtsam.Pose3(gtsam.Rot3(first.R), first.origin))
-    if solve_offset:
-        start.insert(_OFFSET, np.zeros(1))
-        graph.add(
-            gtsam.PriorFactorVector(_OFFSET, np.zeros(1), gtsam.noiseModel.Isotropic.Sigma(1, OFFSET_SIGMA_M))
-        )
-    for p, pose in enumerate(poses):
-        mocap = gtsam.noiseModel.Robust.Create(huber, gtsam.noiseModel.Isotropic.Sigma(3, pose.sigma_E_m))
-        start.insert(_plane(p), pose.plane.theta)
-        graph.add(_depth_factor(p, pose.plane, solve_offset))
-        for k in range(4):
-            start.insert(_marker(p, k), pose.markers_E[k])
-            graph.add(gtsam.PriorFactorPoint3(_marker(p, k), pose.markers_E[k], mocap))
-            ray = gtsam.noiseModel.Isotropic.Sigma(2, float(pose.sigmas[k]))
-            graph.add(
-                gtsam.GenericProjectionFactorCal3_S2(
-                    pose.rays[k],
-                    gtsam.noiseModel.Robust.Create(huber, ray),
-                    _CAMERA,
-                    _marker(p, k),
-                    lens,
-                )
-            )
-            graph.add(_on_plane_factor(p, k, pose.height_m, on_plane))
-    return graph, start
-
-
-def _depth_factor(p: int, plane: Plane, solve_offset: bool) -> Any:
-    """The pose's plane as the depth has it once its constant error is taken off."""
-    import gtsam
-
-    noise = gtsam.noiseModel.Gaussian.Covariance(plane.covariance)
-    keys = [_plane(p), _OFFSET] if solve_offset else [_plane(p)]
-
-    def error(this: Any, values: Any, jacobians: Any) -> FloatArray:
-        offset = float(values.atVector(_OFFSET)[0]) if solve_offset else 0.0
-        if jacobians is not None:
-            jacobians[0] = np.eye(3)
-            if solve_offset:
-                jacobians[1] = -(plane.offset_rate + 2 * offset * plane.offset_curve)[:, None]
-        return np.asarray(values.atVector(_plane(p)) - plane.at_offset(offset))
-
-    return gtsam.CustomFactor(noise, keys, error)
-
-
-def _on_plane_factor(p: int, k: int, height_m: float, noise: Any) -> Any:
+def _off_plane(height_m: float, this: Any, values: Any, jacobians: Any) -> FloatArray:
     """Signed distance of a marker from the pose's plane, less its height, m."""
-    import gtsam
-
-    def error(this: Any, values: Any, jacobians: Any) -> FloatArray:
-        camera, theta = values.atPose3(_CAMERA), values.atVector(_plane(p))
-        d_camera, d_marker = np.zeros((3, 6), order="F"), np.zeros((3, 3), order="F")
-        at = camera.transformTo(values.atPoint3(_marker(p, k)), d_camera, d_marker)
-        size = float(np.linalg.norm(theta))
-        away = (float(theta @ at) - 1) / size
-        if jacobians is not None:
-            normal = theta / size
-            jacobians[0] = (normal @ d_camera)[None]
-            jacobians[1] = (normal @ d_marker)[None]
-            jacobians[2] = ((at - away * normal) / size)[None]
-        return np.array([away + height_m])  # the normal theta points away from the camera
-
-    return gtsam.CustomFactor(noise, [_CAMERA, _marker(p, k), _plane(p)], error)
-
-
-def _residuals(
-    poses: list[PoseData], transform: Frame, offset_m: float
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Of rays, markers and distances from the plane, (poses, 4) each."""
-    theta, seen, rays, markers_E = (
-        np.array(each)
-        for each in (
-            [pose.plane.at_offset(offset_m) for pose in poses],
-            [pose.points_K(offset_m) for pose in poses],
-            [pose.rays for pose in poses],
-            [pose.markers_E for pose in poses],
-        )
-    )
-    at = markers_E @ transform.R.T + transform.origin
-    away = (np.einsum("pki,pi->pk", at, theta) - 1) / np.linalg.norm(theta, axis=1)[:, None]
-    height = np.array([[pose.height_m] for pose in poses])
-    off_ray = np.linalg.norm(at[..., :2] / at[..., 2:] - rays, axis=2)
-    return off_ray, np.linalg.norm(at - seen, axis=2), away + height
+    of_camera, of_marker, of_plane = this.keys()
+    theta = values.atVector(of_plane)
+    d_camera, d_marker = np.zeros((3, 6), order="F"), np.zeros((3, 3), order="F")
+    at = values.atPose3(of_camera).transformTo(values.atPoint3(of_marker), d_camera, d_marker)
+    size = float(np.linalg.norm(theta))
+    away, normal = (float(theta @ at) - 1) / size, theta / size
+    if jacobians is not None:
+        jacobians[0] = (normal @ d_camera)[None]
+        jacobians[1] = (normal @ d_marker)[None]
+        jacobians[2] = ((at - away * normal) / size)[None]
+    return np.array([away + height_m])  # the normal theta points away from the camera
 
 
 #: Noise of a mocap marker where nothing else is said, m per axis.
@@ -513,8 +459,7 @@ class SeenPanel:
 
     blobs: Blobs  # All bright spots
     spots: tuple[int, ...]  # Those of the four markers, in the panel's order
-    regions: Regions  # Its depth pixels and the plane through them
-    plane: Plane  # Its depth pixels and the plane through them
+    plane: Plane  # Through its depth pixels
     points_K: FloatArray  # (4, 3) m: the markers in the camera frame
     frame: Frame  # The panel's axes and {P}'s origin in the camera frame, by markers and plane
     published: Frame | None  # The same as published, by principal components; its origin is the first marker
@@ -570,7 +515,7 @@ def calibrate_panel(
     ]
     return PanelCalibration(
         solution=solution,
-        published=_mean(published, markers_E) if published else None,
+        published=mean_frame(published, np.concatenate(markers_E)) if published else None,
         seen=tuple(seen),
         markers_E=tuple(markers_E),
         labels=tuple(labels),
@@ -603,13 +548,13 @@ def see_panel(view: View, panel: Panel, lens: Intrinsics) -> SeenPanel:
         raise NotSeen(
             f"{view.name}: the panel is seen edge-on, {tilt:.0f} degrees from facing the camera; {TURN_IT}"
         )
-    inside = plane.inliers
-    regions = regions_on_plane(regions, inside, panel)
-    full = np.column_stack([regions.rays, np.ones(len(regions.rays))])[inside] * regions.depth_m[inside, None]
-    published = frame_of_points(full, regions.along_x[inside], regions.along_y[inside], frame.R)
+    rays, depth, panel_P = (each[plane.inliers] for each in (regions.rays, regions.depth_m, regions.panel_P))
+    along_x, along_y = (strip(panel_P, panel, axis, regions.cell_m) for axis in (0, 1))
+    points_K = np.column_stack([rays, np.ones(len(rays))]) * depth[:, None]
+    published = frame_of_points(points_K, along_x, along_y, frame.R)
     if published is not None:
         published = Frame(published.R, published.origin + panel.height_m * published.R[:, 2])
-    return SeenPanel(blobs, reading.index, regions, plane, points, frame, published, tilt, distance)
+    return SeenPanel(blobs, reading.index, plane, points, frame, published, tilt, distance)
 
 
 def _spots(view: View, panel: Panel, lens: Intrinsics) -> tuple[Blobs, Reading]:
@@ -627,12 +572,10 @@ def _spots(view: View, panel: Panel, lens: Intrinsics) -> tuple[Blobs, Reading]:
     raise min(said, key=lambda item: abs(item[0] - 4))[1]
 
 
-def _mean(frames: list[Frame], markers_E: list[FloatArray]) -> Frame:
-    """Mean of transforms: rotation by chordal mean, shift at the markers' middle."""
-    R = nearest_rotation(np.mean([each.R for each in frames], axis=0))
-    middle = np.mean(np.concatenate(markers_E), axis=0)
-    at = np.mean([each.R @ middle + each.origin for each in frames], axis=0)
-    return Frame(R, at - R @ middle)
+def mean_frame(frames: list[Frame], about: FloatArray) -> Frame:
+    """Mean of transforms: rotation by chordal mean, shift at the middle of points (n, 3)."""
+    R, middle = nearest_rotation(np.mean([each.R for each in frames], axis=0)), about.mean(axis=0)
+    return Frame(R, np.mean([each.R @ middle + each.origin for each in frames], axis=0) - R @ middle)
 
 
 #: From the panel's places this far away the answer is judged, m: the volume in which an arm moves.
@@ -650,8 +593,7 @@ ENOUGH_POSES, ENOUGH_SPREAD_DEG = 4, 15.0
 MORE_POSES = "record 4 to 8 poses: error falls with their number, and the depth's constant error is found"
 
 
-@dataclass(frozen=True)
-class PanelAccuracy:
+class PanelAccuracy(NamedTuple):
     """Standard deviations of the answer."""
 
     rotation_deg: FloatArray  # (3,) degrees: about the camera's axes
@@ -665,26 +607,23 @@ class PanelAccuracy:
 def accuracy(calibration: PanelCalibration) -> PanelAccuracy:
     """Sigmas of the answer at the mocap's origin, at the panel and about it."""
     solution = calibration.solution
-    transform = solution.camera_from_mocap
     middle = np.mean([found.points_K.mean(axis=0) for found in calibration.seen], axis=0)
-    at_origin = _moved(solution.covariance, transform.origin)
-    at_panel = _moved(solution.covariance, middle)[3:, 3:]
+
+    def at(point: FloatArray) -> FloatArray:
+        """Covariance (6, 6) of the small rotation and of what it and the shift do to a point in {K}."""
+        J = np.eye(6)
+        J[3:, :3] = -skew(point)
+        return np.asarray(J @ solution.covariance @ J.T)
+
+    at_origin = at(solution.camera_from_mocap.origin)
     about = middle + WITHIN_M * np.array([*np.eye(3), *-np.eye(3)])
-    within = max(float(np.trace(_moved(solution.covariance, point)[3:, 3:])) for point in about)
     return PanelAccuracy(
         rotation_deg=np.degrees(np.sqrt(np.diag(solution.covariance)[:3])),
         translation_m=np.sqrt(np.diag(at_origin)[3:]),
-        at_panel_m=np.sqrt(np.diag(at_panel)),
-        within_m=float(np.sqrt(within)),
+        at_panel_m=np.sqrt(np.diag(at(middle))[3:]),
+        within_m=float(np.sqrt(max(float(np.trace(at(point)[3:, 3:])) for point in about))),
         covariance=at_origin,
     )
-
-
-def _moved(covariance: FloatArray, point: FloatArray) -> FloatArray:
-    """Covariance (6, 6) of the small rotation and of what it and the shift do to a point in {K}."""
-    J = np.eye(6)
-    J[3:, :3] = -skew(point)
-    return np.asarray(J @ covariance @ J.T)
 
 
 NAME = "camera_from_mocap"
@@ -693,7 +632,6 @@ NAME = "camera_from_mocap"
 def panel_answer(calibration: PanelCalibration) -> Answer:
     """Camera from mocap, p_camera = R p_mocap + t, m; camera optical, x right, y down, z forward."""
     found, solution, seen = accuracy(calibration), calibration.solution, calibration.seen
-    known = bool(np.isfinite(solution.depth_offset_sigma_m))
     rotation = 2 * float(np.linalg.norm(found.rotation_deg))
     position = 2 * found.within_m
     grade = "not good enough"
@@ -718,7 +656,7 @@ def panel_answer(calibration: PanelCalibration) -> Answer:
         "grade": grade,
         "verdict": sentence,
     }
-    if known:
+    if np.isfinite(solution.depth_offset_sigma_m):
         table["depth_offset_m"] = float(solution.depth_offset_m)
         table["depth_offset_sigma_m"] = float(solution.depth_offset_sigma_m)
     table["residuals"] = [

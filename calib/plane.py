@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -235,16 +236,13 @@ ABOUT_SPOT_PX = 5.0
 STRIP_M = 0.03
 
 
-@dataclass(frozen=True)
-class Regions:
+class Regions(NamedTuple):
     """Depth pixels of the panel."""
 
     pixels: FloatArray  # (N, 2): whole pixels of the plane group
     rays: FloatArray  # (N, 2): theirs, undistorted
     depth_m: FloatArray  # (N,) m: theirs
     panel_P: FloatArray  # (N, 2) m: Where they are on the panel by the first pose
-    along_x: BoolArray  # bool (N,): those of the strips
-    along_y: BoolArray  # bool (N,): those of the strips
     covered: float  # Share of the panel's usable pixels that have a depth
     cell_m: float  # Two pixels on the panel
 
@@ -257,74 +255,42 @@ def panel_regions(
     frame: Frame,
 ) -> Regions:
     """Choose the panel's depth pixels, away from its rim and from every bright spot."""
-    v, u, xy = _panel_pixels(lens, panel, frame)
-    pixels = np.column_stack([u, v]).astype(np.float64)
-    # metres that a pixel covers on the panel, in its worse direction
-    middle = frame.origin + frame.R[:, :2] @ panel.extent_P.mean(axis=0)
-    distance = float(np.linalg.norm(middle))
-    facing = abs(frame.R[:, 2] @ middle) / distance
-    pixel_m = distance / lens.focal_px / max(facing, 0.2)
-    low, high = panel.extent_P + RIM_PX * pixel_m * np.array([[1.0], [-1.0]])
-    inside = ((xy > low) & (xy < high)).all(axis=1)
-    for centre, radius in zip(blobs.pixels, blobs.radii_px, strict=True):
-        inside &= np.hypot(*(pixels - centre).T) > radius + ABOUT_SPOT_PX
-    depth = depth_m[v, u]
-    seen = inside & np.isfinite(depth)
-    covered = float(seen.sum() / max(inside.sum(), 1))
-    pixels, xy = pixels[seen], xy[seen]
-    return Regions(
-        pixels=pixels,
-        rays=lens.ray_image()[v, u][seen],
-        depth_m=depth[seen],
-        panel_P=xy,
-        along_x=_strip(xy, panel, 0),
-        along_y=_strip(xy, panel, 1),
-        covered=covered,
-        cell_m=2 * pixel_m,
-    )
-
-
-def _panel_pixels(lens: Intrinsics, panel: Panel, frame: Frame) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Rows and columns of the pixels about the panel and where they meet its plane, (N, 2) in {P}."""
-    xmin, ymin = panel.extent_P[0]
-    xmax, ymax = panel.extent_P[1]
+    (xmin, ymin), (xmax, ymax) = panel.extent_P
     corners = np.array([[xmin, ymin], [xmax, ymin], [xmax, ymax], [xmin, ymax]])
     at = lens.pixels(np.clip(frame.origin + corners @ frame.R[:, :2].T, [-9, -9, 0.1], None))
     left, top = np.clip(np.floor(at.min(axis=0)), 0, [lens.width, lens.height]).astype(int)
     right, bottom = np.clip(np.ceil(at.max(axis=0)) + 1, 0, [lens.width, lens.height]).astype(int)
     v, u = (part.ravel() for part in np.mgrid[top:bottom, left:right])
-    rays = np.concatenate([lens.ray_image()[v, u], np.ones((len(v), 1))], axis=1)
-    normal = frame.R[:, 2]
-    along = rays @ normal
+    flat, normal = lens.ray_image()[v, u], frame.R[:, 2]
     with np.errstate(divide="ignore", invalid="ignore"):
-        meets = rays * ((normal @ frame.origin) / along)[:, None]
+        meets = on_plane(normal / (normal @ frame.origin), flat)
     xy = (meets - frame.origin) @ frame.R[:, :2]
     xy[~(meets[:, 2] > 0)] = np.inf
-    return v, u, xy
+    # metres that a pixel covers on the panel, in its worse direction
+    middle = frame.origin + frame.R[:, :2] @ panel.extent_P.mean(axis=0)
+    distance = float(np.linalg.norm(middle))
+    pixel_m = distance / lens.focal_px / max(abs(normal @ middle) / distance, 0.2)
+    low, high = panel.extent_P + RIM_PX * pixel_m * np.array([[1.0], [-1.0]])
+    inside, pixels = ((xy > low) & (xy < high)).all(axis=1), np.column_stack([u, v]).astype(np.float64)
+    for centre, radius in zip(blobs.pixels, blobs.radii_px, strict=True):
+        inside &= np.hypot(*(pixels - centre).T) > radius + ABOUT_SPOT_PX
+    depth = depth_m[v, u]
+    seen = inside & np.isfinite(depth)
+    covered = float(seen.sum() / max(inside.sum(), 1))
+    return Regions(pixels[seen], flat[seen], depth[seen], xy[seen], covered, 2 * pixel_m)
 
 
-def regions_on_plane(regions: Regions, inliers: BoolArray, panel: Panel) -> Regions:
-    """The same with strips of pixels that lie on the plane, alike to both sides of the arm's line."""
-    strips = []
-    for axis, strip in enumerate((regions.along_x, regions.along_y)):
-        chosen = strip & inliers
-        along = np.floor(regions.panel_P[chosen, axis] / regions.cell_m).astype(int).tolist()
-        away = regions.panel_P[chosen, 1 - axis] - panel.markers_P[0, 1 - axis]
-        side = np.floor(away / regions.cell_m).astype(int).tolist()
-        cells = set(zip(along, side, strict=True))
-        chosen[chosen] = [(a, -1 - b) in cells for a, b in zip(along, side, strict=True)]
-        strips.append(chosen)
-    return replace(regions, along_x=strips[0], along_y=strips[1])
-
-
-def _strip(xy: FloatArray, panel: Panel, axis: int) -> BoolArray:
-    """Pixels along an arm of the L, from its first to its last marker."""
-    arm = panel.arms()[axis]
-    across = 1 - axis
+def strip(panel_P: FloatArray, panel: Panel, axis: int, cell_m: float) -> BoolArray:
+    """Pixels (N,) along an arm of the L, from first to last marker, alike to both sides of its line."""
+    arm, across = panel.arms()[axis], 1 - axis
     middle = float(panel.markers_P[0, across])
     margin = min(middle - panel.extent_P[0, across], panel.extent_P[1, across] - middle)
-    half = min(STRIP_M, max(margin, 0.01))
     low, high = float(arm[:, axis].min()), float(arm[:, axis].max())
     if high - low < 0.02:  # no arm in this direction: take the panel's whole length
         low, high = float(panel.extent_P[0, axis]), float(panel.extent_P[1, axis])
-    return (np.abs(xy[:, across] - middle) <= half) & (xy[:, axis] >= low) & (xy[:, axis] <= high)
+    along, away = panel_P[:, axis], panel_P[:, across] - middle
+    chosen = (np.abs(away) <= min(STRIP_M, max(margin, 0.01))) & (along >= low) & (along <= high)
+    cells = np.floor(np.column_stack([along, away])[chosen] / cell_m).astype(int).tolist()
+    held = set(map(tuple, cells))
+    chosen[chosen] = [(a, -1 - b) in held for a, b in cells]
+    return np.asarray(chosen)

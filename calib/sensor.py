@@ -16,6 +16,9 @@ from smoother.runtime.store import large_array
 
 from .file import CalibrationFile, Vector, checked
 
+#: Samples that are corrected together.
+_SAMPLES = 65536
+
 
 class Correction(BaseModel):
     """What is read of a sensor's table, corrected = matrix (raw - offset); further keys are for people."""
@@ -59,12 +62,20 @@ class SensorCalibration(BaseModel):
         return [name for name in type(self).model_fields if getattr(self, name).is_known]
 
     def apply(self, imu: ImuStream) -> ImuStream:
-        """The corrected stream."""
+        """The corrected stream, some thousand samples at a time."""
+
+        def applied(correction: Correction, raw: FloatArray) -> FloatArray:
+            values = large_array(raw.shape)
+            for start in range(0, len(raw), _SAMPLES):
+                rows = slice(start, start + _SAMPLES)
+                values[rows] = correction.apply(raw[rows])
+            return values
+
         return replace(
             imu,
-            acc=self.accelerometer.apply(imu.acc),
-            gyro=self.gyroscope.apply(imu.gyro),
-            mag=None if imu.mag is None else self.magnetometer.apply(imu.mag),
+            acc=applied(self.accelerometer, imu.acc),
+            gyro=applied(self.gyroscope, imu.gyro),
+            mag=None if imu.mag is None else applied(self.magnetometer, imu.mag),
             mag_calibrated=imu.mag is not None and self.magnetometer.is_known,
             accelerometer_density=self.accelerometer.noise_density,
             gyroscope_density=self.gyroscope.noise_density,
@@ -90,10 +101,6 @@ def sensors_in(file: CalibrationFile) -> dict[str, Any]:
     return held
 
 
-#: Samples that are corrected together.
-_SAMPLES = 65536
-
-
 def corrected(recording: Recording, calibration: CalibrationFile) -> Recording:
     """The recording with its IMUs corrected where the file has their calibration, and a note of it."""
     notes: list[str] = []
@@ -107,7 +114,7 @@ def corrected(recording: Recording, calibration: CalibrationFile) -> Recording:
         if found.accelerometer.noise_density or found.gyroscope.noise_density:
             said += "; its measured noise is used"
         notes.append(f"{said} ({calibration.source})")
-        return _applied(found, imu)
+        return found.apply(imu)
 
     base, trunk = recording.base_imu, recording.trunk
     recording = replace(
@@ -133,16 +140,3 @@ def corrected_streams(streams: Sequence[ImuStream], file: CalibrationFile) -> tu
         return list(streams), False
     once = {id(stream): sensor.apply(stream) for stream in streams}
     return [once[id(stream)] for stream in streams], sensor.accelerometer.is_known
-
-
-def _applied(sensor: SensorCalibration, imu: ImuStream) -> ImuStream:
-    """The corrected stream, some thousand samples at a time."""
-    acc, gyro = large_array((len(imu), 3)), large_array((len(imu), 3))
-    mag = None if imu.mag is None else large_array((len(imu), 3))
-    for start in range(0, len(imu), _SAMPLES):
-        rows = slice(start, start + _SAMPLES)
-        part = sensor.apply(imu.select(rows))
-        acc[rows], gyro[rows] = part.acc, part.gyro
-        if mag is not None:
-            mag[rows] = part.mag
-    return replace(sensor.apply(imu.select(slice(0, 0))), t_s=imu.t_s, acc=acc, gyro=gyro, mag=mag)

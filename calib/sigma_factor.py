@@ -15,7 +15,7 @@ from dataclasses import asdict, dataclass, replace
 from functools import partial
 
 import numpy as np
-from scipy.special import chdtri
+from scipy.stats import chi2
 
 from smoother.array_types import BoolArray, FloatArray
 from smoother.calibration import ArmCalibration, SigmaFactor, SigmaFactors
@@ -72,7 +72,7 @@ def needed_factors(
     noises = np.maximum(noises, 0.0)
     squared = np.einsum("nji,njk,nk->ni", turn, whiten, error_m[rows]) ** 2
     for column, level in enumerate(LEVELS):
-        limit = float(chdtri(3.0, 1.0 - level))
+        limit = float(chi2.isf(1.0 - level, 3))
         low, high = np.zeros(len(rows)), squared.sum(axis=1) / limit
         for _ in range(50):
             middle = 0.5 * (low + high)
@@ -100,30 +100,21 @@ def length_factors(gaps: Sequence[tuple[float, FloatArray]]) -> tuple[LengthFact
     for length_s in sorted({length for length, _ in known}):
         own = [needed for length, needed in known if length == length_s]
         pooled = len(own) < ENOUGH_GAPS < len(together) + 1 and len(own) < len(together)
-        rows.append(_factor(length_s, together if pooled else own, pooled))
+        groups = together if pooled else own
+        half, most = LEVELS
+        level = min(most, len(groups) / (len(groups) + 1))
+        factor_50 = hierarchical_quantile([needed[:, 0] for needed in groups], half)
+        columns = [needed[:, 1] for needed in groups]
+        factor_95 = factor = hierarchical_quantile(columns, level)
+        if factor_95 < 1.0:  # what it hardly exceeds when gaps are drawn again (bootstrap)
+            factor = 1.0
+            if len(groups) >= FIRM_GAPS:
+                rng, count = np.random.default_rng(0), len(columns)
+                again = ([columns[k] for k in rng.integers(count, size=count)] for _ in range(DRAWS))
+                drawn = [hierarchical_quantile(each, most) for each in again]
+                factor = min(float(np.quantile(drawn, FIRM)), 1.0)
+        rows.append(LengthFactor(length_s, len(groups), pooled, factor_50, factor_95, level, factor))
     return tuple(rows)
-
-
-def _factor(length_s: float, groups: list[FloatArray], pooled: bool) -> LengthFactor:
-    half, most = LEVELS
-    level = min(most, len(groups) / (len(groups) + 1))
-    factor_50 = hierarchical_quantile([needed[:, 0] for needed in groups], half)
-    factor_95 = hierarchical_quantile([needed[:, 1] for needed in groups], level)
-    factor = max(factor_95, 1.0) if len(groups) < FIRM_GAPS else _firm(groups, factor_95)
-    return LengthFactor(length_s, len(groups), pooled, factor_50, factor_95, level, factor)
-
-
-def _firm(groups: list[FloatArray], factor_95: float) -> float:
-    """The factor itself, or, below 1, what it hardly exceeds when gaps are drawn again (bootstrap)."""
-    if factor_95 >= 1.0:
-        return factor_95
-    rng = np.random.default_rng(0)
-    columns = [needed[:, 1] for needed in groups]
-    drawn = [
-        hierarchical_quantile([columns[k] for k in rng.integers(len(columns), size=len(columns))], LEVELS[1])
-        for _ in range(DRAWS)
-    ]
-    return min(float(np.quantile(drawn, FIRM)), 1.0)
 
 
 def factor_sentences(factors: Sequence[LengthFactor]) -> list[str]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, nullcontext
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -16,7 +16,6 @@ from .load import load_arm, load_arms, refuse_twice
 from .output import check_outputs, print_notes, say, say_written, show, write_json
 
 if TYPE_CHECKING:
-    from calib.file import CalibrationFile
     from calib.protocol import Answer
 
     from ..calibration import ArmCalibration
@@ -24,61 +23,66 @@ if TYPE_CHECKING:
     from ..recording import ImuStream, Recording
 
 
-#: Files that a command reads or writes; some may not be given.
+#: Files that a command reads; some may not be given.
 Paths = Iterable[Path | None]
 
 
-def load_existing_calibration(
-    output: Path | None, others: Paths, force: bool, inputs: Paths, known: Path | None = None
-) -> CalibrationFile:
-    """What the file contains already; before the work, as what cannot be read cannot be added to.
+class Outputs:
+    """Where a calibration is written; what cannot be written, or added to, is refused before the work.
 
-    `others` are further outputs; the file may be the `known` one.
+    The file of the calibration may be the `known` one, which is read as well.
     """
-    from calib.file import CalibrationFile, read_calibration
 
-    others = [path for path in others if path is not None]
-    check_outputs(True, [output, *others], inputs)
-    check_outputs(force, others, [known])
-    return read_calibration(output) if output is not None and output.exists() else CalibrationFile()
+    def __init__(
+        self,
+        output: Path | None,
+        report: Path | None,
+        json_file: Path | None,
+        force: bool,
+        inputs: Paths,
+        known: Path | None = None,
+    ) -> None:
+        from calib.file import CalibrationFile, read_calibration
 
+        self.output, self.report, self.json_file, self.force = output, report, json_file, force
+        others = [path for path in (report, json_file) if path is not None]
+        check_outputs(True, [output, *others], inputs)
+        check_outputs(force, others, [known])
+        is_there = output is not None and output.exists()
+        self.held = read_calibration(output) if output is not None and is_there else CalibrationFile()
 
-def finish(
-    answer: Answer,
-    output: Path | None,
-    report: Path | None,
-    json_file: Path | None,
-    force: bool,
-    title: str,
-    notes: Iterable[str],
-) -> None:
-    """Write what a calibration found to all its outputs, then print it."""
-    from calib.file import write_calibration
+    def finish(self, answer: Answer, title: str, notes: Iterable[str]) -> None:
+        """Write what a calibration found to all outputs, then print it."""
+        notes = list(dict.fromkeys(notes))
+        if self.report is not None:
+            from ..report.calibration_page import calibration_page
 
-    notes = list(dict.fromkeys(notes))
-    if report is not None:
-        from ..report.calibration_page import calibration_page
+            calibration_page(title, answer, notes).write(self.report, self.force)
+        self.finish_arms([(None, answer)], answer.to_dict(), notes)
 
-        calibration_page(title, answer, notes).write(report, force)
-    write_json(json_file, {**answer.to_dict(), "notes": notes}, force)
-    if output is not None:
-        write_calibration(output, answer.table)
-    print_answer(answer)
-    print_notes(notes)
-    say_written(output, json_file, report)
+    def finish_arms(
+        self, answers: list[tuple[Recording | None, Answer]], figures: dict[str, Any], notes: list[str]
+    ) -> None:
+        """The same of several answers without a report; the arms' names stand before what was found."""
+        from calib.file import write_calibration
 
-
-def print_answer(answer: Answer) -> None:
-    """Print the figures, the verdict, what was not determined, and what to record next."""
-    for table in answer.tables():
-        show(table)
-    say(f"verdict: {answer.sentence}")
-    for sentence in answer.findings:
-        say(f"  {sentence}")
-    for sentence in answer.open_questions:
-        say(f"not determined: {sentence}")
-    for sentence in answer.next:
-        say(f"next: {sentence}")
+        write_json(self.json_file, {**figures, "notes": notes}, self.force)
+        for recording, answer in answers:
+            if self.output is not None:
+                write_calibration(self.output, answer.table)
+            if recording is not None:
+                say_arm(recording, len(answers))
+            for table in answer.tables():
+                show(table)
+            say(f"verdict: {answer.sentence}")
+            for sentence in answer.findings:
+                say(f"  {sentence}")
+            for sentence in answer.open_questions:
+                say(f"not determined: {sentence}")
+            for sentence in answer.next:
+                say(f"next: {sentence}")
+        print_notes(notes)
+        say_written(self.output, self.json_file, self.report)
 
 
 @contextmanager
@@ -113,20 +117,17 @@ def motion(
 
     Example: unocclude calibrate motion a.mcap b.mcap -o arm.toml
     """
-    from calib.file import write_calibration
     from calib.motion import calibrate_motion, motion_answer
 
     from .config import read_config
 
     refuse_twice(recording_files)
-    load_existing_calibration(output, [json_file], force, [*recording_files, config_file], known)
+    outputs = Outputs(output, None, json_file, force, [*recording_files, config_file], known)
     config = read_config(config_file, processes)
-    chosen: Selection = {"imu": imu, "skeleton": skeleton, "side": side, "body": body}
-    arms = _by_side(recording_files, known, chosen)
-    several = len(arms) > 1
-    answers = []
+    arms = _by_side(recording_files, known, {"imu": imu, "skeleton": skeleton, "side": side, "body": body})
+    answers: list[tuple[Recording | None, Answer]] = []
     for recordings, given in arms:
-        with error_prefix(recordings[0].arm_label) if several else nullcontext():
+        with error_prefix(recordings[0].arm_label) if len(arms) > 1 else nullcontext():
             estimates = calibrate_motion(recordings, given, config)
             if not estimates.calibration.lever_arms:
                 raise CalibrationError(
@@ -134,46 +135,36 @@ def motion(
                 )
         answers.append((recordings[0], motion_answer(estimates)))
     notes = [note for recordings, _ in arms for recording in recordings for note in recording.notes]
-    figures = [answer.to_dict() for _, answer in answers]
-    together = arms_figures([recording for recording, _ in answers], figures)
-    write_json(json_file, {**together, "notes": list(dict.fromkeys(notes))}, force)
-    for recording, answer in answers:
-        write_calibration(output, answer.table)
-        say_arm(recording, len(arms))
-        print_answer(answer)
-        say("A clock offset belongs to its recording: every recording's is solved anew, never carried over.")
-        if answer.figures["R_F_A"] is not None:
-            say("R_F_A takes the IMU to sit on the back of the forearm.")
-    print_notes(notes)
-    say_written(output, json_file)
+    notes.append(
+        "A clock offset belongs to its recording: every recording's is solved anew, never carried over."
+    )
+    if any(answer.figures["R_F_A"] is not None for _, answer in answers):
+        notes.append("R_F_A takes the IMU to sit on the back of the forearm.")
+    figures = arms_figures([own[0] for own, _ in arms], [answer.to_dict() for _, answer in answers])
+    outputs.finish_arms(answers, figures, list(dict.fromkeys(notes)))
 
 
 def _by_side(
-    recording_files: list[Path],
-    known_file: Path | None,
-    chosen: Selection,
+    recording_files: list[Path], known_file: Path | None, chosen: Selection
 ) -> list[tuple[list[Recording], ArmCalibration | None]]:
     """The recordings of each arm, with what is known of it; one arm unless recordings have both."""
     loaded = [(path, *arm) for path in recording_files for arm in load_arms(path, known_file, **chosen)]
+    sides = {recording.side for _, recording, _ in loaded} - {""}
     for path, recording, _ in loaded:
         if recording.body is not None:
             raise CalibrationError(
                 f"{path}: several people wear IMUs, and a calibration is one person's; choose with --body"
             )
-    sides = sorted({recording.side for _, recording, _ in loaded} - {""})
-    if len(sides) < 2:
-        return [([recording for _, recording, _ in loaded], loaded[0][2])]
-    for path, recording, _ in loaded:
-        if not recording.side:
+        if not recording.side and len(sides) > 1:
             raise CalibrationError(
                 f"{path} does not state whether it is the left or the right arm's, and the others are of"
                 " both; calibrate it apart"
             )
-    arms = []
-    for one in sides:
-        mine = [(recording, known) for _, recording, known in loaded if recording.side == one]
-        arms.append(([recording for recording, _ in mine], mine[0][1]))
-    return arms
+    arms = [
+        [(recording, known) for _, recording, known in loaded if recording.side in (side, "")]
+        for side in sorted(sides) or [""]
+    ]
+    return [([recording for recording, _ in mine], mine[0][1]) for mine in arms]
 
 
 Sensor = Annotated[
@@ -203,11 +194,11 @@ def imu(
 
     if not 9.7 <= gravity <= 9.9:
         raise typer.BadParameter("--gravity on Earth is between 9.76 and 9.84 m/s^2")
-    stream, notes = _load(recording_file, output, name, [report, json_file], force)
+    outputs = Outputs(output, report, json_file, force, [recording_file])
+    stream, notes = _load(recording_file, name, outputs)
     with error_prefix(f"{recording_file}, {stream.name}"):
         calibration = calibrate_imu(stream, gravity)
-    title = f"Accelerometer and gyroscope of {stream.name}"
-    finish(imu_answer(calibration), output, report, json_file, force, title, notes)
+    outputs.finish(imu_answer(calibration), f"Accelerometer and gyroscope of {stream.name}", notes)
 
 
 def magnetometer(
@@ -227,7 +218,8 @@ def magnetometer(
     """
     from calib.imu import calibrate_magnetometer, magnetometer_answer
 
-    stream, notes = _load(recording_file, output, name, [report, json_file], force)
+    outputs = Outputs(output, report, json_file, force, [recording_file])
+    stream, notes = _load(recording_file, name, outputs)
     if stream.mag is None:
         raise CalibrationError(
             f"{recording_file}: {stream.name} has no magnetometer; record its magnetic field as well."
@@ -235,18 +227,16 @@ def magnetometer(
     with error_prefix(f"{recording_file}, {stream.name}"):
         calibration = calibrate_magnetometer(stream.mag)
     answer = magnetometer_answer(calibration, stream.name)
-    finish(answer, output, report, json_file, force, f"Magnetometer of {stream.name}", notes)
+    outputs.finish(answer, f"Magnetometer of {stream.name}", notes)
 
 
-def _load(
-    path: Path, output: Path, name: str | None, others: Paths, force: bool
-) -> tuple[ImuStream, list[str]]:
-    """The stream to calibrate, once it is certain that the outputs can be written."""
+def _load(path: Path, name: str | None, outputs: Outputs) -> tuple[ImuStream, list[str]]:
+    """The stream to calibrate, and what there is to know of its file."""
     from calib.sensor import sensors_in
 
     from ..io.recording.read import read_imu
 
-    sensors_in(load_existing_calibration(output, others, force, [path]))
+    sensors_in(outputs.held)
     stream, notes = read_imu(path, name)
     say(f"{path}: IMU {stream.name}, {stream.rate_hz:.0f} Hz, {stream.t_s[-1] - stream.t_s[0]:.0f} s")
     return stream, notes
@@ -289,7 +279,7 @@ def forearm(
 
     if (from_s is None) != (to_s is None) or (from_s is not None and to_s is not None and to_s <= from_s):
         raise typer.BadParameter("--from and --to belong together, --to later than --from")
-    load_existing_calibration(output, [report, json_file], force, [recording_file, config_file])
+    outputs = Outputs(output, report, json_file, force, [recording_file, config_file])
     config = read_config(config_file, processes)
     recording, _ = load_arm(recording_file, imu=imu, skeleton=skeleton, side=side, body=body)
     calibration = calibrate_forearm(
@@ -301,7 +291,7 @@ def forearm(
         config=config,
     )
     title = f"Forearm from a held pose: {recording.name}"
-    finish(forearm_answer(calibration), output, report, json_file, force, title, recording.notes)
+    outputs.finish(forearm_answer(calibration), title, recording.notes)
 
 
 def cameras(
@@ -322,9 +312,8 @@ def cameras(
     """
     from calib.camera_poses import calibrate_cameras, cameras_answer
 
-    load_existing_calibration(output, [json_file], True, recording_files)
+    outputs = Outputs(output, None, json_file, True, recording_files)
     chosen: Selection = {"imu": imu, "skeleton": skeleton, "side": side, "body": body}
     recordings = [load_arm(path, **chosen)[0] for path in recording_files]
-    answer = cameras_answer(calibrate_cameras(recordings))
     notes = [note for recording in recordings for note in recording.notes]
-    finish(answer, output, None, json_file, True, "Poses of the cameras", notes)
+    outputs.finish(cameras_answer(calibrate_cameras(recordings)), "Poses of the cameras", notes)

@@ -11,17 +11,15 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from . import options as o
-from .calibrate import error_prefix, finish, load_existing_calibration
+from .calibrate import Outputs, error_prefix
 from .load import load_arm, refuse_twice
 
 if TYPE_CHECKING:
     from calib.clock import MotionClock, Receptions
     from calib.images import View
     from calib.intrinsics import Intrinsics
+    from calib.plane import Panel
     from calib.sound import Beep
-
-    from ..array_types import FloatArray
-    from ..recording import ImuStream
 
 
 def panel(
@@ -53,59 +51,51 @@ def panel(
     Example: unocclude calibrate panel --depth d.png --infrared i.png --markers m.csv --intrinsics k.toml
     --panel panel.toml -o cal.toml
     """
-    from calib.panel import calibrate_panel, panel_answer, read_panel
-
-    depths, infrareds, marked = depth or [], infrared or [], markers or []
-    if panel is None:
-        raise typer.BadParameter("give --panel (marker positions and outline of the panel)")
-    inputs = [*depths, *infrareds, *marked, panel, intrinsics, recording]
-    load_existing_calibration(output, [report, json_file], force, inputs)
-    known = read_panel(panel)
-    notes: list[str] = []
-    with pictured(output.with_name(f"{output.stem}.seen.png")):
-        views, positions, lens = _session(recording, depths, infrareds, marked, intrinsics, notes)
-        calibration = calibrate_panel(views, positions, known, lens, 1e-3 * mocap_sigma_mm)
-    title = "Camera from motion capture, by the marker panel"
-    finish(panel_answer(calibration), output, report, json_file, force, title, notes)
-
-
-def _session(
-    recording: Path | None,
-    depths: list[Path],
-    infrareds: list[Path],
-    marked: list[Path],
-    intrinsics_file: Path | None,
-    notes: list[str],
-) -> tuple[list[View], list[dict[str, FloatArray]], Intrinsics]:
-    """Views, mocap markers by view, and the lens: from files, or from a recording."""
-    from calib.images import read_view
-    from calib.intrinsics import read_intrinsics
+    from calib.panel import calibrate_panel, panel_answer
 
     from ..io.tables.markers import read_positions
 
-    lens = read_intrinsics(intrinsics_file) if intrinsics_file is not None else None
-    positions = [read_positions(path) for path in marked]
-    if recording is not None:
-        if depths or infrareds:
-            raise typer.BadParameter("give either a recording or --depth and --infrared, not both")
-        from ..io.rig.panel import read_panel_session
+    inputs = [*(depth or []), *(infrared or []), *(markers or []), panel, intrinsics, recording]
+    outputs = Outputs(output, report, json_file, force, inputs)
+    known, lens = _known(panel, intrinsics)
+    positions = [read_positions(path) for path in markers or []]
+    notes: list[str] = []
+    with pictured(output.with_name(f"{output.stem}.seen.png")):
+        images = {"--depth": depth, "--infrared": infrared}
+        if recording is None:
+            views, lens = _views(images | {"--markers": markers}, lens)
+        else:
+            from ..io.rig.panel import read_panel_session
 
-        return read_panel_session(recording, positions, lens, notes)
-    files = {"--depth": depths, "--infrared": infrareds, "--markers": marked}
-    _check_alike(files)
-    if lens is None:
-        raise typer.BadParameter("give --intrinsics with --depth")
-    for name, paths in files.items():
-        refuse_twice(paths, f"{name} ")
-    views = [read_view(d, i) for d, i in zip(depths, infrareds, strict=True)]
-    return views, positions, lens
+            _refuse_files(images)
+            views, positions, lens = read_panel_session(recording, positions, lens, notes)
+        calibration = calibrate_panel(views, positions, known, lens, 1e-3 * mocap_sigma_mm)
+    outputs.finish(panel_answer(calibration), "Camera from motion capture, by the marker panel", notes)
 
 
-def _check_alike(files: dict[str, list[Path]]) -> None:
-    """Refuse files that are not given once per pose."""
+def _known(panel: Path | None, intrinsics: Path | None) -> tuple[Panel, Intrinsics | None]:
+    """The panel, and the lens where it is given."""
+    from calib.intrinsics import read_intrinsics
+    from calib.panel import read_panel
+
+    if panel is None:
+        raise typer.BadParameter("give --panel (marker positions and outline of the panel)")
+    return read_panel(panel), read_intrinsics(intrinsics) if intrinsics is not None else None
+
+
+def _refuse_files(files: dict[str, list[Path] | None]) -> None:
+    if any(files.values()):
+        raise typer.BadParameter(f"give either a recording or {', '.join(files)}, not both")
+
+
+def _views(files: dict[str, list[Path] | None], lens: Intrinsics | None) -> tuple[list[View], Intrinsics]:
+    """The views of files that are given once per pose, depth and infrared first, and their lens."""
+    from calib.images import read_view
+
     *first, last = files
     names = f"{', '.join(first)} and {last}"
-    counts = [len(paths) for paths in files.values()]
+    given = [paths or [] for paths in files.values()]
+    counts = [len(paths) for paths in given]
     if not counts[0]:
         raise typer.BadParameter(f"give {names} once per pose, or a recording")
     if len(set(counts)) > 1:
@@ -113,6 +103,11 @@ def _check_alike(files: dict[str, list[Path]]) -> None:
             f"{names} must be given alike often, once per pose; they are"
             f" given {', '.join(map(str, counts[:-1]))} and {counts[-1]} times"
         )
+    if lens is None:
+        raise typer.BadParameter("give --intrinsics with --depth")
+    for name, paths in zip(files, given, strict=True):
+        refuse_twice(paths, f"{name} ")
+    return [read_view(d, i) for d, i in zip(*given[:2], strict=True)], lens
 
 
 @contextmanager
@@ -166,55 +161,32 @@ def world(
 
     Example: unocclude calibrate world session.mcap --panel panel.toml -o cal.toml
     """
-    from calib.intrinsics import read_intrinsics
-    from calib.panel import read_panel
-    from calib.world import calibrate_world_from_views, world_answer
+    from calib.world import calibrate_world_from_views, common_time, world_answer
 
-    images = (depth or [], infrared or [], panel_imu or [], base_imu or [])
-    if panel is None:
-        raise typer.BadParameter("give --panel (marker positions and outline of the panel)")
-    inputs = [*(path for paths in images for path in paths), panel, intrinsics, recording]
-    held = load_existing_calibration(output, [report, json_file], force, inputs)
-    known = read_panel(panel)
-    lens = read_intrinsics(intrinsics) if intrinsics is not None else None
+    files = {"--depth": depth, "--infrared": infrared, "--panel-imu": panel_imu, "--base-imu": base_imu}
+    inputs = [*(path for paths in files.values() for path in paths or []), panel, intrinsics, recording]
+    outputs = Outputs(output, report, json_file, force, inputs)
+    known, lens = _known(panel, intrinsics)
+    notes: list[str] = []
     if recording is not None:
-        if any(images):
-            raise typer.BadParameter("give either a recording or files, not both")
         from ..io.rig.panel import read_session
 
-        views, times, imus, lens, said = read_session(recording, panel_topic, base_topic, lens)
+        _refuse_files(files)
+        views, times, imus, lens, notes = read_session(recording, panel_topic, base_topic, lens)
         panels, bases = ([imu] * len(views) for imu in imus)
-        notes = tuple(said)
     else:
-        views, times, panels, bases = _from_files(*images)
-        notes = ()
-        if lens is None:
-            raise typer.BadParameter("give --intrinsics with --depth")
+        from ..io.tables.columns import read_imu_table
+
+        views, lens = _views(files, lens)
+        panels = [read_imu_table(path, "panel") for path in panel_imu or []]
+        bases = [read_imu_table(path, "base") for path in base_imu or []]
+        times = []
+        for own, base, path in zip(panels, bases, panel_imu or [], strict=True):
+            with error_prefix(f"{path} and the base IMU's file of that pose"):
+                times.append(common_time(own, base))
     with pictured(output.with_name(f"{output.stem}.seen.png")):
-        calibration = calibrate_world_from_views(views, times, panels, bases, known, lens, held)
-    answer = world_answer(calibration)
-    finish(answer, output, report, json_file, force, "Camera from base IMU, by the panel", notes)
-
-
-def _from_files(
-    depths: list[Path], infrareds: list[Path], panels: list[Path], bases: list[Path]
-) -> tuple[list[View], list[float], list[ImuStream], list[ImuStream]]:
-    """Views, their times, and both IMUs by pose; a pose's time is the middle of its samples."""
-    from calib.images import read_view
-    from calib.world import common_time
-
-    from ..io.tables.columns import read_imu_table
-
-    names = ("--depth", "--infrared", "--panel-imu", "--base-imu")
-    _check_alike(dict(zip(names, (depths, infrareds, panels, bases), strict=True)))
-    views = [read_view(d, i) for d, i in zip(depths, infrareds, strict=True)]
-    on_panel = [read_imu_table(path, "panel") for path in panels]
-    on_base = [read_imu_table(path, "base") for path in bases]
-    times = []
-    for own, base, path in zip(on_panel, on_base, panels, strict=True):
-        with error_prefix(f"{path} and the base IMU's file of that pose"):
-            times.append(common_time(own, base))
-    return views, times, on_panel, on_base
+        calibration = calibrate_world_from_views(views, times, panels, bases, known, lens, outputs.held)
+    outputs.finish(world_answer(calibration), "Camera from base IMU, by the panel", notes)
 
 
 def clock(
@@ -282,11 +254,10 @@ def clock(
     if not all(isfinite(t) for t in event_time or []):
         raise typer.BadParameter("--event-time takes seconds on the IMU's clock")
     clocks = _two("--sound-clocks", sound_clocks or "camera,base")
-    inputs = [sound, broadcast, motion, config_file]
-    load_existing_calibration(output, [report, json_file], force, inputs, known)
+    outputs = Outputs(output, report, json_file, force, [sound, broadcast, motion, config_file], known)
     receptions: list[Receptions] = []
     beeps: list[Beep] = []
-    clock_in_motion: MotionClock | None = None
+    moved: MotionClock | None = None
     origin_ns = 0
     notes: list[str] = []
     if broadcast is not None:
@@ -294,11 +265,10 @@ def clock(
         if sound_clocks is None:
             clocks = clocks[0], buzzer_node(receptions[0].node, clocks[1])
     if sound is not None:
-        tracks = read_sound(sound, audio_topic, notes)
+        read = read_sound(sound, audio_topic, notes)
+        tracks = ((each.samples, each.rate_hz, each.start_s) for each in read)
         with error_prefix(str(sound)):
-            beeps = beeps_of_tracks(
-                ((each.samples, each.rate_hz, each.start_s) for each in tracks), tone_hz, sound_start
-            )
+            beeps = beeps_of_tracks(tracks, tone_hz, sound_start)
             own = beep_receptions(
                 beeps,
                 event_time or [],
@@ -312,13 +282,11 @@ def clock(
         config = read_config(config_file, processes)
         recording, given = load_arm(motion, known, imu=imu, skeleton=skeleton, side=side, body=body)
         names = _two("--motion-clocks", motion_clocks or f"camera,{recording.imu.name.rpartition('/')[2]}")
-        clock_in_motion = clock_from_motion(recording, given, config, names)
-        origin_ns = recording.origin_ns
+        moved, origin_ns = clock_from_motion(recording, given, config, names), recording.origin_ns
         notes += recording.notes
     name = session or ", ".join(path.name for path in dict.fromkeys((sound, broadcast, motion)) if path)
-    answer = clock_answer(ClockSession(name, receptions, beeps, clock_in_motion, origin_ns))
-    title = f"Clocks: {name}"
-    finish(answer, output, report, json_file, force, title, notes)
+    answer = clock_answer(ClockSession(name, receptions, beeps, moved, origin_ns))
+    outputs.finish(answer, f"Clocks: {name}", notes)
 
 
 def _two(option: str, text: str) -> tuple[str, str]:

@@ -19,6 +19,7 @@ from calib.imu import (
     calibrate_imu,
     calibrate_magnetometer,
     find_rests,
+    imu_answer,
     noise_density,
     running_bias,
     symmetric,
@@ -178,7 +179,7 @@ def test_a_long_rest_alone_gives_noise_and_bias():
     found = calibrate_imu(ImuStream("/imu/base", np.arange(count) / RATE, acc, gyro))
     assert found.accelerometer is None
     assert found.gyroscope.offset == pytest.approx([0.01, -0.02, 0.005], abs=1e-4)
-    tables = found.tables()
+    tables = imu_answer(found).table.tables["imu"]["base"]
     assert tables["accelerometer"]["noise_density"] == pytest.approx(0.003, rel=0.1)
     assert tables["gyroscope"]["noise_density"] == pytest.approx(2e-4, rel=0.1)
     assert "offset" not in tables["accelerometer"]

@@ -58,9 +58,10 @@ class Session:
         self.base = imu_stream("base", Held(self.R_W_K, still, *times), self.R_K_B, self.config, rng)
         error = Rotation.from_rotvec(rotation_sigma * rng.normal(size=(poses, 3))).as_matrix()
         covariance = max(rotation_sigma, 1e-5) ** 2 * np.eye(3)
+        middle_s = (np.arange(poses) + 0.5) * self.config.hold_s + np.arange(poses) * self.config.move_s
         self.views = [
             PanelView(f"pose {i + 1}", t, R, covariance)
-            for i, (t, R) in enumerate(zip(panel.middle_s(), error @ self.R_K_P, strict=True))
+            for i, (t, R) in enumerate(zip(middle_s, error @ self.R_K_P, strict=True))
         ]
 
     def poses(self, apart: bool = False):
