@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+from scipy.interpolate import CubicSpline
 
 from ..array_types import FloatArray
 from ..body import SEGMENTS
@@ -13,7 +14,6 @@ from ..measurements.alignment import lever_of
 from ..result.draws import JOINT, TURN
 from ..rotation import Rotation
 from ..selfcal.self_calibration import SelfCalibration
-from ..splines import cubic_spline
 from ..window.draw_plan import DrawPlan, root_of
 from ..window.shared import SharedLayout
 from ..window.solution import SegmentSolution, Solution, WindowDraws
@@ -173,5 +173,5 @@ def _hermite(nodes: FloatArray, p: FloatArray, v: FloatArray, t: FloatArray) -> 
 def _curve(nodes: FloatArray, r: FloatArray, t: FloatArray) -> FloatArray:
     """A smooth curve through values (n, k, 3) at times (m,)."""
     inside = np.clip(t, nodes[0], nodes[-1])
-    at = cubic_spline(nodes, r.reshape(len(nodes), -1), natural=True)(inside)
+    at = CubicSpline(nodes, r.reshape(len(nodes), -1), bc_type="natural")(inside)
     return at.reshape(len(t), *r.shape[1:])

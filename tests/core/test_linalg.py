@@ -1,11 +1,10 @@
-"""Small functions that are in for a library's, against it: algebra, filters, rotations, splines."""
+"""Small functions that are in for a library's, against it: algebra, filters, rotations."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
 from scipy import ndimage
-from scipy.interpolate import CubicHermiteSpline, CubicSpline
 from scipy.optimize import nnls
 from scipy.signal import find_peaks
 from scipy.spatial import transform
@@ -13,7 +12,6 @@ from scipy.spatial import transform
 from smoother.filters import gaussian_smoothed, moving_mean, moving_median
 from smoother.linalg import by_columns, largest_trace, nearest_rotation, nonnegative_pair, peaks
 from smoother.rotation import Rotation, Slerp, chained
-from smoother.splines import PiecewiseCubic, cubic_spline
 
 
 @pytest.mark.parametrize("seed", range(20))
@@ -164,36 +162,6 @@ def test_turns_one_after_the_other(count: int) -> None:
     for turn in turns:
         expected.append(expected[-1] @ turn)
     np.testing.assert_allclose(chained(turns), expected, atol=1e-13)
-
-
-@pytest.mark.parametrize("natural", [False, True])
-@pytest.mark.parametrize("count", [2, 3, 4, 5, 12, 13, 50])
-def test_spline_is_scipys(count: int, natural: bool) -> None:
-    rng = np.random.default_rng(count)
-    t = np.cumsum(rng.uniform(0.01, 0.4, count))
-    value = rng.normal(size=(count, 3))
-    beyond = [] if natural else [t[0] - 0.01, t[-1] + 0.01]
-    at = np.concatenate([np.linspace(t[0], t[-1], 301), t, beyond])
-    ours = cubic_spline(t, value, natural=natural)
-    theirs = CubicSpline(t, value, bc_type="natural" if natural else "not-a-knot")
-    scale = np.abs(theirs(at, 1)).max() + 1.0  # rounding, of values and slopes of this size
-    np.testing.assert_allclose(ours(at), theirs(at), atol=1e-11 * scale)
-    np.testing.assert_allclose(ours(at, 1), theirs(at, 1), atol=1e-10 * scale)
-
-
-def test_hermite_is_scipys() -> None:
-    rng = np.random.default_rng(1)
-    t = np.cumsum(rng.uniform(0.01, 0.4, 20))
-    value, slope = rng.normal(size=(2, 20, 3))
-    at = rng.uniform(t[0], t[-1], (7, 11))
-    ours, theirs = PiecewiseCubic(t, value, slope), CubicHermiteSpline(t, value, slope)
-    np.testing.assert_allclose(ours(at), theirs(at), atol=1e-11)
-    np.testing.assert_allclose(ours(at, 1), theirs(at, 1), atol=1e-9)
-
-
-def test_knots_that_stand_still() -> None:
-    with pytest.raises((np.linalg.LinAlgError, ValueError)), np.errstate(all="ignore"):
-        cubic_spline(np.zeros(5), np.zeros((5, 1)))
 
 
 def test_columns_that_are_known_differently() -> None:
