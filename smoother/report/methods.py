@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from typing import Any
 
 import numpy as np
 
 from ..baselines.registry import BASELINES
+from ..config import Config
 from ..error_radius import in_cm, within_words
 from ..evaluation.summary import gap_summaries
 from ..linalg import median_rate_hz
@@ -104,26 +105,28 @@ def _figures(one: Recovery, version: str) -> dict[str, Any]:
 
 
 def _rows(one: Recovery, version: str, worst_m: float | None) -> Iterator[tuple[str, str]]:
-    """The table: noise, places and lengths with sigma, biases, clock."""
+    """The table: noise, places and lengths with sigma, biases, clock, settings that are not the defaults."""
     found, arm = one.estimates, one.calibration
+
+    def lengths(metres: Iterable[float], sigmas: Iterable[float], given: bool) -> str:
+        both = (f"{1e3 * value:.1f} ± {1e3 * each:.1f}" for value, each in zip(metres, sigmas, strict=False))
+        return f"{', '.join(both)} ({'given beforehand, adjusted' if given else 'estimated'})"
+
     yield "Program, method", f"unocclude {version or '(version not stated)'}, {one.method}"
     for joint in JOINTS:
         if joint in (found.camera_sigma_m or {}):
             yield f"Camera noise: {joint}, mm per axis", f"{1e3 * (found.camera_sigma_m or {})[joint]:.1f}"
     for joint, lever in () if arm is None else arm.lever_arms.items():
-        place = ", ".join(
-            f"{1e3 * value:.1f} ± {1e3 * sigma:.1f}"
-            for value, sigma in zip(lever.position_m, np.broadcast_to(lever.sigma_m, 3), strict=True)
-        )
-        yield f"Place of the {joint} in the IMU's axes, mm", f"{place} ({_origin(joint in found.given)})"
-    if arm is not None and arm.upper_arm is not None:
-        length = f"{1e3 * arm.upper_arm.value_m:.1f} ± {1e3 * arm.upper_arm.sigma_m:.1f}"
-        yield "Upper arm's length, mm", f"{length} ({_origin('upper_arm' in found.given)})"
-    if found.gyroscope_bias is not None:
+        sigmas = np.broadcast_to(lever.sigma_m, 3)
         yield (
-            "Gyroscope's bias, degrees/s",
-            ", ".join(f"{math.degrees(v):+.3f}" for v in found.gyroscope_bias),
+            f"Place of the {joint} in the IMU's axes, mm",
+            lengths(lever.position_m, sigmas, joint in found.given),
         )
+    if arm is not None and (upper := arm.upper_arm) is not None:
+        yield "Upper arm's length, mm", lengths([upper.value_m], [upper.sigma_m], "upper_arm" in found.given)
+    if found.gyroscope_bias is not None:
+        degrees = ", ".join(f"{math.degrees(v):+.3f}" for v in found.gyroscope_bias)
+        yield "Gyroscope's bias, degrees/s", degrees
     if found.accelerometer_bias is not None:
         yield "Accelerometer's bias, m/s^2", ", ".join(f"{v:+.3f}" for v in found.accelerometer_bias)
     if math.isfinite(one.clock_offset_s):
@@ -131,22 +134,13 @@ def _rows(one: Recovery, version: str, worst_m: float | None) -> Iterator[tuple[
         yield "Clock of IMU minus camera", "{:+.1f} ± {:.1f} ms".format(*clock_ms)
     if worst_m is not None:
         yield "95 of 100 position errors in gaps, at worst", in_cm(worst_m)
+    usual = Config().model_dump(mode="json", exclude_none=True)
     for section, settings in one.config.items():
-        for key, value, usual in _changed(section, settings):
-            yield f"Setting {section}.{key}", f"{value} (default {usual}; set, or adapted to the recording)"
-
-
-def _changed(section: str, settings: object) -> Iterator[tuple[str, object, object]]:
-    """A section's settings that are not the defaults."""
-    from ..config import Config
-
-    usual = Config().model_dump(mode="json", exclude_none=True).get(section, {})
-    if isinstance(settings, dict):
-        yield from ((k, v, usual[k]) for k, v in settings.items() if k in usual and v != usual[k])
-
-
-def _origin(given: bool) -> str:
-    return "given beforehand, adjusted" if given else "estimated"
+        for key, value in settings.items() if isinstance(settings, dict) else ():
+            default = usual.get(section, {}).get(key, value)
+            if value != default:
+                set_or = f"{value} (default {default}; set, or adapted to the recording)"
+                yield f"Setting {section}.{key}", set_or
 
 
 def _cell(text: str) -> str:

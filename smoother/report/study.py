@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from urllib.parse import quote
@@ -102,20 +103,16 @@ def _verdict(
     yield f"{len(recovered)} of {len(rows)} recordings were recovered, {len(failed)} failed"
     if not len(recovered):
         return
-    distrusted = int((columns["trusted"] == 0).sum())
-    partly = int(((columns["trusted"] == 1) & (columns["gaps_untrusted"] > 0)).sum())
-    if distrusted:
-        which = "result is" if distrusted == 1 else "results are"
-        yield f"{distrusted} {which} not to be trusted: do not use these figures. The table begins with them"
-    if partly:
-        which = "result has" if partly == 1 else "results have"
-        yield f"{partly} {which} gaps that are not to be trusted"
+    if distrusted := int((columns["trusted"] == 0).sum()):
+        yield f"Results not to be trusted: {distrusted}. Do not use their figures; the table begins with them"
+    if partly := int(((columns["trusted"] == 1) & (columns["gaps_untrusted"] > 0)).sum()):
+        yield f"Results with gaps that are not to be trusted: {partly}"
     recorded, occluded, spent = (
         float(columns[name].sum()) for name in ("duration_s", "occluded_s", "seconds")
     )
     yield (
-        f"{_duration(recorded)} of recordings, {100 * occluded / max(recorded, 1e-9):.1f} % of it occluded;"
-        f" one process needed {_duration(spent)}, {recorded / max(spent, 1e-9):.3g} times real time"
+        f"{recorded / 3600:.2f} h of recordings, {100 * occluded / max(recorded, 1e-9):.1f} % of it occluded;"
+        f" one process needed {spent / 3600:.2f} h, {recorded / max(spent, 1e-9):.3g} times real time"
     )
     error = 100 * columns["error_95_m"][np.isfinite(columns["error_95_m"])]
     if len(error):
@@ -126,37 +123,25 @@ def _verdict(
         )
 
 
-def _duration(seconds: float) -> str:
-    if seconds < 90:
-        return f"{seconds:.0f} s"
-    return f"{seconds / 60:.0f} min" if seconds < 5400 else f"{seconds / 3600:.1f} h"
-
-
 def _worst(
     rows: Sequence[dict[str, Any]], count: int, persons: Mapping[str, str], path: Path, folder: Path
 ) -> PageSection:
     """The recordings, each with a link to its report, or to its result where it has none."""
     measured = [each for row in rows for each in row["measures"] or ()]
-    keys = first_of([each["key"] for each in measured], MOST_SHOWN)
-    words = {each["key"]: f"{each['name']}, {each['unit']}".removesuffix(", ") for each in measured}
-    heads = (
-        *("recording", "person", "verdict", "self-check: recovered to within", "within, cm (95 %)"),
-        *("longest gap, s", "gaps", "occluded, s", "length, s"),
-        *(words[key] for key in keys),
-    )
-    cells = [
-        (
-            _named(row, path, folder),
-            persons.get(row["recording"]),
-            _trust(row),
-            _self_check(row),
-            None if row["trusted"] is False else _scaled(row["error_95_m"], 100),
-            *(_scaled(row["gap_longest_s"]), row["gaps"]),
-            *(_scaled(row[name]) for name in ("occluded_s", "duration_s")),
-            *(_measured(row, key) for key in keys),
-        )
-        for row in rows
-    ]
+    shown = {each["key"]: each for each in measured}
+    columns: dict[str, Callable[[dict[str, Any]], object]] = {
+        "recording": lambda row: _named(row, path, folder),
+        "person": lambda row: persons.get(row["recording"]),
+        "verdict": _trust,
+        "self-check: recovered to within": _self_check,
+        "within, cm (95 %)": lambda row: None if row["trusted"] is False else _scaled(row["error_95_m"], 100),
+        "longest gap, s": lambda row: _scaled(row["gap_longest_s"]),
+        "gaps": lambda row: row["gaps"],
+        "occluded, s": lambda row: _scaled(row["occluded_s"]),
+        "length, s": lambda row: _scaled(row["duration_s"]),
+    }
+    for key in first_of([each["key"] for each in measured], MOST_SHOWN):
+        columns[_with_unit(shown[key])] = partial(_measured, key)
     rest = count - len(rows)
     caption = (
         "Results that are not to be trusted come first, with the reason and without uncertainty; the"
@@ -164,7 +149,11 @@ def _worst(
         " --reports`), else to the results. Measures are given with their 95 % intervals; those of what"
         " is not to be trusted are left out." + (f" The other {rest} are among the results." if rest else "")
     )
-    return rendered(Table("Recordings", heads, cells, caption))
+    return rendered(tabulated("Recordings", rows, columns, caption))
+
+
+def _with_unit(measure: Mapping[str, Any]) -> str:
+    return f"{measure['name']}, {measure['unit']}".removesuffix(", ")
 
 
 def _named(row: dict[str, Any], path: Path, folder: Path) -> Html:
@@ -192,16 +181,24 @@ def report_of(output: str) -> str:
     return Path(output).with_suffix(".html").as_posix()
 
 
-def _measured(row: dict[str, Any], key: str) -> str | None:
+def _measured(key: str, row: dict[str, Any]) -> str | None:
     """A measure of each arm, with its interval."""
-    said = []
-    for each in row["measures"] or ():
-        if each["key"] != key or each["value"] is None or each["trusted"] is False:
-            continue
-        interval = "" if each["low"] is None else f" ({each['low']:.3g} to {each['high']:.3g})"
-        side = f"{each['side']} " if row["arms"] and row["arms"] > 1 else ""
-        said.append(f"{side}{each['value']:.3g}{interval}")
-    return "; ".join(said) or None
+    known = [
+        each
+        for each in row["measures"] or ()
+        if each["key"] == key and each["value"] is not None and each["trusted"] is not False
+    ]
+    sides = ("" if (row["arms"] or 1) < 2 else f"{each['side']} " for each in known)
+    values = (_between(each["value"], each["low"], each["high"]) for each in known)
+    return "; ".join(f"{side}{value}" for side, value in zip(sides, values, strict=True)) or None
+
+
+def _between(value: float | None, low: float | None, high: float | None, sign: str = "") -> str | None:
+    """A value with its interval in brackets, as far as they are known."""
+    if value is None or not math.isfinite(value):
+        return None
+    known = low is not None and high is not None and math.isfinite(low)
+    return f"{value:{sign}.3g}" + (f" ({low:{sign}.3g} to {high:{sign}.3g})" if known else "")
 
 
 def _trust(row: dict[str, Any]) -> str:
@@ -228,38 +225,28 @@ def _notes(recovered: pa.Table) -> PageSection:
 
 def _group(measures: list[dict[str, Any]], file: str) -> PageSection:
     """Mean, spread and change of each measure over the persons."""
-    several = any(each["last"][0] for each in measures)
-    columns: dict[str, Callable[[dict[str, Any]], object]] = {"arm": lambda each: each["side"] or None}
-    if any(each["task"] for each in measures):
-        columns["task"] = lambda each: each["task"] or None
-    columns |= {
-        "measure": lambda each: f"{each['name']}, {each['unit']}".removesuffix(", "),
+
+    def spread(which: str) -> Callable[[dict[str, Any]], object]:
+        return lambda each: (
+            f"{each[which][1]:.3g}" + (f" ({each[which][2]:.2g})" if math.isfinite(each[which][2]) else "")
+            if each[which][0]
+            else None
+        )
+
+    columns: dict[str, Callable[[dict[str, Any]], object]] = {
+        "arm": lambda each: each["side"] or None,
+        "task": lambda each: each["task"] or None,
+        "measure": _with_unit,
         "persons": lambda each: each["first"][0],
-        "mean (SD)": lambda each: _spread(*each["first"]),
+        "mean (SD)": spread("first"),
+        "last session, mean (SD)": spread("last"),
+        "persons with both": lambda each: each["last"][0],
+        "change (95 % interval)": lambda each: _between(each["change"], each["low"], each["high"], "+"),
     }
-    if several:
-        columns |= {
-            "last session, mean (SD)": lambda each: _spread(*each["last"]),
-            "persons with both": lambda each: each["last"][0],
-            "change (95 % interval)": _change,
-        }
     caption = Html(
-        "Over the persons, mean and standard deviation{}; the change is that from a person's first"
-        " session to the last, its mean over the persons with its interval by Student's t. Recordings that"
-        " are not to be trusted are left out. All measures of all sessions, for R or SPSS:"
+        "Over the persons, mean and standard deviation of the first session; the change is that from a"
+        " person's first session to the last, its mean over the persons with its interval by Student's t."
+        " Recordings that are not to be trusted are left out. All measures of all sessions, for R or SPSS:"
         ' <a href="{}">{}</a>, one measure of one session per row, with a column <code>trusted</code>.'
-    ).format(" of the first session" if several else "", quote(file), file)
+    ).format(quote(file), file)
     return rendered(tabulated("The group", measures, columns, caption))
-
-
-def _spread(count: int, mean: float, sd: float) -> str | None:
-    if not count:
-        return None
-    return f"{mean:.3g}" + (f" ({sd:.2g})" if math.isfinite(sd) else "")
-
-
-def _change(each: dict[str, Any]) -> str | None:
-    if not math.isfinite(each["change"]):
-        return None
-    interval = f" ({each['low']:+.3g} to {each['high']:+.3g})" if math.isfinite(each["low"]) else ""
-    return f"{each['change']:+.3g}{interval}"

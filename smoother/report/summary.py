@@ -83,7 +83,6 @@ def _parts(recovery: Recovery, validation: Validation | None) -> list[tuple[bool
             (not check, _how_well(recovery, which, trusted, consistent)),
             (False, reference),
             (True, doubt),
-            (False, _what_to_trust(trusted, consistent, which)),
         ]
     return [(is_first, text) for is_first, text in parts if text]
 
@@ -205,29 +204,3 @@ def _consistent(validation: Validation | None) -> bool:
     joints = [each.nees for each in _joint_figures(validation)[1].values()]
     stated = [value for value in ([own] if own is not None else joints) if value is not None]
     return not stated or max(stated) <= OVER_CONFIDENT
-
-
-def _what_to_trust(gaps: list[GapSummary], consistent: bool, gap_word: str) -> str:
-    weak = [gap for gap in gaps if gap.is_wider_than(WIDE_M)]
-    one_sided = [gap for gap in gaps if gap.one_sided]
-    parts = []
-    if weak:
-        parts.append(
-            f"Take {_listed(weak)} with care: the position there is less certain than {100 * WIDE_M:.0f} cm"
-            " (95 of 100 cases)."
-        )
-    if one_sided:
-        parts.append(
-            f"{_listed(one_sided).capitalize()} could be recovered from one side only, because the camera"
-            " did not see the forearm before or after; the error grows with time there."
-        )
-    if consistent and not parts and any(gap.sigma_max_m is not None for gap in gaps):
-        parts.append(f"The uncertainty stays below {100 * WIDE_M:.0f} cm in every {gap_word}.")
-    return " ".join(parts)
-
-
-def _listed(gaps: list[GapSummary]) -> str:
-    starts = [f"{gap.gap.start_s:.1f} s" for gap in gaps]
-    if len(starts) > 6:
-        return f"{len(starts)} gaps (marked in the table of gaps)"
-    return f"the gap{'s' if len(starts) > 1 else ''} at {', '.join(starts)}"

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import replace
 from typing import Any
 
@@ -18,94 +18,65 @@ from ..evaluation.summary import (
     GapSummary,
     camera_consistency,
     consistency,
-    error_figures,
     gap_summaries,
     recovery_figures,
 )
 from ..evaluation.validate import Validation, sample_errors
 from ..recording import Truth
-from ..result import Estimates, Recovery
+from ..result import Recovery
 from ..result.untrusted import certain
 from ..table import Table, centimetres, fixed, percent, tabulated
 from .sheet import NOT_TRUSTED, badge
 from .summary import WIDE_M
 
 #: Figures of a recovery that another section of the page shows.
-ELSEWHERE = (
-    *("camera_sigma_m", "camera_effective_sigma_m", "joint_bias_m", "joint_bias_sigma_m"),
-    *("accelerometer_bias", "gyroscope_bias", "given", "max_sigma_m"),
-    *("untrusted", "self_check", "pairing", "cameras"),
+_ELSEWHERE = (
+    *("gaps", "calibration", "config", "notes", "recording", "gravity_direction", "camera_sigma_m"),
+    *("camera_effective_sigma_m", "joint_bias_m", "joint_bias_sigma_m", "accelerometer_bias"),
+    *("gyroscope_bias", "given", "untrusted", "cameras", "findings", "reasons", "cautions", "remedies"),
 )
+#: Valid only for a correct set-up.
+_STATED = ("sigma_m", "error_95_m")
 WITHDRAWN = "withdrawn: the result is not to be trusted"
 
 
 def overview(recovery: Recovery) -> Table:
-    """What was recovered, in numbers."""
+    """What was recovered, in the numbers that `--json` has."""
     figures = recovery_figures(recovery)
-    error = error_figures(recovery, recovery.trusted)
-    offset = None
-    if np.isfinite(recovery.clock_offset_s):
-        offset = f"{1000 * recovery.clock_offset_s:.1f} ms"
-        if np.isfinite(recovery.clock_offset_sigma_s):
-            offset += f" ± {1960 * recovery.clock_offset_sigma_s:.1f} ms (95 of 100 cases)"
-    withdrawn = WITHDRAWN if recovery.estimates.trusted is False else None
-    rows: list[tuple[str, object]] = [
-        ("method", recovery.method),
-        ("arm", recovery.side or "not stated"),
-        ("samples of the forearm sensor", len(recovery)),
-        ("sample rate, Hz", figures["rate_hz"]),
-        ("samples without the camera", recovery.occluded.sum()),
-        ("samples without an answer", len(recovery) - int(recovery.answered.sum())),
-        *(
-            (f"position, 95 of 100 errors below, {words}, cm", withdrawn or centimetres(error[part][which]))
-            for words, part, which in _ERRORS
-        ),
-        ("samples that are not to be trusted", int(np.count_nonzero(~recovery.trusted))),
-        *_proofs(recovery.estimates),
-        ("sensor's clock minus camera's clock", offset),
-    ]
-    if (unsure := _too_uncertain(recovery)) is not None:
-        rows.append(("samples marked as too uncertain to use", unsure))
-    rows += [
-        (name.replace("_", " "), _plain(value))
-        for name, value in recovery.estimates.plain().items()
-        if name not in ELSEWHERE
-    ]
+    figures |= {"not_trusted": int(np.count_nonzero(~recovery.trusted))}
+    if recovery.estimates.max_sigma_m is not None:
+        figures["too_uncertain"] = int(recovery.answered.sum() - certain(recovery).sum())
+    further = figures.pop("figures")
+    assert isinstance(further, dict)
+    if recovery.estimates.trusted is False:
+        figures |= dict.fromkeys(_STATED, WITHDRAWN)
+    known = {
+        name: value
+        for name, value in (figures | further).items()
+        if name not in _ELSEWHERE and value is not None
+    }
+    rows = [(name.replace("_", " "), value) for name, value in _leaves(known, ", ")]
     return Table("Figures", ("what", "value"), rows)
 
 
-_ERRORS = (
-    ("while seen", "visible", "all"),
-    ("in gaps", "occluded", "all"),
-    ("at the least certain moment of a gap", "occluded", "max"),
-)
+def settings(config: dict[str, object]) -> Table:
+    """The effective configuration, a setting a row."""
+    return Table("Settings", ("setting", "value"), list(_leaves(config, ".")))
 
 
-def _proofs(estimates: Estimates) -> list[tuple[str, object]]:
-    """Rows of the self-check and of the pairing; none where there is neither."""
-    rows: list[tuple[str, object]] = []
-    check, pairing = estimates.self_check, estimates.pairing
-    if check is not None and check.stretches:
-        lost = f", {check.unanswered} not recovered" if check.unanswered else ""
-        rows.append(("self-check: times that the arm was hidden", f"{check.stretches}{lost}"))
-        if np.isfinite(check.inside_95):
-            rows.append(
-                ("self-check: samples inside the stated 95 % region", f"{100 * check.inside_95:.0f} %")
-            )
-        rows.append(("self-check: sigma in gaps multiplied by", check.sigma_factor))
-    if pairing is not None:
-        chance = f" (chance agreement {100 * pairing.chance:.2g} %)" if np.isfinite(pairing.chance) else ""
-        words = "shown by the motion" if pairing.proved else f"not proved{chance}"
-        rows.append(("skeleton and sensor are of one motion", words))
-    return rows
-
-
-def _too_uncertain(recovery: Recovery) -> str | None:
-    limit = recovery.estimates.max_sigma_m
-    if limit is None:
-        return None
-    unsure = int(recovery.answered.sum() - certain(recovery).sum())
-    return f"{unsure} (above {100 * limit:g} cm)"
+def _leaves(values: Mapping[Any, Any], between: str) -> Iterator[tuple[str, str]]:
+    """Values under their whole names as cells show them; numbers short, what is no text as JSON writes it."""
+    for name, value in values.items():
+        if isinstance(value, np.ndarray | np.generic):
+            value = value.tolist()
+        if isinstance(value, Mapping) and value:
+            yield from ((f"{name}{between}{rest}", each) for rest, each in _leaves(value, between))
+        elif isinstance(value, list | tuple):
+            yield name, ", ".join(each for _, each in _leaves(dict(enumerate(value)), between))
+        elif isinstance(value, float):
+            yield name, f"{value:.6g}"
+        else:
+            yield name, value if isinstance(value, str) else json.dumps(value, default=str)
 
 
 def rejections(recovery: Recovery) -> Table:
@@ -279,25 +250,3 @@ _CALIBRATION = (
 
 def _vector(metres: Iterable[float] | None, decimals: int) -> str | None:
     return None if metres is None else ", ".join(f"{100 * item:.{decimals}f}" for item in metres)
-
-
-def settings(config: dict[str, object]) -> Table:
-    """The effective configuration, a setting a row."""
-    rows: list[tuple[str, str]] = []
-    for section, values in config.items():
-        below = values.items() if isinstance(values, dict) else ()
-        rows += [(f"{section}.{name}", _plain(value)) for name, value in below] or [(section, _plain(values))]
-    return Table("Settings", ("setting", "value"), rows)
-
-
-def _plain(value: object) -> str:
-    """A setting or a figure in a cell; numbers short, the rest as JSON writes it."""
-    if isinstance(value, np.ndarray | np.generic):
-        value = value.tolist()
-    if isinstance(value, float):
-        return f"{value:.6g}"
-    if isinstance(value, list | tuple):
-        return ", ".join(_plain(item) for item in value)
-    if isinstance(value, dict):
-        return "; ".join(f"{name} {_plain(item)}" for name, item in value.items())
-    return value if isinstance(value, str) else json.dumps(value, default=str)

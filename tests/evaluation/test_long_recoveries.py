@@ -171,7 +171,7 @@ def test_the_page_of_a_long_recording_is_thinned_first(
     assert f"of its {len(long)} samples about {MOST_POINTS} are drawn" in page
     # the player has 5.5 MB at most before it is written as text, a third more as such
     assert len(page) < 6_000_000 + (tmp_path / "short.html").stat().st_size
-    assert re.search(r"samples of the forearm sensor</td><td>96000<", page)
+    assert re.search(r"samples</td><td>96000<", page)
 
 
 def occluded_recovery():

@@ -32,7 +32,7 @@ def test_the_page_tells_what_was_set_aside(tmp_path):
     text = (tmp_path / "r.html").read_text(encoding="utf-8")
     assert "<td>&lt;it&gt; stands</td><td>wrist</td><td>60</td>" in text
     assert "<td>camera&#39;s wrist</td>" in text
-    assert f"<td>{len(recovery)} (above 0.5 cm)</td>" in text
+    assert f"<td>too uncertain</td><td>{len(recovery)}</td>" in text
     assert "samples repeated the one before" in text  # the advice
     assert "too near to tell on which side" in text  # hand-made lever arms lie in a line
     assert "disagree more than stated" not in text
