@@ -227,7 +227,7 @@ def write_imported(
     write_recording(recording, output, force=out.force)
     about = describe(output)
     files = {} if reports is None else {"files": [vars(report) for report in reports]}
-    out.json({**about.to_dict(), **files})
+    out.json({**about, **files})
     show(topic_table(about))
     print_notes([*recording.notes, *passed_over], imported=reports is None)
 

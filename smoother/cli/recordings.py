@@ -21,7 +21,7 @@ from .run import NOT_TRUSTED
 if TYPE_CHECKING:
     from ..calibration import ArmCalibration
     from ..config import Config
-    from ..io.info import RecordingInfo
+    from ..io.info import Figures
     from ..measurements.clock import Clock
     from ..recording import Recording
 
@@ -37,72 +37,74 @@ def info(recording_file: o.RecordingPath, which: Which, out: Out) -> None:
     from ..io import describe
 
     about = describe(recording_file, **which.chosen)
-    out.json(about.to_dict())
+    out.json(about)
     show(topic_table(about))
     show(Table("Streams", ("what", "found"), list(_streams(about))))
     print_missing(about)
-    print_notes(about.notes, imported=True)
+    print_notes(about["notes"], imported=True)
 
 
-def topic_table(about: RecordingInfo) -> Table:
+def topic_table(about: Figures) -> Table:
     """The topics of a recording."""
-    title = f"{about.path}, {about.size_bytes / 1e6:.1f} MB"
-    return tabulated(title, about.topics, "name=topic schema count=messages rate_hz duration_s=length_s")
+    title = f"{about['path']}, {about['size_bytes'] / 1e6:.1f} MB"
+    return tabulated(title, about["topics"], "name=topic schema count=messages rate_hz duration_s=length_s")
 
 
-def _streams(about: RecordingInfo) -> Iterator[tuple[str, object]]:
+def _streams(about: Figures) -> Iterator[tuple[str, object]]:
     """The streams found, and what would be taken of them."""
-    for what, texts in (("IMU", about.imus), ("skeleton", about.skeletons), ("truth", about.poses)):
+    for what, texts in (("IMU", about["imus"]), ("skeleton", about["skeletons"]), ("truth", about["poses"])):
         yield from ((f"{what} found", text) for text in texts)
-    for arm in about.arms:
-        of = f"{arm.label}: " if len(about.arms) > 1 else ""
-        body = "" if arm.body is None else f" (body {arm.body})"
+    for arm in about["arms"]:
+        of = f"{arm['label']}: " if len(about["arms"]) > 1 else ""
+        body = "" if arm["body"] is None else f" (body {arm['body']})"
         found = {
-            "taken": f"{arm.imu}, {arm.side or 'no side'} arm of {arm.skeleton}{body}",
-            "on the upper arm": arm.upper_imu,
-            "on the hand": arm.hand_imu,
-            "on the trunk": arm.trunk_imu,
-            "further cameras": "\n".join(arm.cameras),
-            "joints": ", ".join(arm.joints) or "none tracked",
-            "both recorded, s": arm.duration_s,
-            "gaps": arm.gaps,
-            "occluded, s": arm.gap_total_s,
-            "longest gap, s": arm.gap_longest_s,
+            "taken": f"{arm['imu']}, {arm['side'] or 'no side'} arm of {arm['skeleton']}{body}",
+            "on the upper arm": arm["upper_imu"],
+            "on the hand": arm["hand_imu"],
+            "on the trunk": arm["trunk_imu"],
+            "further cameras": "\n".join(arm.get("cameras", [])),
+            "joints": ", ".join(arm["joints"]) or "none tracked",
+            "both recorded, s": arm["duration_s"],
+            "gaps": arm["gaps"],
+            "occluded, s": arm["gap_total_s"],
+            "longest gap, s": arm["gap_longest_s"],
         }
         yield from ((of + what, value) for what, value in found.items() if value != "")
-    if about.arms:
-        yield "camera frame", about.camera_frame or "not stated"
-    for topic, clock in about.clocks.items():
+    if about["arms"]:
+        yield "camera frame", about["camera_frame"] or "not stated"
+    for topic, clock in about["clocks"].items():
         behind = clock.get("log_time_behind_s")
         lag = "" if behind is None else f", logged {1000 * behind:.1f} ms later"
         yield f"clock of {topic}", f"{clock['first_s']:.3f} to {clock['last_s']:.3f} s{lag}"
 
 
-def print_missing(about: RecordingInfo) -> None:
+def print_missing(about: Figures) -> None:
     """Print what is missing for recovering first, then in short what it can do without."""
-    if about.result:
+    if about["result"]:
         say("contains a result: use validate or export")
-    elif "smooth" in about.missing:
-        say(f"cannot be recovered: {about.missing['smooth']}")
+    elif "smooth" in about["missing"]:
+        say(f"cannot be recovered: {about['missing']['smooth']}")
     else:
-        for arm in about.arms:
-            of = f"{arm.label}: " if len(about.arms) > 1 else ""
-            say(of + (arm.allows if arm.ready else f"not ready for `unocclude smooth`: it {arm.allows}"))
-        if about.ready:
+        for arm in about["arms"]:
+            of = f"{arm['label']}: " if len(about["arms"]) > 1 else ""
+            say(
+                of
+                + (arm["allows"] if arm["ready"] else f"not ready for `unocclude smooth`: it {arm['allows']}")
+            )
+        if about["ready"]:
             say("ready for `unocclude smooth`")
-    for each in about.verdicts:  # of a result's arms
+    for each in about["verdicts"]:  # of a result's arms
         of = f"{each['arm']}: " if each["arm"] else ""
         if each["verdict"]:
             say(f"{of}{each['verdict']}")
         if each["trusted"] is not False and (times := each["untrusted"]):
-            assert isinstance(times, list)
             count = f"{len(times)} {'time' if len(times) == 1 else 'times'}"
             say(f"{of}not to be trusted at {count}; export lists them")
-    for step, reason in about.missing.items():
+    for step, reason in about["missing"].items():
         if step != "smooth":
             say(f"{step}: {reason}")
-    if about.optional and not about.result:
-        lacks = ", ".join(f"{what} ({use})" for what, use in about.optional.items())
+    if about["optional"] and not about["result"]:
+        lacks = ", ".join(f"{what} ({use})" for what, use in about["optional"].items())
         say(f"not in the file, not needed to recover: {lacks}")
 
 

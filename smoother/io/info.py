@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import os
-from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, Unpack
 
@@ -25,61 +24,47 @@ from .recording.streams import ArmFrames, ImuSamples, PoseSamples, RecordingFile
 from .result.read import stated_estimates
 from .result.write import RESULT
 
+#: Figures of one arm as JSON; those of the first stand beside the file's own, and these where there is none.
+Figures = dict[str, Any]
+_NO_ARM: Figures = {
+    **dict.fromkeys(("imu", "skeleton", "side", "upper_imu", "hand_imu", "trunk_imu", "allows"), ""),
+    **dict.fromkeys(("imu_rate_hz", "camera_rate_hz", "duration_s")),
+    **dict.fromkeys(("gaps", "gap_total_s", "gap_longest_s")),
+    "joints": [],
+}
 
-@dataclass(frozen=True)
-class ArmInfo:
+
+def describe_arm(recording: Recording) -> Figures:
     """An arm that would be recovered, and what would be taken of it."""
-
-    label: str  # As "left arm"
-    imu: str
-    skeleton: str
-    side: str
-    body: int | None  # The camera's number of the person, where there are several
-    upper_imu: str  # On the same upper arm, hand and trunk; "" without one
-    hand_imu: str
-    trunk_imu: str
-    joints: list[str]  # Of the skeleton
-    imu_rate_hz: float | None  # Median rates
-    camera_rate_hz: float | None
-    duration_s: float  # Time that IMU and camera share
-    gaps: int
-    gap_total_s: float
-    gap_longest_s: float
-    allows: str  # What the recording allows, in a line
-    ready: bool  # There is no sign that no answer could be trusted
-    cameras: list[str] = field(default_factory=list)  # Further cameras that saw the arm, a line each
-
-
-def describe_arm(recording: Recording) -> ArmInfo:
-    """Describe the arm of a recording."""
     arm, imu = recording.arm, recording.imu
     start, end = max(imu.t_s[0], arm.t_s[0]), min(imu.t_s[-1], arm.t_s[-1])
     gaps = find_gaps(arm.t_s, visible_frames(arm, accepted_samples(arm)), float(start), float(end))
     lengths_s = [0.0, *(gap.length_s for gap in gaps)]
     allowed = allowance(recording)
     names = {segment: stream.name for segment, stream in recording.further_imus.items()}
-    return ArmInfo(
-        label=recording.arm_label,
-        imu=imu.name,
-        skeleton=arm.name,
-        side=recording.side,
-        body=recording.body,
+    figures = {
+        "label": recording.arm_label,  # As "left arm"
+        "imu": imu.name,
+        "skeleton": arm.name,
+        "side": recording.side,
+        "body": recording.body,
         **{f"{segment.prefix}_imu": names.get(segment.name, "") for segment in FURTHER},
-        trunk_imu="" if recording.trunk is None else recording.trunk.imu.name,
-        joints=list(arm.present),
-        imu_rate_hz=finite(imu.rate_hz),
-        camera_rate_hz=finite(arm.rate_hz),
-        duration_s=round(float(end - start), 3),
-        gaps=len(gaps),
-        gap_total_s=round(sum(lengths_s), 3),
-        gap_longest_s=round(max(lengths_s), 3),
-        allows=allowed.sentence,
-        ready=allowed.ready,
-        cameras=[camera_words(camera) for camera in recording.cameras],
-    )
+        "trunk_imu": "" if recording.trunk is None else recording.trunk.imu.name,
+        "joints": list(arm.present),
+        "imu_rate_hz": _finite(imu.rate_hz),  # Median rates
+        "camera_rate_hz": _finite(arm.rate_hz),
+        "duration_s": round(float(end - start), 3),  # That IMU and camera share
+        "gaps": len(gaps),
+        "gap_total_s": round(sum(lengths_s), 3),
+        "gap_longest_s": round(max(lengths_s), 3),
+        "allows": allowed.sentence,
+        "ready": allowed.ready,  # There is no sign that no answer could be trusted
+    }
+    cameras = [_camera_words(camera) for camera in recording.cameras]
+    return figures | ({"cameras": cameras} if cameras else {})
 
 
-def camera_words(camera: Camera) -> str:
+def _camera_words(camera: Camera) -> str:
     """A further camera, in words."""
     arm = camera.arm
     rate = f" at {arm.rate_hz:.1f} Hz" if len(arm) > 1 else ""
@@ -88,7 +73,7 @@ def camera_words(camera: Camera) -> str:
     )
 
 
-def finite(value: float) -> float | None:
+def _finite(value: float) -> float | None:
     """A value to three decimals; None where there is none."""
     return round(value, 3) if math.isfinite(value) else None
 
@@ -96,51 +81,8 @@ def finite(value: float) -> float | None:
 _DEPTH = ("sensor_msgs/msg/Image", "sensor_msgs/Image", "foxglove.RawImage", "foxglove.CompressedImage")
 
 
-@dataclass(frozen=True)
-class RecordingInfo:
-    """What `unocclude info` shows."""
-
-    path: str
-    size_bytes: int
-    topics: list[dict[str, Any]]  # All topics: name, schema, count, mean rate_hz, duration_s of log times
-    imus: list[str]  # Streams found, as sentences a line each
-    skeletons: list[str]
-    poses: list[str]
-    camera_frame: str | None  # Convention of the camera's axes
-    # Per stream, first and last stamp (s) and how far log times lie behind stamps
-    clocks: dict[str, dict[str, float]]
-    missing: dict[str, str]  # By step, what is missing for it, one sentence
-    optional: dict[str, str]  # What recovering does not need, with what it would be good for
-    ready: bool  # All arms can be recovered, and there is no sign that no answer could be trusted
-    result: bool  # The file contains a recovery already
-    verdicts: list[dict[str, object]]  # On each arm of that
-    notes: list[str]  # What was dropped, decided or wrong
-    arms: list[ArmInfo]  # The arms that would be recovered
-
-    def to_dict(self) -> dict[str, object]:
-        """Plain values, fit for JSON; those of an arm are also beside them, of the first."""
-        values = asdict(self)
-        for arm in values["arms"]:
-            if not arm["cameras"]:  # of one camera nothing is said
-                del arm["cameras"]
-        first = values["arms"][0] if self.arms else _NO_ARM
-        return values | {name: first[name] for name in _NO_ARM}
-
-
-#: What is said of the first arm where there is none.
-_NO_ARM: dict[str, Any] = {
-    **dict.fromkeys(("imu", "skeleton", "side", "upper_imu", "hand_imu", "trunk_imu", "allows"), ""),
-    **dict.fromkeys(("imu_rate_hz", "camera_rate_hz", "duration_s")),
-    **dict.fromkeys(("gaps", "gap_total_s", "gap_longest_s")),
-    "joints": [],
-}
-
-
-def describe(
-    path: str | os.PathLike[str],
-    **selection: Unpack[Selection],
-) -> RecordingInfo:
-    """Describe an MCAP file; options as in `read_recordings`."""
+def describe(path: str | os.PathLike[str], **selection: Unpack[Selection]) -> Figures:
+    """What `unocclude info` shows of an MCAP file, as JSON; options as in `read_recordings`."""
     file, missing = open_recording(path), {}
     recordings: list[Recording] = []
     try:
@@ -151,44 +93,47 @@ def describe(
         missing |= _missing(one, one.arm_label if len(recordings) > 1 else "")
     arms = [describe_arm(one) for one in recordings]
     frame = recordings[0].camera_frame if recordings else file.camera_frame
-    notes = dict.fromkeys(note for one in recordings for note in one.notes) if recordings else file.notes
-    return RecordingInfo(
-        path=str(file.path),
-        size_bytes=Path(path).stat().st_size,
-        topics=[
+    first = arms[0] if arms else _NO_ARM
+    return {
+        "path": str(file.path),
+        "size_bytes": Path(path).stat().st_size,
+        "topics": [
             {"name": each.name, "schema": each.schema, "count": each.count}
             | {"rate_hz": _rate_hz(file, each), "duration_s": round(each.duration_s, 3)}
             for each in file.topics
         ],
-        imus=[
+        "imus": [
             f"{stream.topic}: {len(stream.stamp_ns)} samples, {role(stream) or 'no limb named'}"
             + (f", {at}" if (at := named_side(stream.topic, stream.frame_id)) else "")
             + (", magnetometer" if stream.mag is not None else "")
             for stream in file.imus
         ],
-        skeletons=[
+        "skeletons": [
             f"{arm.label}: {len(arm.stamp_ns)} frames, forearm tracked in {arm.tracked}" for arm in file.arms
         ],
-        poses=[f"{poses.topic}: {len(poses.stamp_ns)} poses" for poses in file.poses],
-        camera_frame=None if frame is None else str(frame),
-        clocks=_clocks(file),
-        missing=missing,
-        optional=_optional(file, recordings[0] if recordings else None),
-        ready=bool(arms) and all(arm.ready for arm in arms),
-        result=any(RESULT in name for name in file.metadata),
-        verdicts=[
+        "poses": [f"{poses.topic}: {len(poses.stamp_ns)} poses" for poses in file.poses],
+        "camera_frame": None if frame is None else str(frame),
+        "clocks": _clocks(file),
+        "missing": missing,  # By step, one sentence
+        "optional": _optional(file, recordings[0] if recordings else None),
+        "ready": bool(arms) and all(arm["ready"] for arm in arms),
+        "result": any(RESULT in name for name in file.metadata),  # The file contains a recovery already
+        "verdicts": [
             {"arm": arm, "trusted": stated.trusted, "verdict": stated.verdict}
             | {"untrusted": [plain(each) for each in stated.untrusted]}
             for arm, stated in stated_estimates(file.metadata).items()
         ],
-        notes=list(notes),
-        arms=arms,
-    )
+        "notes": list(
+            dict.fromkeys(n for one in recordings for n in one.notes) if recordings else file.notes
+        ),
+        "arms": arms,
+        **{name: first[name] for name in _NO_ARM},
+    }
 
 
 def _rate_hz(file: RecordingFile, topic: Topic) -> float | None:
     """Mean rate of a topic; messages of one frame (of an arm or a body each) count once."""
-    rate_hz = finite(topic.rate_hz)
+    rate_hz = _finite(topic.rate_hz)
     stamps = [arm.stamp_ns for arm in file.arms if arm.topic == topic.name]
     if rate_hz is None or not stamps:
         return rate_hz

@@ -145,7 +145,7 @@ def test_the_rate_of_frames_whose_arms_are_messages_of_their_own(
     both = [rows[0], *(line for row in rows[1:] for line in (row, row.replace("_right", "_left")))]
     (folder / "skeleton.csv").write_text("\n".join(both) + "\n")
     write_recording(open_csv(folder), tmp_path / "a.mcap")
-    (row,) = [topic for topic in describe(tmp_path / "a.mcap").topics if topic["name"] == "/skeleton"]
+    (row,) = [topic for topic in describe(tmp_path / "a.mcap")["topics"] if topic["name"] == "/skeleton"]
     assert row["count"] == 2 * len(recording.arm) and row["rate_hz"] == pytest.approx(30, rel=0.01)
 
 
@@ -173,7 +173,7 @@ def test_streams_that_are_not_there(recording: Recording, tmp_path: Path) -> Non
     write_recording(file, tmp_path / "b.mcap")
     with pytest.raises(RecordingError, match=r"b\.mcap has no skeleton"):
         read_recording(tmp_path / "b.mcap")
-    assert "no skeleton" in describe(tmp_path / "b.mcap").missing["smooth"]
+    assert "no skeleton" in describe(tmp_path / "b.mcap")["missing"]["smooth"]
 
 
 def test_a_damaged_metadata_record_is_one_sentence(recording: Recording, tmp_path: Path) -> None:
@@ -201,12 +201,12 @@ def test_isolated_bad_samples_are_dropped_and_counted(recording: Recording, tmp_
 def test_info_says_what_is_missing(recording: Recording, tmp_path: Path) -> None:
     write_recording(recording, tmp_path / "a.mcap")
     info = describe(tmp_path / "a.mcap")
-    (arm,) = info.arms
-    assert (arm.imu, arm.side, arm.gaps) == ("/imu/forearm_right", "right", 2)
-    assert not info.missing
-    assert "images or depth" in info.optional and "truth" not in info.optional
-    assert (plain := json.loads(json.dumps(info.to_dict())))["topics"][0]["count"] > 0
-    assert plain["imu"] == arm.imu and plain["gaps"] == 2
+    (arm,) = info["arms"]
+    assert (arm["imu"], arm["side"], arm["gaps"]) == ("/imu/forearm_right", "right", 2)
+    assert not info["missing"]
+    assert "images or depth" in info["optional"] and "truth" not in info["optional"]
+    assert (plain := json.loads(json.dumps(info)))["topics"][0]["count"] > 0
+    assert plain["imu"] == arm["imu"] and plain["gaps"] == 2
 
 
 def test_importing_is_light() -> None:
