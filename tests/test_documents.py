@@ -5,7 +5,6 @@ from __future__ import annotations
 import ast
 import re
 import shlex
-import sys
 import tomllib
 from collections import Counter
 from collections.abc import Iterator
@@ -214,49 +213,9 @@ def test_figures_of_the_readme_are_those_of_the_results():
         assert row and any(Counter(row) <= Counter(other) for other in results), row
 
 
-def test_pages_without_a_list_are_listed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.syspath_prepend(str(ROOT / "docs" / "_ext"))
-    import written_at_build
-
-    (folder := tmp_path / "docs").mkdir()
-    (tmp_path / "README.md").write_text("[first](docs/later.md), [second](docs/also.md)")
-    (folder / "index.md").write_text("```{toctree}\nhowto\nTitle <named>\n```\n")
-    for name in ("howto", "named", "later", "also", "unlinked"):
-        (folder / f"{name}.md").write_text(f"# {name}\n")
-    assert "\nlater\nalso\nunlinked\n" in written_at_build.other_pages(folder)
-    assert "named" not in written_at_build.other_pages(folder)
-    for name in ("later", "also", "unlinked"):
-        (folder / f"{name}.md").unlink()
-    assert written_at_build.other_pages(folder) == ""
-    text = written_at_build.commands()
-    assert "## unocclude smooth\n" in text and "## unocclude calibrate panel\n" in text
-    assert "`--max-sigma-m M`" in text
-    assert "joint_sigma_m = " in written_at_build.settings()
-    sys.modules.pop("written_at_build")
-
-
-def test_pictures_are_small_and_whole():
-    from xml.dom import minidom
-
-    pictures = [path for path in (ROOT / "docs" / "pictures").iterdir() if path.suffix in (".svg", ".webp")]
-    assert len(pictures) >= 5
-    for path in pictures:
-        assert path.stat().st_size < 150_000, path
-        if path.suffix == ".svg":
-            minidom.parse(str(path))
-
-
 def blocks(document: str, language: str) -> list[str]:
     """Code blocks of a document in a language."""
     return [block for own, block in split(text_of(document))[0] if own == language]
-
-
-def test_the_readme_is_one_screen_and_begins_with_two_commands():
-    text = text_of("README.md")
-    assert len(text.splitlines()) <= 90
-    assert "CITATION.cff" in text and "What this is not" in text
-    assert re.search(r"[^!]\[\**([^]*]*)", text)[1] == "Which number do I report?"  # the first link
-    assert "\n".join(blocks("README.md", "sh")).split("\n")[:2] == ["make demo", "make test"]
 
 
 @pytest.mark.slow

@@ -229,7 +229,7 @@ def write_calibration(
 
 #: Settings of an arm that each person draws for themselves, or that a crowd has no use for.
 _NOT_OURS = (
-    *("side", "strap", "belly", "frozen_gaps", "swapped_gaps", "still_all"),
+    *("side", "strap", "frozen_gaps", "swapped_gaps", "still_all"),
     *("cameras", "camera_clock_s", "camera_clock_ppm", "camera_blind", "camera_fault", "rgb", "rgb_noise_px"),
 )
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
+from scipy.interpolate import make_interp_spline
 from scipy.spatial.transform import Rotation
 
 from ..array_types import BoolArray, FloatArray
@@ -16,9 +17,9 @@ from ..recording import Camera, CameraFrame, ImuStream, Recording, TrunkSensors,
 from .camera import add_cameras, add_noise, deliver, exposures, film, is_rgb, occlusions, shoot
 from .config import ArmSimulation
 from .inertial import (
+    Mount,
     Pose,
     SegmentImuMotion,
-    SegmentMount,
     TrunkImuMotion,
     draw_hand_mount,
     draw_trunk_axes,
@@ -60,11 +61,6 @@ class SimulatedArm:
     # Of the IMUs on further segments, by the segment's name
     further_motions: dict[str, SegmentImuMotion] = field(default_factory=dict)
     trunk_motion: TrunkImuMotion | None = None  # Of the trunk's IMU, where there is one
-
-    @property
-    def upper_motion(self) -> SegmentImuMotion | None:
-        """Of the upper-arm IMU; None without one."""
-        return self.further_motions.get("upper_arm")
 
 
 def given(positions: dict[str, FloatArray]) -> dict[str, LeverArm]:
@@ -143,40 +139,34 @@ def record_arm(
     further: dict[str, ImuStream] = {}
     mountings: dict[str, SegmentMounting] = {}
 
-    def wear(
-        segment: str, bone: Pose, mount: SegmentMount, wobble: FloatArray, rng: np.random.Generator
-    ) -> None:
-        motions[segment] = SegmentImuMotion(bone, mount, performance.t_s, wobble)
+    def wear(segment: str, bone: Pose, mount: Mount, wobble: FloatArray, rng: np.random.Generator) -> None:
+        worn = SegmentImuMotion(bone, mount, make_interp_spline(performance.t_s, wobble, k=5))
+        name, prefix = f"/imu/{segment}_{config.side}", SEGMENTS[segment].prefix
         further[segment], drawn = measure_worn(
-            f"/imu/{segment}_{config.side}",
-            SEGMENTS[segment].prefix,
-            motions[segment].imu_pose,
-            performance.duration_s,
-            stage.gravity,
-            config,
-            rng,
+            name, prefix, worn.imu_pose, performance.duration_s, stage.gravity, config, rng
         )
+        motions[segment] = worn
         parameters.update(drawn)
 
     if "upper-arm" in config.imus:
         upper_wobble = draw_wobble(performance, config.upper_wobble_deg, upper_wobble_rng)
-        mount = draw_upper_mount(measures, config.side, upper_rng)
-        joints = {"elbow": 0.0, "shoulder": -measures.upper_arm}
-        mountings["upper_arm"] = SegmentMounting(given(mount.levers(joints)), R_bone=mount.R_U_B)
+        mount = draw_upper_mount(measures, upper_rng)
         wear("upper_arm", motion.upper_arm, mount, upper_wobble, upper_rng)
+        levers = motions["upper_arm"].levers({"elbow": 0.0, "shoulder": -measures.upper_arm})
+        # to axes with y towards the shoulder, z to the lateral epicondyle
+        lateral = -1.0 if config.side == "left" else 1.0
+        R_U_B = np.asarray(np.diag([-lateral, -1.0, lateral]) @ mount[1])
+        mountings["upper_arm"] = SegmentMounting(given(levers), R_bone=R_U_B)
     if "hand" in config.imus:
         hand_wobble = draw_wobble(performance, 0.5 * config.wobble_deg, hand_rng)
-        mount = draw_hand_mount(measures, config.side, hand_rng)
-        mountings["hand"] = SegmentMounting(given(mount.levers({"wrist": 0.0, "hand": measures.hand})))
-        wear("hand", motion.hand, mount, hand_wobble, hand_rng)
+        wear("hand", motion.hand, draw_hand_mount(measures, hand_rng), hand_wobble, hand_rng)
+        levers = motions["hand"].levers({"wrist": 0.0, "hand": measures.hand})
+        mountings["hand"] = SegmentMounting(given(levers))
 
     times = exposures(performance.duration_s, config.frame_rate_hz, stamp_rng)
     hidden = occlusions(motion, times, config, gap_rng)
     if config.protocol == "random" and not config.still_all:
         hidden |= times >= performance.duration_s - config.end_gap_s
-    before_belly = np.zeros(len(times), dtype=bool)
-    for begin, end in performance.belly_s:
-        before_belly |= (times >= begin) & (times < end) & ~hidden
     same_stamps = deepcopy(stamp_rng)
     tracks, delivered, drawn = shoot(
         config,
@@ -185,7 +175,6 @@ def record_arm(
         hidden,
         (noise_rng, gap_rng, stamp_rng),
         flat=is_rgb(config, first=True),
-        belly=before_belly,
         other=film(times, motion.other_arm(times)).position,
     )
     parameters |= drawn

@@ -157,35 +157,24 @@ def occlusions(
 def lose_forearm(
     footage: Footage, hidden: BoolArray, true: FloatArray, config: ArmSimulation, rng: np.random.Generator
 ) -> None:
-    """Set the forearm's joints to the configured state in the hidden frames (F,); `true` as in `Footage`."""
+    """Set the forearm's joints to the configured state in the hidden frames (F,); `true` as in `Footage`.
+
+    An inferred joint gets a wandering wrong guess.
+    """
     lag = rng.uniform(0, config.elbow_lag_s * config.frame_rate_hz, len(runs(hidden)) + 1).round().astype(int)
     lost = np.repeat(hidden[:, None], len(_FOREARM), axis=1)
     for gap, frames in zip(runs(hidden), lag, strict=False):
         # The lag never eats a gap up: a third of it is the most.
         lost[gap.start : gap.start + min(int(frames), (gap.stop - gap.start) // 3), 0] = False
-    _set_state(footage, lost, true, config.occluded_state, config, rng)
-    blind = hidden & (rng.uniform(size=len(hidden)) < config.shoulder_lost)
-    footage.state[blind, _SHOULDER] = JointState.NOT_TRACKED
-
-
-def _set_state(
-    footage: Footage,
-    lost: BoolArray,
-    true: FloatArray,
-    state: str,
-    config: ArmSimulation,
-    rng: np.random.Generator,
-) -> None:
-    """Set the state of forearm joints where `lost` (F, 4); an inferred joint gets a wandering wrong guess."""
-    if state == "tracked":
-        return
     guess = true[:, _FOREARM] + correlated_noise(
         len(lost), 3 * len(_FOREARM), config.inferred_error_m, 0.5, 1 / config.frame_rate_hz, rng
     ).reshape(len(lost), len(_FOREARM), 3)
     for column, joint in enumerate(_FOREARM):
         where = lost[:, column] & (footage.state[:, joint] != JointState.NOT_TRACKED)
-        footage.state[where, joint] = JointState[state.upper()]
+        footage.state[where, joint] = JointState[config.occluded_state.upper()]
         footage.position[where, joint] = guess[where, column]
+    blind = hidden & (rng.uniform(size=len(hidden)) < config.shoulder_lost)
+    footage.state[blind, _SHOULDER] = JointState.NOT_TRACKED
 
 
 def add_false_tracks(
@@ -255,14 +244,13 @@ def shoot(
     rngs: tuple[np.random.Generator, np.random.Generator, np.random.Generator],
     name: str = "simulated",
     flat: bool = False,
-    belly: BoolArray | None = None,
     other: FloatArray | None = None,
     spoil: Callable[[FloatArray], FloatArray] = lambda position: position,
 ) -> tuple[JointTracks, BoolArray, dict[str, Any]]:
     """What a camera states of joints, by frame (F, 3): the tracks, which frames remain (F,), what was drawn.
 
-    `rngs` are of the noise, the gaps and the stamps; `flat`: without depth; `belly` (F,): frames with the
-    forearm before the belly; `other`: joints (F, 5, 3) of the other arm, for occlusions that look tracked.
+    `rngs` are of the noise, the gaps and the stamps; `flat`: without depth; `other`: joints (F, 5, 3) of the
+    other arm, for occlusions that look tracked.
     """
     noise_rng, gap_rng, stamp_rng = rngs
     footage = film(t_s, joints)
@@ -270,9 +258,6 @@ def shoot(
     # without depth: the joints' constant errors alone, in space
     nothing = {"noise_m": 0.0, "noise_depth_m": 0.0, "noise_correlated_m": 0.0, "joint_slow_m": ()}
     drawn = add_noise(footage, config.model_copy(update=nothing) if flat else config, noise_rng)
-    if belly is not None:
-        lost = np.repeat(belly[:, None], len(_FOREARM), axis=1)
-        _set_state(footage, lost, true, config.belly, config, gap_rng)
     lose_forearm(footage, hidden, true, config, gap_rng)
     if other is not None:
         drawn |= add_false_tracks(footage, hidden, other, config, gap_rng)

@@ -76,8 +76,6 @@ class SensorErrors(Settings):
     gyroscope_walk: float = size(5e-05, "bias walk, rad/s/sqrt(s)")
     imu_scale: float = size(0.0, "sigma of each axis' scale error, 0.003 = 0.3 %")
     imu_misalignment_deg: float = size(0.0, "sigma of each cross-axis angle, degrees")
-    accelerometer_range: float | None = setting(None, "saturates at +- this, m/s^2", gt=0)
-    gyroscope_range: float | None = setting(None, "saturates at +- this, rad/s", gt=0)
 
     @classmethod
     def _changes(cls, name: Preset) -> dict[str, Any]:
@@ -139,9 +137,6 @@ class ArmSimulation(SensorErrors):
     )
     inferred_error_m: float = size(0.06, "error of an inferred position, m per axis")
     elbow_lag_s: float = size(0.1, "the elbow stays tracked up to this much longer, s")
-    belly: Literal["tracked", "inferred", "not_tracked"] = setting(
-        "tracked", "the forearm's joints while it is in front of the belly"
-    )
     shoulder_lost: float = size(0.0, "fraction of occluded frames without shoulder", le=1)
     frozen_gaps: float = size(0.0, "fraction of occlusions where joints stand still", le=1)
     swapped_gaps: float = size(0.0, "fraction of occlusions with the arms swapped", le=1)

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from scipy.interpolate import make_interp_spline
+from scipy.interpolate import BSpline
 from scipy.spatial.transform import Rotation
 
 from ..array_types import FloatArray
@@ -69,9 +69,7 @@ def _sensor(
     sensor: str, true: FloatArray, errors: SensorErrors, rng: np.random.Generator
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """One triaxial sensor: its samples (N, 3), its bias (N, 3) and its matrix (3, 3) of scale and axes."""
-    density, bias, walk, limit = (
-        getattr(errors, f"{sensor}_{error}") for error in ("noise", "bias", "walk", "range")
-    )
+    density, bias, walk = (getattr(errors, f"{sensor}_{error}") for error in ("noise", "bias", "walk"))
     rate_hz = errors.imu_rate_hz
     matrix = np.eye(3) + np.diag(errors.imu_scale * rng.normal(size=3))
     cross = np.radians(errors.imu_misalignment_deg) * rng.normal(size=(3, 3))
@@ -79,10 +77,7 @@ def _sensor(
     steps = walk / np.sqrt(rate_hz) * rng.normal(size=true.shape)
     drift = bias * rng.normal(size=3) + np.cumsum(steps, axis=0)
     noise = density * np.sqrt(rate_hz) * rng.normal(size=true.shape)
-    measured = true @ matrix.T + drift + noise
-    if limit is not None:
-        measured = np.clip(measured, -limit, limit)
-    return measured, drift, matrix
+    return true @ matrix.T + drift + noise, drift, matrix
 
 
 def measure(
@@ -90,7 +85,7 @@ def measure(
 ) -> tuple[ImuStream, dict[str, Any]]:
     """The samples with the sensor's errors.
 
-    The model is measured = matrix @ true + bias + noise, then saturation. A noise density d gives samples a
+    The model is measured = matrix @ true + bias + noise. A noise density d gives samples a
     standard deviation of d * sqrt(rate). What was drawn is returned by name, SI units: biases, their means
     (3,) and their course `..._bias_t` (N, 3), and matrices (3, 3).
     """
@@ -104,69 +99,53 @@ def measure(
     return imu, parameters
 
 
-@dataclass(frozen=True)
-class SegmentMount:
-    """How the IMU sits on a segment whose y axis lies along it; its origin is the joint with the forearm."""
-
-    # (3,) m: The IMU in the segment's axes ({U} as in `body` points from the shoulder to the elbow)
-    in_segment: FloatArray
-    axes: FloatArray  # (3, 3): maps a vector from the IMU's axes to the segment's
-    side: str  # Whose segment it is
-
-    def levers(self, joints: Mapping[str, float]) -> dict[str, FloatArray]:
-        """Joints (3,) in the IMU's axes, m, by where they are along y; of an IMU that sits as put on."""
-        return {
-            joint: self.axes.T @ (np.array([0.0, along, 0.0]) - self.in_segment)
-            for joint, along in joints.items()
-        }
-
-    @property
-    def R_U_B(self) -> FloatArray:
-        """On an upper arm, to axes with y towards the shoulder, z to the lateral epicondyle, (3, 3)."""
-        lateral = -1.0 if self.side == "left" else 1.0
-        return np.asarray(np.diag([-lateral, -1.0, lateral]) @ self.axes)
+#: Where an IMU is in a segment's axes, (3,) m, and (3, 3) from its own axes to the segment's.
+Mount = tuple[FloatArray, FloatArray]
 
 
-def draw_upper_mount(measures: BodyMeasures, side: str, rng: np.random.Generator) -> SegmentMount:
+def draw_upper_mount(measures: BodyMeasures, rng: np.random.Generator) -> Mount:
     """Somewhere in the middle of the upper arm's outer side, turned as it comes."""
     roll = Rotation.from_euler("y", rng.uniform(-60, 60), degrees=True)
     axes = roll * Rotation.from_euler("z", rng.uniform(-180, 180), degrees=True)
     tilt = Rotation.from_rotvec(rng.normal(0, 5, 3), degrees=True)
     along = -rng.uniform(0.35, 0.6) * measures.upper_arm
     off = roll.apply([0.0, 0.0, rng.uniform(0.040, 0.055)])
-    return SegmentMount(off + np.array([0.0, along, 0.0]), (axes * tilt).as_matrix(), side)
+    return off + np.array([0.0, along, 0.0]), (axes * tilt).as_matrix()
 
 
-def draw_hand_mount(measures: BodyMeasures, side: str, rng: np.random.Generator) -> SegmentMount:
+def draw_hand_mount(measures: BodyMeasures, rng: np.random.Generator) -> Mount:
     """On the back of the hand (x of {F}), about its middle, turned as it comes."""
     face = Rotation.from_matrix([[0, 0, 1], [1, 0, 0], [0, 1, 0]])  # z of the IMU along x
     turn = Rotation.from_euler("z", rng.uniform(-180, 180), degrees=True)
     tilt = Rotation.from_rotvec(rng.normal(0, 6, 3), degrees=True)
     place = np.array([rng.uniform(0.018, 0.026), rng.uniform(0.5, 0.9) * measures.hand, rng.normal(0, 0.006)])
-    return SegmentMount(place, (face * turn * tilt).as_matrix(), side)
+    return place, (face * turn * tilt).as_matrix()
 
 
+@dataclass(frozen=True)
 class SegmentImuMotion:
-    """The IMU on a segment of an arm in motion; the tissue turns it about the bone's axis beneath it."""
+    """The IMU on a segment of an arm in motion; the tissue turns it about the bone's axis beneath it.
 
-    def __init__(
-        self,
-        bone: Pose,
-        mount: SegmentMount,
-        t_s: FloatArray,
-        wobble: FloatArray,
-    ) -> None:
-        self.mount, self._bone = mount, bone
-        self._wobble = make_interp_spline(t_s, wobble, k=5)
+    The segment's y axis lies along it ({U} as in `body` points from the shoulder to the elbow); its origin is
+    the joint with the forearm.
+    """
+
+    bone: Pose  # Of the segment: its origin (N, 3) m in {K}, and its axes (N, 3, 3)
+    mount: Mount
+    wobble: BSpline  # (N, 3) rad
+
+    def levers(self, joints: Mapping[str, float]) -> dict[str, FloatArray]:
+        """Joints (3,) in the IMU's axes, m, by where they are along y; of an IMU that sits as put on."""
+        place, axes = self.mount
+        return {joint: axes.T @ (np.array([0.0, along, 0.0]) - place) for joint, along in joints.items()}
 
     def imu_pose(self, t_s: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Orientation (N, 3, 3) from the IMU's axes to {K}, and its position (N, 3) m in {K}."""
-        origin, R_K_S = self._bone(t_s)
-        tissue = Rotation.from_rotvec(self._wobble(t_s)).as_matrix()
-        beneath = self.mount.in_segment * [0.0, 1.0, 0.0]
-        in_segment = beneath + tissue @ (self.mount.in_segment - beneath)
-        position = origin + np.einsum("nij,nj->ni", R_K_S, in_segment)
-        return R_K_S @ tissue @ self.mount.axes, position
+        (origin, R_K_S), (place, axes) = self.bone(t_s), self.mount
+        tissue = Rotation.from_rotvec(self.wobble(t_s)).as_matrix()
+        beneath = place * [0.0, 1.0, 0.0]
+        in_segment = beneath + tissue @ (place - beneath)
+        return R_K_S @ tissue @ axes, origin + np.einsum("nij,nj->ni", R_K_S, in_segment)
 
 
 def measure_worn(

@@ -120,7 +120,6 @@ class PlannedMovement:
     through: FloatArray  # (V, D): points passed without a stop; the last is where it ends
     duration_s: float  # From the start of the movement to its end
     hold_s: float  # Rest after it
-    label: str = ""  # What the movement and its hold are for
 
     @property
     def length_s(self) -> float:
@@ -243,35 +242,26 @@ class Performance:
     t_s: FloatArray  # (N,) s: knots, from a little before the start to a little after the end
     posture: FloatArray  # (N, 8): joint angles of a right arm, columns as in `body`
     sway: FloatArray  # (N, 3) m: shift of the whole trunk in {T}
-    belly_s: FloatArray  # (B, 2) s: from when to when the forearm is before the belly
-
-
-def _move(
-    names: tuple[str, ...], seconds: float, hold: float, label: str, speed: float, rng: np.random.Generator
-) -> PlannedMovement:
-    """A movement through named postures, each a little different from its name."""
-    points = np.array([posture(name) for name in names]) + _SPREAD * rng.normal(size=(len(names), 8))
-    return PlannedMovement(
-        points, seconds * rng.uniform(0.9, 1.15) / speed, hold * rng.uniform(0.8, 1.3), label
-    )
 
 
 def _behind(repetitions: int, speed: float, rng: np.random.Generator) -> list[PlannedMovement]:
     """The clinical protocol: held pose, behind the head and back, belly, behind the back and back."""
     movements = []
     tempo = speed * rng.uniform(0.9, 1.25)  # some people are brisk
-
-    def move(names: str, seconds: float, hold: float, label: str = "") -> None:
-        movements.append(_move(tuple(names.split()), seconds, hold, label, tempo, rng))
-
-    for _ in range(repetitions):
-        move("beside_head behind_head", 1.3, 0.15)
-        move("on_nape", 0.6, 0.15)
-        move("beside_head initial", 1.3, 1.6)
-        move("belly", 1.3, 1.6, "belly")
-        move("side behind_back", 1.6, 0.1)
-        move("up_the_back", 0.6, 0.1)
-        move("side initial", 1.7, 2.0)
+    for names, seconds, hold_s in repetitions * (
+        ("beside_head behind_head", 1.3, 0.15),
+        ("on_nape", 0.6, 0.15),
+        ("beside_head initial", 1.3, 1.6),
+        ("belly", 1.3, 1.6),
+        ("side behind_back", 1.6, 0.1),
+        ("up_the_back", 0.6, 0.1),
+        ("side initial", 1.7, 2.0),
+    ):
+        # each posture is a little different from its name
+        points = np.array([posture(name) for name in names.split()])
+        points += _SPREAD * rng.normal(size=points.shape)
+        length_s = seconds * rng.uniform(0.9, 1.15) / tempo
+        movements.append(PlannedMovement(points, length_s, hold_s * rng.uniform(0.8, 1.3)))
     return movements
 
 
@@ -306,9 +296,9 @@ def perform(config: ArmSimulation, rng: np.random.Generator) -> Performance:
         movements = [PlannedMovement(hang[None], config.still_start_s, 0.0), lift, *movements]
         start = hang
 
-    ends = np.cumsum([m.length_s for m in movements])
-    duration = float(ends[-1]) if config.protocol == "behind" else config.duration_s
-    belly = [(end - m.length_s, end) for m, end in zip(movements, ends, strict=True) if m.label == "belly"]
+    duration = config.duration_s
+    if config.protocol == "behind":
+        duration = float(np.cumsum([m.length_s for m in movements])[-1])
     t_s = knot_times(duration)
     if config.still_all:
         movements, start = [], hang
@@ -328,7 +318,7 @@ def perform(config: ArmSimulation, rng: np.random.Generator) -> Performance:
     tremor = config.tremor_rad * band_noise(t_s, 7.0, 11.0, 5, rng)
     angles[:, SHOULDER.start :] += alive[:, None] * tremor
     sway = alive[:, None] * config.sway_m * band_noise(t_s, 0.05, 0.4, 3, rng)
-    return Performance(duration, t_s, angles, sway, np.array(belly).reshape(-1, 2))
+    return Performance(duration, t_s, angles, sway)
 
 
 #: What the trunk turns about, between the hips, m in {T}.

@@ -50,10 +50,6 @@ class PanelSimulation(Settings):
         min_length=3,
     )
     extent: tuple[Point, Point] = setting(((-0.05, -0.05), (0.55, 0.4)), "corners of the panel, m in {P}")
-    extra_markers: tuple[Point, ...] = setting(
-        (), "bright spots on the panel that its definition does not have, m in {P}"
-    )
-    hidden_markers: tuple[int, ...] = setting((), "markers that the camera cannot see")
     marker_shape: Literal["disc", "sphere"] = "disc"
     marker_height_m: float = size(0.0, "centre of a spherical marker above the panel, m", le=0.1)
     marker_diameter_m: float = setting(0.016, "of a marker, m", gt=0.002, le=0.06)
@@ -117,10 +113,8 @@ class PanelSimulation(Settings):
         (x0, y0), (x1, y1) = self.extent
         if x0 >= x1 or y0 >= y1:
             raise ValueError("extent must go from the lower to the upper corner")
-        if not all(x0 <= x <= x1 and y0 <= y <= y1 for x, y in self.markers + self.extra_markers):
+        if not all(x0 <= x <= x1 and y0 <= y <= y1 for x, y in self.markers):
             raise ValueError("a marker lies outside the panel's extent")
-        if any(not 0 <= index < len(self.markers) for index in self.hidden_markers):
-            raise ValueError("hidden_markers names a marker that is not there")
         return self
 
     @property
@@ -234,13 +228,12 @@ class PanelScene:
         rng: np.random.Generator,
     ) -> None:
         self.config, self.R_K_P, self.p_K_P = config, R_K_P, p_K_P
-        self.shown = [m for i, m in enumerate(config.markers) if i not in config.hidden_markers]
-        self.spots = np.array([*config.markers, *config.extra_markers])
+        self.spots = np.array(config.markers)
         self._caster, self._kinds = load_open3d().t.geometry.RaycastingScene(), list[str]()
         (x0, y0), (x1, y1) = config.extent
         box = load_open3d().geometry.TriangleMesh.create_box(x1 - x0, y1 - y0, _BOARD_M)
         self.add("board", box.translate([x0, y0, -_BOARD_M]), on_panel=True)
-        for marker in self.shown if config.marker_shape == "sphere" else ():
+        for marker in config.markers if config.marker_shape == "sphere" else ():
             centre = np.append(marker, config.marker_height_m)
             self.add("marker", _sphere(config.marker_diameter_m / 2, centre, 40), on_panel=True)
         self.add("floor", _plane(R_K_W @ [0, 0, 1.0], R_K_W @ [0, 0, FLOOR_M]))
@@ -288,10 +281,10 @@ class PanelScene:
 
     def _on_a_disc(self, rays: FloatArray, z: FloatArray) -> BoolArray:
         """Which hits on the board are on a flat marker: exact circles, not triangles."""
-        discs = self.shown if self.config.marker_shape == "disc" else []
+        discs = self.config.markers if self.config.marker_shape == "disc" else ()
         on_board = (np.column_stack([rays * z[:, None], z]) - self.p_K_P) @ self.R_K_P
         on_a_disc = np.zeros(len(z), bool)
-        for spot in (*discs, *self.config.extra_markers):
+        for spot in discs:
             away = on_board[:, :2] - spot
             on_a_disc |= (away**2).sum(axis=1) <= (self.config.marker_diameter_m / 2) ** 2
         return on_a_disc & (np.abs(on_board[:, 2]) < 1e-4)

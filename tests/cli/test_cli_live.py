@@ -14,8 +14,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from commands import done, refused
-from live_answers import INFO
-from live_engine import CameraEcho
+from live_engine import INFO, CameraEcho
 from made_recordings import make
 
 import smoother.live.smoother

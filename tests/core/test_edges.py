@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scenes import ALONE, OVER_CONFIDENT, Scene, arm, assert_accurate, point, recovered, without_frames
+from scenes import ALONE, OVER_CONFIDENT, Scene, arm, assert_accurate, point, recovered
 
 from smoother.errors import SolveError
 from smoother.evaluation.advice import advice
@@ -27,7 +27,7 @@ def open_ended(request: pytest.FixtureRequest) -> Scene:
     made = arm(1) if request.param == "arm" else point(1)
     t = made.recording.arm.t_s
     hidden = (t < t[0] + OPEN_S) | (t > t[-1] - OPEN_S)
-    return recovered(made, without_frames(made.recording, hidden))
+    return recovered(made, replace(made.recording, arm=made.recording.arm.hide(hidden)))
 
 
 def test_open_gaps_are_marked(open_ended: Scene) -> None:
@@ -132,30 +132,20 @@ def test_a_recording_that_starts_late_and_drops_frames() -> None:
     assert_accurate(recovered(made, moved))
 
 
-def test_nothing_seen_is_one_sentence() -> None:
-    made = point(0, duration_s=5.0, occlusion_lengths_s=())
-    state = np.full_like(made.recording.arm.state, JointState.INFERRED)
-    recording = replace(made.recording, arm=replace(made.recording.arm, state=state))
-    with pytest.raises(SolveError, match="never tracked"):
+@pytest.mark.parametrize("sentence", ["never tracked", "overlap"])
+def test_nothing_seen_and_clocks_that_never_meet_are_one_sentence(sentence: str) -> None:
+    recording = point(0, duration_s=5.0, occlusion_lengths_s=()).recording
+    if sentence == "overlap":
+        recording = replace(recording, imu=replace(recording.imu, t_s=recording.imu.t_s + 1000.0))
+    else:
+        state = np.full_like(recording.arm.state, JointState.INFERRED)
+        recording = replace(recording, arm=replace(recording.arm, state=state))
+    with pytest.raises(SolveError, match=sentence):
         smooth(recording, None, ALONE)
-
-
-def test_clocks_that_never_meet_are_one_sentence() -> None:
-    made = point(0, duration_s=5.0, occlusion_lengths_s=())
-    late = replace(made.recording.imu, t_s=made.recording.imu.t_s + 1000.0)
-    with pytest.raises(SolveError, match="overlap"):
-        smooth(replace(made.recording, imu=late), None, ALONE)
 
 
 def sound(seed: int = 0, duration_s: float = 30.0) -> Recording:
     return arm(seed, protocol="random", duration_s=duration_s).recording
-
-
-def dropping_out(recording: Recording, every_s: float, lost_s: float) -> Recording:
-    """The same without the IMU's samples of the first moments of each period."""
-    return replace(
-        recording, imu=recording.imu.select(np.mod(recording.imu.t_s, every_s) > lost_s), truth=None
-    )
 
 
 def position_errors(recovery, truth: Truth) -> tuple[np.ndarray, float]:
@@ -171,7 +161,8 @@ def position_errors(recovery, truth: Truth) -> tuple[np.ndarray, float]:
 def test_a_sensor_that_drops_out_again_and_again() -> None:
     """Its own place on the arm is hardly known, which sigma and verdict say; the joints are right."""
     recording = sound(1)
-    recovery = smooth(dropping_out(recording, 1.0, 0.15), processes=1)
+    kept = recording.imu.select(np.mod(recording.imu.t_s, 1.0) > 0.15)
+    recovery = smooth(replace(recording, imu=kept, truth=None), processes=1)
     _, nees = position_errors(recovery, recording.truth)
     assert nees < 2.0
     assert any("drops out every" in caution for caution in recovery.estimates.cautions)

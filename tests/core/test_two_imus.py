@@ -82,7 +82,7 @@ def test_the_upper_arms_pose_and_the_shoulders_angles(made: SimulatedArm, two: R
     known = np.flatnonzero(np.isfinite(two.upper.position[:, 0]))
     assert len(known) > 0.99 * len(two)
     part = two.rows(known)
-    R, position = made.upper_motion.imu_pose(part.t_s)
+    R, position = made.further_motions["upper_arm"].imu_pose(part.t_s)
     turn = Rotation.from_quat(part.upper.quaternion, scalar_first=True) * Rotation.from_matrix(R).inv()
     assert np.sqrt(np.mean(np.sum((part.upper.position - position) ** 2, axis=1))) < 0.006
     assert np.degrees(turn.magnitude()).max() < 1.5

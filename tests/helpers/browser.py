@@ -143,12 +143,6 @@ class Browser:
             button = {} if kind == "mouseMoved" else {"button": "left", "clickCount": 1}
             self.call("Input.dispatchMouseEvent", type=kind, x=x, y=y, **button)
 
-    def drag(self, x: float, y: float, to_x: float, to_y: float) -> None:
-        """Drag with the mouse."""
-        self.call("Input.dispatchMouseEvent", type="mousePressed", x=x, y=y, button="left", clickCount=1)
-        self.call("Input.dispatchMouseEvent", type="mouseMoved", x=to_x, y=to_y, button="left", buttons=1)
-        self.call("Input.dispatchMouseEvent", type="mouseReleased", x=to_x, y=to_y, button="left")
-
     def touch(self, path: list[tuple[float, float]]) -> None:
         """Drag with a finger."""
         (x, y), *rest = path
@@ -156,10 +150,6 @@ class Browser:
         for x, y in rest:
             self.call("Input.dispatchTouchEvent", type="touchMove", touchPoints=[{"x": x, "y": y}])
         self.call("Input.dispatchTouchEvent", type="touchEnd", touchPoints=[])
-
-    def screenshot(self, whole: bool = False) -> bytes:
-        """The window, or the whole page, as PNG."""
-        return base64.b64decode(self.call("Page.captureScreenshot", captureBeyondViewport=whole)["data"])
 
     def pdf(self) -> bytes:
         """The page as it is printed."""

@@ -5,7 +5,28 @@ from __future__ import annotations
 import numpy as np
 
 from smoother.live.answers import LiveEstimate, LiveOutput, LiveState
-from smoother.recording import JOINTS, JointState
+from smoother.recording import JOINTS, CameraFrame, JointState
+from smoother.streams.arrivals import SourceInfo
+
+INFO = SourceInfo({"forearm": "wrist"}, "kinect", "right", JOINTS[:3], 0, CameraFrame.OPTICAL)
+
+
+def estimate(t_s, kind, state, since_s, joints) -> LiveEstimate:
+    """An answer with the IMU in the wrist."""
+    spread = dict.fromkeys(joints, 1e-4 * np.eye(3))
+    return LiveEstimate(
+        t_s, kind, state, since_s, joints["wrist"], np.array([1.0, 0.0, 0.0, 0.0]),
+        np.zeros(3), 1e-4 * np.eye(6), joints, spread,
+    )  # fmt: skip
+
+
+def answer(t_s: float, bent_deg: float) -> LiveOutput:
+    """An upper arm that hangs, and a forearm bent so far in the camera's plane."""
+    bent, shoulder = np.radians(bent_deg), np.array([0.0, 0.0, 2.0])
+    elbow = shoulder + np.array([0.0, 0.3, 0.0])
+    wrist = elbow + 0.25 * np.array([np.sin(bent), np.cos(bent), 0.0])
+    joints = {"shoulder": shoulder, "elbow": elbow, "wrist": wrist}
+    return LiveOutput(t_s, LiveState.VISIBLE, estimate(t_s, "now", LiveState.VISIBLE, None, joints))
 
 
 class CameraEcho:
@@ -44,13 +65,8 @@ class CameraEcho:
         joints = {j: frame.position[i] for i, j in enumerate(JOINTS) if np.isfinite(frame.position[i]).all()}
         state = LiveState.GAP if is_gap else LiveState.VISIBLE
 
-        def estimate(t_s, kind):
-            covariance = 1e-4 * np.eye(3)
-            return LiveEstimate(
-                t_s, kind, state, self._since, frame.position[2], np.array([1.0, 0.0, 0.0, 0.0]),
-                np.zeros(3), 1e-4 * np.eye(6), joints, dict.fromkeys(joints, covariance),
-            )  # fmt: skip
-
-        return LiveOutput(
-            now_s, state, estimate(now_s, "now"), estimate(now_s - 0.2, "settled"), 0.012, 0.001, 0.1
+        now, settled = (
+            estimate(t_s, kind, state, self._since, joints)
+            for t_s, kind in ((now_s, "now"), (now_s - 0.2, "settled"))
         )
+        return LiveOutput(now_s, state, now, settled, 0.012, 0.001, 0.1)

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from imu_files import rows
 from starlette.testclient import TestClient
 
 from smoother.app.folder import AppFolder, write_json
@@ -15,7 +16,7 @@ from smoother.app.steps import STREAMS
 from smoother.io.registry import FileReader
 from smoother.io.tables.describe import describe_files
 from smoother.io.tables.recording_toml import read_templates
-from smoother.recording import JOINTS, JointState
+from smoother.recording import JOINTS
 from smoother.simulation import ArmSimulation, simulate_arm
 from smoother.units import STANDARD_GRAVITY
 
@@ -82,48 +83,25 @@ class Page:
 def write_session(
     folder: Path, start_s: float = 0.0, mirror: bool = False, repetitions: int = 2
 ) -> dict[str, Path]:
-    """An arm of some 30 s with gaps: a table of joints, and what Shimmer's Consensys exports of an IMU.
+    """An arm with gaps, 16 s a repetition: a table of joints, and what Shimmer's Consensys exports of an IMU.
 
-    Parameters
-    ----------
-    folder : Path
-        Where they go; made.
-    start_s : float, s
-        After 12 March 2026, of both.
-    mirror : bool
-        The skeleton's x has the other sign.
-    repetitions : int
-        Of its movements, some 16 s each.
+    They start so many seconds after 12 March 2026; the skeleton's x may have the other sign.
     """
     folder.mkdir(parents=True)
     recording = simulate_arm(ArmSimulation.preset("realistic", repetitions=repetitions), seed=5).recording
-    imu, arm = recording.imu, recording.arm
-    stamp = imu.t_s + START_S + start_s
-    sensor = folder / "shimmer.csv"
-    rows = np.column_stack([np.round(stamp * 1e3), imu.acc / STANDARD_GRAVITY, np.degrees(imu.gyro)])
-    heads = ["S_Timestamp_Unix_CAL"]
-    heads += [f"S_Accel_WR_{axis}_CAL" for axis in "XYZ"] + [f"S_Gyro_{axis}_CAL" for axis in "XYZ"]
-    units = ["ms", *["g"] * 3, *["deg/s"] * 3]
-    lines = ['"sep=,"', ",".join(heads), ",".join(units)]
-    lines += [",".join([f"{row[0]:.1f}", *(f"{value:.7f}" for value in row[1:])]) for row in rows]
+    imu, arm, began_s = recording.imu, recording.arm, START_S + start_s
+    sensor, kinect = folder / "shimmer.csv", folder / "kinect.csv"
+    heads = ["S_Timestamp_Unix_CAL", *(f"S_Accel_WR_{axis}_CAL" for axis in "XYZ")]
+    heads += [f"S_Gyro_{axis}_CAL" for axis in "XYZ"]
+    body = rows(1e3 * (imu.t_s + began_s), imu.acc / STANDARD_GRAVITY, np.degrees(imu.gyro), form="{:.7f}")
+    lines = ['"sep=,"', ",".join(heads), ",".join(["ms", *["g"] * 3, *["deg/s"] * 3]), *body]
     sensor.write_text("\n".join(lines) + "\n", encoding="utf-8")
-    kinect = folder / "kinect.csv"
-    side = recording.side or "right"
-    names = [joint for joint in JOINTS if joint in ("shoulder", "elbow", "wrist")]
-    heads = ["timestamp"]
-    for name in names:
-        heads += [f"{name}_{side}_{axis}" for axis in "xyz"] + [f"{name}_{side}_state"]
-    lines = [",".join(heads)]
-    for row, t_s in enumerate(arm.t_s):
-        cells = [f"{(t_s + START_S + start_s):.4f}"]
-        for name in names:
-            at = JOINTS.index(name)
-            seen = arm.state[row, at] != JointState.NOT_TRACKED
-            values = arm.position[row, at] * ([-1, 1, 1] if mirror else [1, 1, 1])
-            cells += [f"{value:.5f}" if seen else "" for value in values]
-            cells += [str(int(arm.state[row, at]))]
-        lines.append(",".join(cells))
-    kinect.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    heads, columns = ["timestamp"], [arm.t_s + began_s]
+    for name in ("shoulder", "elbow", "wrist"):
+        heads += [f"{name}_right_{each}" for each in (*"xyz", "state")]
+        columns += [arm.joint(name) * ([-1, 1, 1] if mirror else 1), arm.state[:, JOINTS.index(name)]]
+    body = [line.replace("nan", "") for line in rows(*columns, form="{:.5f}")]
+    kinect.write_text("\n".join([",".join(heads), *body]) + "\n", encoding="utf-8")
     return {"imu": sensor, "skeleton": kinect}
 
 

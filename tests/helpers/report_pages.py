@@ -13,14 +13,27 @@ from smoother.cli.run import run
 from smoother.io import write_recording
 from smoother.io.mcap.messages import nanoseconds
 from smoother.io.recording.streams import ImuSamples, RecordingFile
-from smoother.recording import ImuStream
 from smoother.simulation import ArmSimulation, simulate_arm
 from smoother.simulation.rig import SensorModel, beep, broadcast, magnetometer_turns, rest_poses
+
+#: A file may be called so; a name cannot hold a slash.
+HOSTILE_NAME = "<img src=x onerror=hacked=1>"
 
 
 def command(*arguments: object, ends: tuple[int, ...] = (0,)) -> None:
     """Run a command of unocclude in this process."""
     assert run([str(argument) for argument in arguments]) in ends, arguments
+
+
+def paged(folder: Path, name: str, *words: object) -> Path:
+    """The page of a command."""
+    command(*words, "--report", folder / f"{name}.html")
+    return folder / f"{name}.html"
+
+
+def calibrated(folder: Path, name: str, *words: object) -> Path:
+    """The page of a calibration."""
+    return paged(folder, name, "calibrate", name, *words, "-o", folder / f"{name}_cal.toml")
 
 
 def arm_session(folder: Path) -> Path:
@@ -32,62 +45,33 @@ def arm_session(folder: Path) -> Path:
     return path
 
 
-def recovered(folder: Path) -> Path:
-    """What `smooth` makes of it; made once, with its page."""
-    path, calibration = folder / "recovered.mcap", folder / "cal.toml"
-    if not path.exists():
-        session = arm_session(folder)
-        page = ("--report", folder / "smooth.html", "--draws", 20)
-        command("smooth", session, "-o", path, "--calibration", calibration, "--processes", 1, *page)
-    return path
-
-
 def smooth(folder: Path) -> Path:
-    """The page of `smooth`."""
-    recovered(folder)
-    return folder / "smooth.html"
+    """With what `smooth` makes of the session; made once."""
+    if (folder / "smooth.html").exists():
+        return folder / "smooth.html"
+    known = ("--calibration", folder / "cal.toml", "--processes", 1, "--draws", 20)
+    return paged(folder, "smooth", "smooth", arm_session(folder), "-o", folder / "recovered.mcap", *known)
 
 
 def validate(folder: Path) -> Path:
-    """The page of `validate`."""
-    page = folder / "validate.html"
-    command("validate", recovered(folder), "--truth", arm_session(folder), "--report", page)
-    return page
+    smooth(folder)
+    return paged(folder, "validate", "validate", folder / "recovered.mcap", "--truth", arm_session(folder))
 
 
 def gaps(folder: Path) -> Path:
-    """The page of `gaps`."""
-    page = folder / "gaps.html"
-    command(
-        *("gaps", arm_session(folder), "--lengths", "0.5,1", "--processes", 1, "--report", page),
-        *("--calibration", folder / "cal.toml"),
-    )
-    return page
+    known = ("--calibration", folder / "cal.toml", "--processes", 1)
+    return paged(folder, "gaps", "gaps", arm_session(folder), "--lengths", "0.5,1", *known)
 
 
 def compare(folder: Path) -> Path:
-    """The page of `compare`."""
-    page = folder / "compare.html"
+    known = ("--calibration", folder / "cal.toml", "--processes", 1)
     methods = ("--methods", "graph,linear-drift,pchip,hold")
-    command(
-        *("compare", arm_session(folder), "--calibration", folder / "cal.toml", "--processes", 1),
-        *("--report", page, *methods),
-    )
-    return page
-
-
-def panel_session(folder: Path) -> Path:
-    """Three poses of a panel, as files and as a recording; made once."""
-    path = folder / "panel.mcap"
-    if not path.exists():
-        poses = ("--set", "poses=3", "--seed", 21, "--set", "camera_tilt_deg=30", "--set", "tilt_deg=15,38")
-        command("simulate", "panel", "-o", folder / "panel", "--mcap", path, *poses)
-    return path
+    return paged(folder, "compare", "compare", arm_session(folder), *known, *methods)
 
 
 def panel(folder: Path) -> Path:
-    """The page of `calibrate panel`; the camera stands still."""
-    page, files = folder / "panel.html", folder / "still"
+    """The camera stands still."""
+    files = folder / "still"
     command("simulate", "panel", "-o", files, "--set", "poses=2", "--seed", 5)
     poses = [
         part
@@ -96,86 +80,68 @@ def panel(folder: Path) -> Path:
         for part in (f"--{what}", files / f"pose_{number:02d}_{ending}")
     ]
     known = ("--intrinsics", files / "intrinsics.toml", "--panel", files / "panel.toml")
-    command("calibrate", "panel", *poses, *known, "-o", folder / "panel_cal.toml", "--report", page)
-    return page
+    return calibrated(folder, "panel", *poses, *known)
 
 
 def world(folder: Path) -> Path:
-    """The page of `calibrate world`."""
-    page, session = folder / "world.html", panel_session(folder)
-    known = ("--panel", folder / "panel" / "panel.toml")
-    command("calibrate", "world", session, *known, "-o", folder / "world_cal.toml", "--report", page)
-    return page
+    """Three poses of a panel, the camera tilted anew for each."""
+    poses = ("--set", "poses=3", "--seed", 21, "--set", "camera_tilt_deg=30", "--set", "tilt_deg=15,38")
+    command("simulate", "panel", "-o", folder / "panel", "--mcap", folder / "panel.mcap", *poses)
+    return calibrated(folder, "world", folder / "panel.mcap", "--panel", folder / "panel" / "panel.toml")
 
 
 def forearm(folder: Path) -> Path:
-    """The page of `calibrate forearm`."""
-    page = folder / "forearm.html"
     simulated = simulate_arm(ArmSimulation.preset("realistic", repetitions=1), 4)
     write_recording(simulated.recording, folder / "held.mcap")
     ruler = ("--radius-m", 0.035, "--strap-to-wrist-m", simulated.parameters["strap_to_wrist_m"])
-    output = ("-o", folder / "forearm_cal.toml", "--report", page)
-    command("calibrate", "forearm", folder / "held.mcap", *ruler, "--processes", 1, *output)
-    return page
+    return calibrated(folder, "forearm", folder / "held.mcap", *ruler, "--processes", 1)
 
 
-def _poses(folder: Path, name: str) -> tuple[Path, ImuStream]:
+def poses(folder: Path, name: str) -> Path:
+    """A sensor in rest poses, with a magnetometer."""
     model = SensorModel.draw(0, offset=0.5, scale=0.03, cross=0.01)
     stream, _ = rest_poses(model, 12)
     iron = SensorModel.draw(1, offset=0.5, scale=0.2, cross=0.2)
-    stream = replace(stream, name=name, mag=48.0 * magnetometer_turns(iron, len(stream)))
+    stream = replace(stream, mag=48.0 * magnetometer_turns(iron, len(stream)))
     file = RecordingFile(folder / "poses.mcap")
     stamps = nanoseconds(stream.t_s, 0)
     file.imus.append(ImuSamples(name, name.split("/")[-1], stamps, stream.acc, stream.gyro, stream.mag))
     write_recording(file, file.path, force=True)
-    return file.path, stream
+    return file.path
 
 
 def imu(folder: Path, topic: str = "/imu/forearm_right") -> Path:
-    """The page of `calibrate imu`."""
-    page, (path, _) = folder / "imu.html", _poses(folder, topic)
-    command("calibrate", "imu", path, "-o", folder / "imu_cal.toml", "--report", page)
-    return page
+    return calibrated(folder, "imu", poses(folder, topic))
 
 
 def magnetometer(folder: Path, topic: str = "/imu/forearm_right") -> Path:
-    """The page of `calibrate magnetometer`."""
-    page, (path, _) = folder / "magnetometer.html", _poses(folder, topic)
-    command("calibrate", "magnetometer", path, "-o", folder / "mag_cal.toml", "--report", page)
-    return page
+    return calibrated(folder, "magnetometer", poses(folder, topic))
 
 
 def clock(folder: Path, node: str = "arm") -> Path:
-    """The page of `calibrate clock`: a beep and a broadcast; `node` is the name of a receiver."""
-    page, (sound, end, *_) = folder / "clock.html", beep(1)
+    """A beep and a broadcast; `node` is the name of a receiver."""
+    sound, end, *_ = beep(1)
     whole = (sound / np.abs(sound).max() * 30000).astype(np.int16)
     wavfile.write(folder / "beep.wav", 16000, np.stack([whole, np.zeros(len(whole), np.int16)], axis=1))
     _, heard = broadcast(2, nodes=2)
     rows = zip(heard.event.tolist(), heard.node, heard.t_s.tolist(), strict=True)
     lines = [f'{event},"{"base" if name == "n0" else node}",{t:.7f}\n' for event, name, t in rows]
     (folder / "times.csv").write_text("round,node,t_s\n" + "".join(lines), encoding="utf-8")
-    times = ("--sound", folder / "beep.wav", "--event-time", end + 300.0, "--broadcast", folder / "times.csv")
-    command("calibrate", "clock", *times, "-o", folder / "clock_cal.toml", "--report", page)
-    return page
-
-
-#: A file may be called so; a name cannot hold a slash.
-HOSTILE_NAME = "<img src=x onerror=hacked=1>"
+    times = ("--event-time", end + 300.0, "--broadcast", folder / "times.csv")
+    return calibrated(folder, "clock", "--sound", folder / "beep.wav", *times)
 
 
 def study(folder: Path, name: str = HOSTILE_NAME) -> Path:
-    """The page of `batch`: two recordings and a file that is none."""
+    """Two recordings and a file that is none."""
     sessions = folder / "sessions"
     sessions.mkdir()
-    settings = ArmSimulation.preset(
-        "white", protocol="random", duration_s=6.0, occlusion_lengths_s=(0.8,), occlusion_every_s=4.0
-    )
+    gap = {"occlusion_lengths_s": (0.8,), "occlusion_every_s": 4.0}
+    settings = ArmSimulation.preset("white", protocol="random", duration_s=6.0, **gap)
     for seed, stem in enumerate((name, "b")):
         write_recording(simulate_arm(settings, seed).recording, sessions / f"{stem}.mcap")
     (sessions / f"{name} broken.mcap").write_bytes(b"this is not a recording")
-    out = folder / "study"
-    command("batch", sessions, "-o", out, "--processes", 1, "--report", ends=(0, 1))
-    return out / "report.html"
+    command("batch", sessions, "-o", folder / "study", "--processes", 1, "--report", ends=(0, 1))
+    return folder / "study" / "report.html"
 
 
 #: By the name of the command whose page it is.

@@ -16,7 +16,7 @@ from simulated_points import PointSimulation, simulate_point
 from small_window import with_forearm
 
 from smoother import Config, Recovery
-from smoother.array_types import BoolArray, FloatArray
+from smoother.array_types import FloatArray
 from smoother.calibration import ArmCalibration
 from smoother.evaluation.validate import Validation, validate
 from smoother.graph.solve import WindowOptimum, solution_of
@@ -79,11 +79,6 @@ def blind(made: SimulatedArm, recording: Recording | None = None) -> Scene:
     """Smooth a simulated recording with nothing calibrated beforehand."""
     made = replace(made, recording=recording or made.recording)
     return Scene(made, smooth(replace(made.recording, truth=None), None, ALONE))
-
-
-def without_frames(recording: Recording, hidden: BoolArray) -> Recording:
-    """The same recording, the forearm not tracked in the hidden frames (F,)."""
-    return replace(recording, arm=recording.arm.hide(hidden))
 
 
 def with_field(recording: Recording, extra_A: FloatArray | float = 0.0, noise: float = 0.01) -> Recording:

@@ -36,7 +36,7 @@ def simulated(preset: str = "realistic", seed: int = 21, **changes: object) -> S
 
 def recovered(made: SimulatedArm) -> Recovery:
     """A recovery that is the truth, for the trunk to be put to."""
-    truth, recording, upper = made.recording.truth, made.recording, made.upper_motion
+    truth, recording, upper = made.recording.truth, made.recording, made.further_motions["upper_arm"]
     n = len(truth)
     R, position = upper.imu_pose(truth.t_s)
     quaternion = Rotation.from_matrix(R).as_quat(scalar_first=True)

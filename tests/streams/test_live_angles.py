@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from live_answers import answer
+from live_engine import answer
 
 from smoother.streams.lsl import live_angles
 
