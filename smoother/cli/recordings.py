@@ -154,24 +154,24 @@ def repair(
     from ..io.mcap.repair import repair_container
 
     report = repair_container(broken_file, output, out.force)
-    kept, lost = report.messages, report.missing
+    kept, lost = report["messages"], report["missing"]
     counts = [(plain_name(name), kept.get(name, 0), lost.get(name, 0)) for name in sorted({*kept, *lost})]
-    show(Table(f"{report.source}: messages", ("topic", "written", "missing"), counts))
-    if not report.losses:
-        say("no message before the end is lost" if report.notes else "nothing damaged was met")
-    start = min((loss.first_ns for loss in report.losses if loss.first_ns is not None), default=0)
+    show(Table(f"{report['source']}: messages", ("topic", "written", "missing"), counts))
+    if not report["losses"]:
+        say("no message before the end is lost" if report["notes"] else "nothing damaged was met")
+    start = min((loss["first_ns"] for loss in report["losses"] if loss["first_ns"] is not None), default=0)
     lines = [
-        {"bytes": f"{loss.start_byte} .. {loss.stop_byte}", "what": loss.what}
-        | {"from_s": loss.first_ns and (loss.first_ns - start) / 1e9}
-        | {"to_s": loss.last_ns and (loss.last_ns - start) / 1e9}
-        for loss in report.losses
+        {"bytes": f"{loss['start_byte']} .. {loss['stop_byte']}", "what": loss["what"]}
+        | {"from_s": loss["first_ns"] and (loss["first_ns"] - start) / 1e9}
+        | {"to_s": loss["last_ns"] and (loss["last_ns"] - start) / 1e9}
+        for loss in report["losses"]
     ]
     title = "What is damaged (s after the first damage)"
     show(tabulated(title, lines, "bytes from_s to_s what"), MOST_ROWS)
-    print_notes(report.notes)
-    if report.attachments_left_out:
-        say(f"note: {report.attachments_left_out} damaged attachments were left out.")
-    out.end(report.to_dict(), output)
+    print_notes(report["notes"])
+    if report["attachments_left_out"]:
+        say(f"note: {report['attachments_left_out']} damaged attachments were left out.")
+    out.end(report, output)
 
 
 def cut(

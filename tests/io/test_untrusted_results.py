@@ -77,18 +77,6 @@ def test_every_row_says_whether_it_is_trusted(tmp_path: Path, kind: str) -> None
     np.testing.assert_array_equal(arrays["trusted"], wanted)
 
 
-@pytest.mark.parametrize("kind", ESTIMATES)
-def test_a_pandas_table(kind: str) -> None:
-    pytest.importorskip("pandas")
-    recovery = result(kind)
-    wanted, column = expected(recovery, kind), recovery.to_dataframe()["trusted"]
-    assert str(column.dtype) == "boolean"
-    if wanted is None:
-        assert column.isna().all()
-    else:
-        np.testing.assert_array_equal(column.to_numpy(bool), wanted)
-
-
 def test_a_limit_on_sigma_and_distrust_both_count() -> None:
     recovery = result("partly")
     sigma = np.median(recovery.worst_sigma_m)

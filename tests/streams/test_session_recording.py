@@ -79,7 +79,7 @@ def test_the_growing_file_can_be_read_at_any_moment(original, tmp_path):
     assert read.imu.t_s[-1] > 3.5  # a second may wait in memory
     assert len(read.arm) > 100
     report = repair_container(growing, tmp_path / "whole.mcap")
-    assert sum(report.messages.values()) > 400
+    assert sum(report["messages"].values()) > 400
     assert read_recording(tmp_path / "whole.mcap").imu.t_s[-1] == read.imu.t_s[-1]
     with pytest.raises(UnoccludeError, match=r"session.recording.mcap was left by a session that was killed"):
         check_recording(tmp_path / "session.mcap", force=True)

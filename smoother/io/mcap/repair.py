@@ -14,32 +14,16 @@ from ...runtime.outputs import writing
 from ...runtime.printable import printable
 from .container import Container
 from .merge import Output
-from .messages import Damage, damage_note
+from .messages import damage_note
 
 #: Metadata record that lists what the file had lost when it was repaired.
 REPAIRED = "unocclude.repair"
 
 
-@dataclasses.dataclass
-class RepairReport:
-    """What was still in a damaged file."""
-
-    source: str  # The damaged file's name
-    messages: dict[str, int]  # Written, by topic
-    missing: dict[str, int]  # Lost by topic, as the damaged file's own count says; empty where it has none
-    losses: list[Damage]  # What is damaged, in the file's order
-    notes: list[str]  # What was wrong, one sentence each
-    attachments_left_out: int
-
-    def to_dict(self) -> dict[str, Any]:
-        """Plain values, fit for JSON."""
-        return dataclasses.asdict(self)
-
-
 def repair_container(
     source: str | os.PathLike[str], output: str | os.PathLike[str], force: bool = False
-) -> RepairReport:
-    """Write what is still in a damaged MCAP file as a whole one."""
+) -> dict[str, Any]:
+    """Write what is still in a damaged MCAP file as a whole one; what was there and is lost, as JSON."""
     container = Container(source, unverified=True)
     with writing(output, force) as temporary, Output(temporary) as file:
         for chunk in container.chunks():
@@ -53,25 +37,23 @@ def repair_container(
         for name, values in container.metadata.items():
             if name != REPAIRED:
                 file.metadata(name, values)
-        name = damage_note(container.path.name, "")
+        name, left_out = damage_note(container.path.name, ""), 0
         told = [note.removeprefix(name) for note in container.notes]
         if notes := list(dict.fromkeys([*_noted(container.metadata), *told])):
             file.metadata(REPAIRED, {"notes": json.dumps(notes), "missing": json.dumps(container.missing)})
-        left_out = _carried_over(container, file)
-    return RepairReport(
-        container.path.name, dict(+messages), container.missing, container.damage, container.notes, left_out
-    )
-
-
-def _carried_over(container: Container, file: Output) -> int:
-    """Write the attachments that are whole; how many are not."""
-    left_out = 0
-    for name in container.attachments:
-        try:
-            file.attachment(name, BytesIO(container.attachment(name)))
-        except ValueError:
-            left_out += 1
-    return left_out
+        for name in container.attachments:
+            try:
+                file.attachment(name, BytesIO(container.attachment(name)))
+            except ValueError:
+                left_out += 1
+    return {
+        "source": container.path.name,
+        "messages": dict(+messages),  # Written, by topic
+        "missing": container.missing,  # Lost by topic, as the file's own count says; empty where it has none
+        "losses": [dataclasses.asdict(each) for each in container.damage],  # In the file's order
+        "notes": container.notes,  # What was wrong, one sentence each
+        "attachments_left_out": left_out,
+    }
 
 
 def repair_notes(metadata: dict[str, dict[str, str]]) -> list[str]:

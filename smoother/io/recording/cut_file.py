@@ -31,9 +31,11 @@ from .select import select_recordings
 CUT = "unocclude.cut"
 #: A topic of these schemas with this few messages was sent once for the whole recording.
 _SAID_ONCE = 20
+_STATIC = ("TFMessage", "FrameTransform", "FrameTransforms", "CameraInfo", "CameraCalibration")
 #: After every message.
 _END = np.iinfo(np.int64).max
-_STATIC = ("TFMessage", "FrameTransform", "FrameTransforms", "CameraInfo", "CameraCalibration")
+#: A part that begins or ends so little beyond the recording is not said to, s.
+_SPARE_S = 0.5
 
 
 @dataclass(frozen=True)
@@ -43,11 +45,7 @@ class Part:
     name: str  # For messages, and kept in the part's file
     path: Path  # To write
     from_s: float  # On the recording's axis, the end left out; infinite for the recording's
-    to_s: float  # On the recording's axis, the end left out; infinite for the recording's
-
-
-#: A part that begins or ends so little beyond the recording is not said to, s.
-_SPARE_S = 0.5
+    to_s: float
 
 
 def cut_file(
@@ -68,18 +66,18 @@ def cut_file(
     shift_ns = next((imu.log_shift_ns for imu in file.imus if imu.topic == recording.imu.name), 0)
     streams = (recording.imu.t_s, recording.arm.t_s)
     first_s, last_s = max(float(t[0]) for t in streams), min(float(t[-1]) for t in streams)
-    notes = []
+    lasts, notes = f"the recording, which lasts from {first_s:.2f} to {last_s:.2f} s", []
     for part in parts:
         if part.from_s >= last_s or part.to_s <= first_s:
-            raise RecordingError(
-                f"{name}: {part.name} (from {part.from_s:g} s) lies outside the recording, which"
-                f" lasts from {first_s:.2f} to {last_s:.2f} s"
-            )
+            raise RecordingError(f"{name}: {part.name} (from {part.from_s:g} s) lies outside {lasts}")
         beyond = math.isfinite(part.to_s) and part.to_s > last_s + _SPARE_S
         if beyond or part.from_s < min(first_s - _SPARE_S, 0.0):
-            lasts = f"the recording, which lasts from {first_s:.2f} to {last_s:.2f} s"
             notes.append(f"{part.name} reaches beyond {lasts}.")
-    once = {topic.name for topic in file.topics if topic.count <= _SAID_ONCE and _is_static(topic.schema)}
+    once = {
+        topic.name
+        for topic in file.topics
+        if topic.count <= _SAID_ONCE and topic.schema.replace(".", "/").rpartition("/")[2] in _STATIC
+    }
     container, zero_ns = Container(source), recording.origin_ns + shift_ns
     with ExitStack() as stack:
         outputs = [
@@ -95,11 +93,6 @@ def cut_file(
         return [output.finished(container, name) for output in outputs], notes
 
 
-def _is_static(schema: str) -> bool:
-    """Whether few messages of a schema apply to the whole recording."""
-    return schema.replace(".", "/").rpartition("/")[2] in _STATIC
-
-
 class _PartOutput:
     """A part of an MCAP file with all topics as they are, while the file is read."""
 
@@ -111,17 +104,14 @@ class _PartOutput:
 
     def take(self, container: Container, chunk: Messages, is_once: BoolArray) -> None:
         """Write what is in the part, and earlier messages that apply to the whole recording."""
-        is_before = chunk.log_ns < self._start_ns
-        is_inside = ~is_before & (chunk.log_ns < self._end_ns)
-        is_mine = is_inside | (is_before & is_once)
-        for counts, rows in (
-            (self._before, is_before),
-            (self._inside, is_inside),
-            (self._written, is_mine),
-        ):
+        before = chunk.log_ns < self._start_ns
+        inside = ~before & (chunk.log_ns < self._end_ns)
+        written = inside | (before & is_once)
+        counted = ((self._before, before), (self._inside, inside), (self._written, written))
+        for counts, rows in counted:
             for position, of_topic in enumerate(np.bincount(chunk.topic[rows]).tolist()):
                 counts[container.topics[position].name] += of_topic
-        mine = chunk.select(np.flatnonzero(is_mine))
+        mine = chunk.select(np.flatnonzero(written))
         mine = mine._replace(log_ns=np.maximum(mine.log_ns, self._start_ns))  # their own stamps stay
         if len(mine.topic):
             self._output.copy(container.topics, mine)
@@ -167,7 +157,7 @@ class Trial:
 
     name: str  # Of the trial, fit for a file's name; the same as another's is followed by a number
     start_s: float  # On the recording's axis
-    end_s: float  # On the recording's axis
+    end_s: float
     label: str = ""  # What it is one of; "" where the table does not say
 
 
@@ -188,20 +178,28 @@ def read_trials(path: str | os.PathLike[str], labels: Sequence[str] = ()) -> lis
             f"{path}: the column {missing[0]} is missing; trials have name, start_s, end_s and, if you like,"
             f" label; the table has {', '.join(found) or 'no line'}"
         )
-    trials = [_trial(path, lines.line_num, row) for row in lines if any(row.values())]
+    trials = [_trial(f"{path}, line {lines.line_num}", row) for row in lines if any(row.values())]
     chosen = [trial for trial in trials if not labels or {trial.label, trial.name} & set(labels)]
     if not chosen:
         there = ", ".join(dict.fromkeys(trial.label or trial.name for trial in trials))
         wanted = f" with the label {', '.join(labels)}" if labels else ""
         raise RecordingError(f"{path}: there is no trial{wanted}; the table has {there or 'none'}")
-    return _told_apart(chosen)
+    keys = [trial.name.casefold() for trial in chosen]
+    taken, named = set(keys), []
+    for trial, key in zip(chosen, keys, strict=True):  # those with one name are numbered in their order
+        name = trial.name
+        if keys.count(key) > 1:
+            name = next(new for k in count(1) if (new := f"{trial.name}_{k}").casefold() not in taken)
+            taken.add(name.casefold())
+        named.append(replace(trial, name=name))
+    return named
 
 
-def _trial(path: Path, line: int, row: dict[str, str]) -> Trial:
+def _trial(place: str, row: dict[str, str]) -> Trial:
     name = (row["name"] or "").strip()
     if not name or len(name) > _LONGEST_NAME or _FORBIDDEN & set(name) or name.strip(".") == "":
         raise RecordingError(
-            f"{path}, line {line}: '{name[:_LONGEST_NAME]}' is not a valid file name; name every trial by"
+            f"{place}: '{name[:_LONGEST_NAME]}' is not a valid file name; name every trial by"
             " letters, numbers, spaces and dashes"
         )
     times = []
@@ -211,20 +209,7 @@ def _trial(path: Path, line: int, row: dict[str, str]) -> Trial:
         except ValueError:
             times.append(math.nan)
         if not math.isfinite(times[-1]):
-            raise RecordingError(f"{path}, line {line}: {column} of {name} is not a number of seconds")
+            raise RecordingError(f"{place}: {column} of {name} is not a number of seconds")
     if not times[0] < times[1]:
-        raise RecordingError(f"{path}, line {line}: {name} ends at {times[1]:g} s, before it starts")
+        raise RecordingError(f"{place}: {name} ends at {times[1]:g} s, before it starts")
     return Trial(name, times[0], times[1], (row.get("label") or "").strip())
-
-
-def _told_apart(trials: list[Trial]) -> list[Trial]:
-    """The same trials; those with one name are numbered in the order of the table."""
-    names = [trial.name.casefold() for trial in trials]
-    taken, named = set(names), []
-    for trial, key in zip(trials, names, strict=True):
-        name = trial.name
-        if names.count(key) > 1:
-            name = next(new for k in count(1) if (new := f"{trial.name}_{k}").casefold() not in taken)
-            taken.add(name.casefold())
-        named.append(replace(trial, name=name))
-    return named
