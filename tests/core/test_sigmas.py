@@ -15,7 +15,7 @@ import pytest
 from scenes import Scene, arm, point, recovered
 
 from smoother.array_types import FloatArray
-from smoother.error_radius import error_radius, pooled_radius, within_words
+from smoother.error_radius import error_radius, pooled_radius
 from smoother.evaluation.validate import sample_errors
 from smoother.simulation import SimulatedArm
 
@@ -137,8 +137,3 @@ def test_pooled_samples_are_as_many_errors_together():
     errors = np.concatenate([rng.multivariate_normal(np.zeros(3), each, 200_000) for each in covariance])
     there = np.concatenate([covariance, np.full((1, 3, 3), np.nan)])
     assert pooled_radius(there) == pytest.approx(np.quantile(np.linalg.norm(errors, axis=1), 0.95), rel=0.02)
-
-
-def test_in_words():
-    assert within_words(0.0207) == "within 2.1 cm in 95 of 100 cases"
-    assert within_words(1.3) == "within 130 cm in 95 of 100 cases"

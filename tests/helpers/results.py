@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import os
 import sys
+from collections.abc import Callable
 from dataclasses import replace
 from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
 from arms import make_recording, make_recovery
+from scipy.interpolate import CubicSpline
 
 from smoother.io.export.prepare import prepare_export
 from smoother.measurements.visibility import accepted_samples, find_gaps, occluded_at, visible_frames
@@ -48,6 +50,24 @@ def strap_only(recovery: Recovery) -> Recovery:
     )
 
 
+_SAMPLES = ("position", "quaternion", "velocity", "pose_covariance", "velocity_covariance")
+
+
+def changed(
+    recovery: Recovery,
+    values: Callable[[np.ndarray], np.ndarray],
+    covariances: Callable[[np.ndarray], np.ndarray],
+) -> Recovery:
+    """With other samples."""
+    columns = {name: getattr(recovery, name) for name in _SAMPLES}
+    return replace(
+        recovery,
+        **{name: (covariances if "cov" in name else values)(each) for name, each in columns.items()},
+        joints={name: values(each) for name, each in recovery.joints.items()},
+        joint_covariance={name: covariances(each) for name, each in recovery.joint_covariance.items()},
+    )
+
+
 def without_answer(recovery: Recovery, start_s: float, end_s: float) -> Recovery:
     """The same, of a method that has no answer in a stretch."""
     gone = (recovery.t_s > start_s) & (recovery.t_s < end_s)
@@ -57,43 +77,20 @@ def without_answer(recovery: Recovery, start_s: float, end_s: float) -> Recovery
         values[gone] = np.nan
         return values
 
-    return replace(
-        recovery,
-        position=blank(recovery.position),
-        quaternion=blank(recovery.quaternion),
-        velocity=blank(recovery.velocity),
-        pose_covariance=blank(recovery.pose_covariance),
-        velocity_covariance=blank(recovery.velocity_covariance),
-        joints={name: blank(values) for name, values in recovery.joints.items()},
-        joint_covariance={name: blank(values) for name, values in recovery.joint_covariance.items()},
-    )
+    return changed(recovery, blank, blank)
 
 
 def jittered(recovery: Recovery, seed: int = 0) -> Recovery:
     """The same motion sampled at uneven times: every value moved along its own curve."""
-    from scipy.interpolate import CubicSpline
-
     rng = np.random.default_rng(seed)
     t = recovery.t_s + rng.uniform(-0.002, 0.002, len(recovery.t_s))
     t = t[rng.uniform(size=len(t)) > 0.01]
     t = np.clip(t, recovery.t_s[0], recovery.t_s[-1])
     near = np.searchsorted(recovery.t_s, t).clip(0, len(recovery.t_s) - 1)
-
-    def at(values: np.ndarray) -> np.ndarray:
-        return CubicSpline(recovery.t_s, values)(t)
-
-    return replace(
-        recovery,
-        t_s=t,
-        occluded=recovery.occluded[near],
-        position=at(recovery.position),
-        quaternion=at(recovery.quaternion),
-        velocity=at(recovery.velocity),
-        pose_covariance=recovery.pose_covariance[near],
-        velocity_covariance=recovery.velocity_covariance[near],
-        joints={name: at(values) for name, values in recovery.joints.items()},
-        joint_covariance={name: values[near] for name, values in recovery.joint_covariance.items()},
+    moved = changed(
+        recovery, lambda values: CubicSpline(recovery.t_s, values)(t), lambda values: values[near]
     )
+    return replace(moved, t_s=t, occluded=recovery.occluded[near])
 
 
 def read_trc(path) -> tuple[dict[str, str], list[str], np.ndarray, np.ndarray]:
