@@ -19,7 +19,8 @@ Folder = Callable[..., Path]
 
 
 def test_a_plain_recording(plain_folder: Folder, tmp_path: Path) -> None:
-    made, found = make(), import_csv(plain_folder())
+    made, folder = make(), plain_folder()
+    found = import_csv(folder)
     assert (found.side, found.camera_frame, found.origin_ns) == ("right", CameraFrame.KINECT, 0)
     np.testing.assert_array_equal(found.gravity_hint, [0, -1, 0])
     np.testing.assert_allclose(found.imu.t_s, made.imu.t_s, atol=1e-9)
@@ -28,7 +29,7 @@ def test_a_plain_recording(plain_folder: Folder, tmp_path: Path) -> None:
     np.testing.assert_array_equal(found.arm.state, made.arm.state)
     assert found.truth is not None
     assert np.isnan(found.truth.quaternion[0]).all() and found.truth.quaternion[1, 0] == 1
-    write_recording(open_csv(plain_folder()), tmp_path / "a.mcap")
+    write_recording(open_csv(folder / "recording.toml"), tmp_path / "a.mcap")  # it may be named itself
     again = read_recording(tmp_path / "a.mcap")
     np.testing.assert_array_equal(again.imu.t_s, found.imu.t_s)
     np.testing.assert_array_equal(again.arm.position, found.arm.position)
@@ -38,16 +39,14 @@ def test_a_plain_recording(plain_folder: Folder, tmp_path: Path) -> None:
 def test_units_are_converted(plain_folder: Folder) -> None:
     texts = plain_texts()
     described = texts["recording"].replace('"skeleton.csv"', '"skeleton.csv"\nposition_unit = "mm"')
-    described = described.replace(
-        '"imu.csv"', '"imu.csv"\naccelerometer_unit = "g"\ngyroscope_unit = "deg/s"'
-    )
-    imu = "t_s,ax,ay,az,gx,gy,gz,mx,my,mz\n" + "".join(
-        f"{i / 100},0,1,0,0,0,{90 * np.sin(i / 20)},1,2,{i}\n" for i in range(800)
-    )
-    rows = [line.split(",") for line in texts["skeleton"].splitlines()]
-    for row in rows[1:]:
+    units = '"imu.csv"\naccelerometer_unit = "g"\ngyroscope_unit = "deg/s"'
+    rows = (f"{i / 100},0,1,0,0,0,{90 * np.sin(i / 20)},1,2,{i}\n" for i in range(800))
+    imu = "t_s,ax,ay,az,gx,gy,gz,mx,my,mz\n" + "".join(rows)
+    head, *lines = (line.split(",") for line in texts["skeleton"].splitlines())
+    for row in lines:
         row[2:5] = [str(float(cell) * 1000) if cell else "" for cell in row[2:5]]
-    skeleton = "\n".join(",".join(row) for row in rows) + "\n"
+    skeleton = "\n".join(",".join(row) for row in (head, *lines)) + "\n"
+    described = described.replace('"imu.csv"', units)
     found = import_csv(plain_folder(recording=described, imu=imu, skeleton=skeleton))
     np.testing.assert_allclose(found.imu.acc[:, 1], 9.80665)
     assert np.abs(found.imu.gyro[:, 2]).max() == pytest.approx(np.pi / 2, rel=1e-3)
@@ -56,14 +55,11 @@ def test_units_are_converted(plain_folder: Folder) -> None:
 
 
 def test_several_bodies_and_sides(plain_folder: Folder) -> None:
-    lines = plain_texts()["skeleton"].splitlines()
-    rows = [lines[0] + ",body"]
-    for line in lines[1:]:
-        rows.append(line + ",0")
-        t, joint, *rest = line.split(",")
-        rows.append(",".join([t, joint.replace("right", "left"), *rest, "0"]))
-        if float(t) > 1:
-            rows.append(line + ",7")
+    head, *lines = plain_texts()["skeleton"].splitlines()
+    rows = [f"{head},body"]
+    for line in lines:
+        rows += [f"{line},0", f"{line.replace('right', 'left')},0"]
+        rows += [f"{line},7"] if float(line.split(",")[0]) > 1 else []
     folder = plain_folder(skeleton="\n".join(rows) + "\n")
     arms = {(arm.body, arm.side): arm for arm in open_csv(folder).arms}
     assert set(arms) == {(0, "right"), (0, "left"), (7, "right")}
@@ -75,40 +71,27 @@ def test_several_bodies_and_sides(plain_folder: Folder) -> None:
         import_csv(folder)
 
 
-def change(old: str, new: str, stem: str = "recording") -> tuple[str, str, str]:
-    return stem, old, new
+#: The file that is changed, what is changed in it to what, and what is said.
+WRONG = [
+    ("recording", '"imu.csv"', '"no.csv"', r"no\.csv does not exist"),
+    ("recording", '"kinect"', '"kinnect"', r"camera\.frame is 'kinnect'"),
+    ("recording", "[truth]", "[truht]", "truht is not known here"),
+    ("recording", 'frame = "kinect"\n', "", r"camera\.frame is missing"),
+    ("recording", "gravity = [0, -2, 0]", "gravity = [0, 0, 0]", "gravity is zero"),
+    ("recording", "gravity = [0, -2, 0]", "gravity = [0, 0]", r"camera\.gravity is"),
+    ("recording", "[camera]", "[camera", "not readable TOML"),
+    ("recording", 'file = "imu.csv"', 'file = "imu.csv"\ngyroscope_unit = "deg"', "gyroscope_unit is 'deg'"),
+    ("imu", "t_s,ax,ay", "t_s,ax,b", r"has no column 'ay' \(ay\); its columns are t_s, ax, b, az"),
+    ("imu", "0.013000000,", "0.013000000,x", r"imu\.csv, line 3: 'x.* in column ax is not a number"),
+    ("imu", "0.013000000,", "0.013000000,1,", r"imu\.csv, line 3: 8 cells where there are 7"),
+    ("skeleton", "elbow_right", "elbo_right", r"line 3: joint 'elbo_right' is not known"),
+    ("skeleton", "not_tracked", "lost", "column state contains 'lost'"),
+    ("truth", "0.1,1,2,3", "nan,1,2,3", r"truth\.csv, line 2: column t_s is empty"),
+]
 
 
-@pytest.mark.parametrize(
-    ("edit", "said"),
-    [
-        (change('"imu.csv"', '"no.csv"'), r"no\.csv does not exist"),
-        (change('"kinect"', '"kinnect"'), r"camera\.frame is 'kinnect'"),
-        (change("[truth]", "[truht]"), "truht is not known here"),
-        (change('frame = "kinect"\n', ""), r"camera\.frame is missing"),
-        (change("gravity = [0, -2, 0]", "gravity = [0, 0, 0]"), "gravity is zero"),
-        (change("gravity = [0, -2, 0]", "gravity = [0, 0]"), r"camera\.gravity is"),
-        (change("[camera]", "[camera"), "not readable TOML"),
-        (change('file = "imu.csv"', 'file = "imu.csv"\ngyroscope_unit = "deg"'), "gyroscope_unit is 'deg'"),
-        (
-            change("t_s,ax,ay", "t_s,ax,b", "imu"),
-            r"has no column 'ay' \(ay\); its columns are t_s, ax, b, az",
-        ),
-        (
-            change("0.013000000,", "0.013000000,x", "imu"),
-            r"imu\.csv, line 3: 'x.* in column ax is not a number",
-        ),
-        (
-            change("0.013000000,", "0.013000000,1,", "imu"),
-            r"imu\.csv, line 3: 8 cells where there are 7",
-        ),
-        (change("elbow_right", "elbo_right", "skeleton"), r"line 3: joint 'elbo_right' is not known"),
-        (change("not_tracked", "lost", "skeleton"), "column state contains 'lost'"),
-        (change("0.1,1,2,3", "nan,1,2,3", "truth"), r"truth\.csv, line 2: column t_s is empty"),
-    ],
-)
-def test_what_is_wrong_is_named(plain_folder: Folder, edit: tuple[str, str, str], said: str) -> None:
-    stem, old, new = edit
+@pytest.mark.parametrize(("stem", "old", "new", "said"), WRONG)
+def test_what_is_wrong_is_named(plain_folder: Folder, stem: str, old: str, new: str, said: str) -> None:
     text = plain_texts()[stem]
     assert old in text
     with pytest.raises(RecordingError, match=said) as caught:
@@ -121,13 +104,9 @@ def test_missing_and_empty_files(tmp_path: Path, plain_folder: Folder) -> None:
         import_csv(tmp_path / "nowhere")
     with pytest.raises(RecordingError, match=r"recording\.toml does not exist"):
         import_csv(tmp_path)
-    with pytest.raises(RecordingError, match="is empty; export"):
-        import_csv(plain_folder(imu=""))
-    with pytest.raises(RecordingError, match="no rows"):
-        import_csv(plain_folder(imu="t_s,ax,ay,az,gx,gy,gz\n\n"))
-
-
-TABLE = "x,word,z\n"
+    for imu, said in (("", "is empty; export"), ("t_s,ax,ay,az,gx,gy,gz\n\n", "no rows")):
+        with pytest.raises(RecordingError, match=said):
+            import_csv(plain_folder(imu=imu))
 
 
 @pytest.mark.parametrize(
@@ -139,7 +118,7 @@ TABLE = "x,word,z\n"
 )
 def test_the_wrong_line_of_a_table_is_named(tmp_path: Path, rows: str, said: str) -> None:
     path = tmp_path / "t.csv"
-    path.write_text(TABLE + rows, encoding="utf-8", newline="")
+    path.write_text(f"x,word,z\n{rows}", encoding="utf-8", newline="")
     with pytest.raises(RecordingError, match=said):
         read_exact(path, ("x", "word"), ("z",), words=("word",), empty=("z",))
 
@@ -169,17 +148,11 @@ def test_times_in_another_unit(
 ) -> None:
     """Seconds that are called ms, and the reverse: import says it, and to smooth is refused in a sentence."""
     texts = plain_texts()
-    head, *rows = texts["imu"].strip().split("\n")
-    rows = [f"{float(row.split(',', 1)[0]) * factor:.6f},{row.split(',', 1)[1]}" for row in rows]
+    head, *rows = (line.split(",", 1) for line in texts["imu"].strip().split("\n"))
+    imu = "\n".join([",".join(head), *(f"{float(t) * factor:.6f},{rest}" for t, rest in rows), ""])
     section = '[imu.forearm_right]\nfile = "imu.csv"\n'
-    recording = texts["recording"].replace(section, section + described)
-    file = open_csv(plain_folder(imu="\n".join([head, *rows]) + "\n", recording=recording))
+    file = open_csv(plain_folder(imu=imu, recording=texts["recording"].replace(section, section + described)))
     assert any("which no IMU has" in note and "time_unit" in note for note in file.notes)
     write_recording(file, tmp_path / "a.mcap")
     with pytest.raises(RecordingError, match=rf"in common .* at {rate} Hz, .* time_unit"):
         read_recording(tmp_path / "a.mcap")
-
-
-def test_the_description_itself_may_be_named(plain_folder: Folder) -> None:
-    folder = plain_folder()
-    assert len(open_csv(folder / "recording.toml").imus[0].stamp_ns) == len(import_csv(folder).imu)

@@ -67,16 +67,10 @@ def xdf(path: Path, topics: Topics) -> None:
     streams: list[dict[str, Any]] = []
     for topic, (acc, gyro) in topics.items():
         parts = [(a, u, v) for a, u, v in (("acc", "m/s^2", acc), ("gyro", "rad/s", gyro)) if v.any()]
-        streams.append(
-            {
-                "name": topic,
-                "type": "IMU",
-                "rate": 100,
-                "t_s": T,
-                "values": np.hstack([values for _, _, values in parts]),
-                "channels": [(f"{name}_{axis}", unit) for name, unit, _ in parts for axis in "xyz"],
-            }
-        )
+        channels = [(f"{name}_{axis}", unit) for name, unit, _ in parts for axis in "xyz"]
+        values = np.hstack([values for _, _, values in parts])
+        stream = {"name": topic, "type": "IMU", "rate": 100, "t_s": T, "values": values, "channels": channels}
+        streams.append(stream)
     skeleton_files.xdf(path, streams)
 
 
@@ -204,33 +198,32 @@ LENS = (
 def plain_folder(folder: Path, encoding: str = "utf-8", below: str = "") -> None:
     """A recording from plain files: a skeleton, a second camera's keypoints, an IMU."""
     frames = np.arange(0, 10, 1 / 30)
-    joints = "".join(
-        f"{t:.4f},{name},{x / 1000},{0.1 * np.sin(t):.4f},2.0,tracked\n"
+    joints = [
+        f"{t:.4f},{name},{x / 1000},{0.1 * np.sin(t):.4f},2.0,tracked"
         for t in frames
         for _, name, x, _, _ in POINTS
-    )
-    points = "".join(
-        f"{t:.4f},{name},{x + t},{y},{score}\n" for t in frames for _, name, x, y, score in POINTS
-    )
-    imu = "".join(
-        f"{t:.4f},{','.join(map(repr, row))}\n"
+    ]
+    points = [f"{t:.4f},{name},{x + t},{y},{score}" for t in frames for _, name, x, y, score in POINTS]
+    imu = [
+        f"{t:.4f},{','.join(map(repr, row))}"
         for t, row in zip(T, np.hstack([ACC, GYRO]).tolist(), strict=True)
-    )
+    ]
     for name, header, rows in (
         ("skeleton.csv", "t_s,joint,x,y,z,state", joints),
         ("points.csv", "t_s,joint,u,v,score", points),
         ("imu.csv", "t_s,ax,ay,az,gx,gy,gz", imu),
     ):
-        line = ",".join([below] * (header.count(",") + 1)) + "\n" if below else ""
-        (folder / name).write_bytes(f"{header}\n{line}{rows}".encode(encoding))
+        line = [",".join([below] * (header.count(",") + 1))] if below else []
+        (folder / name).write_bytes("\n".join([header, *line, *rows, ""]).encode(encoding))
     (folder / "recording.toml").write_text(
         '[camera]\nframe = "kinect"\nskeleton = "skeleton.csv"\n'
         f'[camera.webcam]\nkeypoints = "points.csv"\n{LENS}[imu.forearm_right]\nfile = "imu.csv"\n'
     )
 
 
-@pytest.mark.parametrize("below", ["", "-", "[x]"])
-@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "utf-16", "utf-16-le"])
+@pytest.mark.parametrize(
+    ("encoding", "below"), [("utf-8", ""), ("utf-8-sig", "-"), ("utf-16", "[x]"), ("utf-16-le", "")]
+)
 def test_plain_files_in_every_encoding(tmp_path: Path, encoding: str, below: str) -> None:
     plain_folder(tmp_path, encoding, below)
     file = open_csv(tmp_path)

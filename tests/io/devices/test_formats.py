@@ -92,10 +92,7 @@ def test_the_example_of_contributing(tmp_path: Path):
 @pytest.mark.parametrize(
     ("raw", "said"),
     [
-        (
-            b"PK\x03\x04\x14\x00\x00\x00\x08\x00[Content_Types].xml",
-            "is an Excel workbook that cannot be read",
-        ),
+        (b"PK\x03\x04\x14\x00\x00\x00\x08\x00[Content_Types].xml", "an Excel workbook that cannot be read"),
         (b"\xd0\xcf\x11\xe0\xa1\xb1\x1a\xe1", "is an Excel workbook of the old kind; save it as .xlsx"),
         (b"PK\x03\x04\x14\x00\x00\x00\x08\x00mimetype", "is an archive"),
         (b"SampleTimeFine,Acc_X,Acc_Y,Acc_Z\n", "has no rows; export it again"),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 
 import device_files as made
@@ -13,7 +14,8 @@ from commands import done
 from smoother.cli.run import run
 from smoother.errors import RecordingError
 from smoother.io import open_recording
-from smoother.io.files import ImuFiles, import_files
+from smoother.io.files import ImuFiles, import_files, sort_files
+from smoother.io.registry import FileReader
 
 
 @pytest.fixture
@@ -47,16 +49,11 @@ def test_a_line_a_file_and_the_recording(files: Path, capsys: pytest.CaptureFixt
 
 
 def test_two_files_of_one_sensor_and_one_of_several(files: Path):
-    pair = ImuFiles((files / "a.csv", files / "g.csv"), "wrist_left")
-    file, reports = import_files([], [pair, ImuFiles((files / "opal.csv",), "base", "Sternum")])
-    assert [imu.topic for imu in file.imus] == ["/imu/wrist_left", "/imu/base"] and len(reports) == 3
-    assert np.allclose(file.imus[0].acc, made.ACC, atol=1e-4)
-    out = files / "rec.mcap"
-    done(
-        *("import", "files", "--imu", f"wrist_left={files / 'a.csv'},{files / 'g.csv'}"),
-        *("--imu", f"base={files / 'opal.csv'}#Sternum", "-o", out),
-    )
-    assert [imu.topic for imu in open_recording(out).imus] == ["/imu/base", "/imu/wrist_left"]
+    out, pair = files / "rec.mcap", f"wrist_left={files / 'a.csv'},{files / 'g.csv'}"
+    done("import", "files", "--imu", pair, "--imu", f"base={files / 'opal.csv'}#Sternum", "-o", out)
+    base, wrist = open_recording(out).imus
+    assert [base.topic, wrist.topic] == ["/imu/base", "/imu/wrist_left"]
+    assert np.allclose(wrist.acc, made.ACC, atol=1e-4)
 
 
 def test_a_folder(files: Path, capsys: pytest.CaptureFixture[str]):
@@ -83,33 +80,25 @@ def test_file_names_decide_nothing(tmp_path: Path):
 @pytest.mark.parametrize(
     "arguments, said",
     [
-        (["--imu", "{0}/nothing.csv"], "does not exist"),
-        (["--imu", "{0}"], "is a folder"),
-        (["--imu", "{0}/body.csv"], "name it with --skeleton"),
-        (["--skeleton", "{0}/dot.csv"], "name it with --imu"),
-        (
-            ["--imu", "forearm={0}/opal.csv"],
-            r"contains 2 sensors \(Right Wrist, Sternum\).*opal.csv#Right Wrist",
-        ),
-        (["--imu", "x={0}/opal.csv#Pelvis"], "has no sensor Pelvis; it has Right Wrist, Sternum"),
-        (["--imu", "{0}/a.csv"], "has no gyroscope"),
-        (["--imu", "{0}/dot.csv", "--imu-format", "dot"], "dot is not a format; formats are xdf"),
-        (["--imu", "{0}/dot.csv", "--imu-format", "shimmer"], "is not of Shimmer"),
-        (["--imu", "={0}/dot.csv"], "give NAME=FILE"),
-        ([], "nothing to import"),
-        (["--imu", "{0}/dot.csv", "--truth", "{0}/truth.csv"], "do not overlap"),
+        ("--imu {0}/nothing.csv", "does not exist"),
+        ("--imu {0}", "is a folder"),
+        ("--imu {0}/body.csv", "name it with --skeleton"),
+        ("--skeleton {0}/dot.csv", "name it with --imu"),
+        ("--imu forearm={0}/opal.csv", r"2 sensors \(Right Wrist, Sternum\).*opal.csv#Right Wrist"),
+        ("--imu x={0}/opal.csv#Pelvis", "has no sensor Pelvis; it has Right Wrist, Sternum"),
+        ("--imu {0}/a.csv", "has no gyroscope"),
+        ("--imu {0}/dot.csv --imu-format dot", "dot is not a format; formats are xdf"),
+        ("--imu {0}/dot.csv --imu-format shimmer", "is not of Shimmer"),
+        ("--imu ={0}/dot.csv", "give NAME=FILE"),
+        ("", "nothing to import"),
+        ("--imu {0}/dot.csv --truth {0}/truth.csv", "do not overlap"),
     ],
 )
-def test_wrong_ways(
-    files: Path, arguments: list[str], said: str, capsys: pytest.CaptureFixture[str], tmp_path: Path
-):
+def test_wrong_ways(files: Path, arguments: str, said: str, capsys: pytest.CaptureFixture[str]):
     (files / "truth.csv").write_text("t_s,x,y,z\n90,0,0,0\n91,0,0,0\n")
-    out = tmp_path / "out.mcap"
-    assert run(["import", "files", *(a.format(files) for a in arguments), "-o", str(out)]) == 1
-    error = capsys.readouterr().err
-    import re
-
-    assert re.search(said, " ".join(error.split())) and not out.exists()
+    out = files / "out.mcap"
+    assert run(["import", "files", *(a.format(files) for a in arguments.split()), "-o", str(out)]) == 1
+    assert re.search(said, " ".join(capsys.readouterr().err.split())) and not out.exists()
 
 
 def test_an_unknown_file_is_shown_shortly(tmp_path: Path):
@@ -148,9 +137,6 @@ def test_every_real_file_that_holds_raw_data(datasets: Path):
     for path in sorted((datasets / "devices").iterdir()):
         if path.name == "README.md":
             continue
-        from smoother.io.files import sort_files
-        from smoother.io.registry import FileReader
-
         if path.name in refused:
             with pytest.raises(RecordingError, match=refused[path.name]):
                 sort_files([path], FileReader())

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from datetime import UTC, datetime
 from pathlib import Path
 
 import numpy as np
@@ -10,8 +11,9 @@ from importers import ACC, COUNT, DEG, EPOCH, GYRO, MICROS, NANOS, TIME, check, 
 from imu_files import GRAVITY, motion, printed, rows
 
 from smoother.errors import RecordingError
+from smoother.io.files import ImuFiles, import_files
 from smoother.io.registry import FileReader, formats
-from smoother.io.tables.imu import ImuTable
+from smoother.io.tables.imu import paired
 from smoother.io.tables.table import read_head
 from smoother.io.tables.times import repaired_imu
 
@@ -24,6 +26,16 @@ FORCE, TURN = {"acc": (1, 1)}, {"gyro": (1, 1)}
 NS, US, MS = ({"t_s": (0, unit)} for unit in (1e-9, 1e-6, 1e-3))
 BOTH = {**NS, "acc": (1, G), "gyro": (2, D)}
 XYZ, UNITLESS = "timestamp,x,y,z", "timestamp,ax,ay,az,gx,gy,gz"
+
+
+def three(*forms: str) -> str:
+    """Names of a table with semicolons: a time, and x, y, z of each form."""
+    return ";".join([forms[0], *(form.format(axis) for form in forms[1:] for axis in "xyz")])
+
+
+DOT = ",".join([*xyz("Gyr"), "SampleTimeFine", *xyz("Acc")])
+DATES = np.array([f"1970-01-01 00:00:{4 + k * 0.01:09.6f}" for k in range(COUNT)])
+WHEN = np.array([f"2026-03-12 09:30:{t:09.6f}" for t in TIME])
 #: Of each layout key and header, its columns; what they are read as; what is said.
 PLAIN = [
     ("nilspod", f"t,{G3},{A3},baro,analog_0", [TIME, DEG, ACC, TWO], {"gyro": (1, D), "acc": (2, 1)}, ""),
@@ -32,9 +44,11 @@ PLAIN = [
         [np.arange(COUNT), 10_000 + 100 * np.arange(COUNT), ACC, GYRO, TWO[:, 0]],
         *({"t_s": (1, 1e-4), "acc": (2, 1), "gyro": (3, 1)}, "m/s^2, rad/s"),
     ),
+    ("xsens-dot", DOT, [DEG, DATES, ACC], {"gyro": (0, D), "acc": (2, 1), "t_s": (TIME + 4, 1)}, ""),
     ("phyphox", '"Time (s)","X (m/s^2)","Y (m/s^2)","Z (m/s^2)"', [TIME, ACC], FORCE, "stated"),
     ("phyphox", '"Time (s)","X (rad/s)","Y (rad/s)","Z (rad/s)"', [TIME, GYRO], TURN, "stated"),
     ("android", XYZ, [NANOS, ACC], NS | FORCE, "it reads 9.8 as a rule"),
+    ("android", XYZ, [WHEN, ACC], FORCE | {"t_s": (1_773_307_800 + TIME, 1)}, ""),
     ("android", "", [NANOS, ACC], NS | FORCE, ""),
     ("android", "time_ms,X,Y,Z,accuracy", [NANOS // 10**6, ACC, TWO[:, 0]], MS | FORCE, ""),
     ("android", f"seconds_elapsed,{A3}", [TIME, ACC], FORCE, ""),
@@ -51,6 +65,15 @@ PLAIN = [
         *([NANOS, ACC / G, DEG], BOTH, "g, deg/s"),
     ),
     ("android", "Timestamp;accX;accY;accZ;gyrX;gyrY;gyrZ", [NANOS, ACC / G, DEG], BOTH, "g, deg/s"),
+    *(
+        ("android", three(*names), [1000 * TIME, ACC / G, DEG], {**MS, "acc": (1, G), "gyro": (2, D)}, "")
+        for names in (
+            ("Zeitstempel (ms)", "Beschleunigung {} [g]", "Drehrate {} [°/s]"),
+            ("Temps (ms)", "Accélération {} (g)", "Vitesse angulaire {} (deg/s)"),
+            ("Tiempo (ms)", "Aceleración {} (g)", "Velocidad angular {} (°/s)"),
+            ("Zeit [ms]", "Beschleunigungssensor {} [g]", "Gyroskop {} [deg/s]"),
+        )
+    ),
     (
         *("android", f"time,seconds_elapsed,gyro_z,gyro_y,gyro_x,mag_x,mag_y,mag_z,{A3}"),
         *([NANOS, TIME, GYRO[:, ::-1], 30 + ACC, ACC], NS | {"acc": (4, 1), "mag": (3, 1)}, ""),
@@ -60,19 +83,16 @@ PLAIN = [
 
 @pytest.mark.parametrize(("key", "header", "columns", "found", "said"), PLAIN)
 def test_a_plain_layout(
-    tmp_path: Path,
-    key: str,
-    header: str,
-    columns: list[np.ndarray],
-    found: dict[str, tuple[int, float]],
-    said: str,
+    tmp_path: Path, key: str, header: str, columns: list[np.ndarray], found: dict[str, tuple], said: str
 ):
-    lines = rows(*columns, separator=";" if ";" in header else ",")
+    mark = ";" if ";" in header else ","
+    parts = [each.tolist() if each.dtype.kind == "U" else rows(each, separator=mark) for each in columns]
+    lines = [mark.join(cells) for cells in zip(*parts, strict=True)]
     (table,) = tables(written(tmp_path, *([header] if header else []), *lines), key)
     assert said in f"{table.units} {' '.join(table.notes)}"
     for part, (at, factor) in {"t_s": (0, 1.0), **found}.items():
-        wanted = columns[at] * factor if part == "t_s" else printed(columns[at]) * factor
-        np.testing.assert_allclose(getattr(table, part), wanted, rtol=1e-12, atol=1e-9)
+        wanted = at if isinstance(at, np.ndarray) else columns[at] if part == "t_s" else printed(columns[at])
+        np.testing.assert_allclose(getattr(table, part), wanted * factor, rtol=1e-12, atol=1e-9)
     if "gyro_z,gyro_y" in header:
         np.testing.assert_allclose(table.gyro, printed(GYRO), rtol=1e-12)
     elif not {"acc", "gyro"} <= found.keys():
@@ -81,6 +101,11 @@ def test_a_plain_layout(
 
 NOTHING = np.full((COUNT, 3), np.nan)
 EVEN = ACC / np.linalg.norm(ACC, axis=1, keepdims=True)
+PHYPHOX = '"Time (s)","X (m/s^2)","Y (m/s^2)","Z (m/s^2)"'
+SHIMMER = [f"S_{name}_{axis}_RAW" for name in ("Accel_LN", "Gyro") for axis in "XYZ"]
+LOGGED = xyz("accelerometerAcceleration", "{}{}(G)")
+META = "epoch (ms),time (-13:00),elapsed (s),x-axis ({u}),y-axis ({u}),z-axis ({u})"
+KG, DG = ("K x [m/s^2],K y [m/s^2],K z [m/s^2]", "D x [rad/s],D y [rad/s],D z [rad/s]")
 #: Tables that are refused, and what is to be done.
 REFUSED = [
     (
@@ -89,7 +114,7 @@ REFUSED = [
     ),
     ("xsens-mt", "Counter,SampleTimeFine,Mat[1][1],Mat[2][1]", [MICROS, MICROS, TWO], "calibrated data"),
     ("nilspod", f"t,{G3},{A3},baro,analog_0", [TIME, 16 * DEG, 2048 * ACC / 9.81, TWO], "uncalibrated"),
-    ("phyphox", '"Time (s)","X (m/s^2)","Y (m/s^2)","Z (m/s^2)"', [TIME, 0 * ACC + 0.3], "without gravity"),
+    ("phyphox", PHYPHOX, [TIME, 0 * ACC + 0.3], "without gravity"),
     (
         *("phyphox", '"Time (s)",' + ",".join(f'"Linear Acceleration {axis} (m/s^2)"' for axis in "xyz")),
         *([TIME, 0 * ACC + 0.3], "acceleration is without gravity"),
@@ -97,6 +122,16 @@ REFUSED = [
     ("android", XYZ, [NANOS, NOTHING], "No three columns look like"),
     ("android", XYZ, [NANOS, 45 * EVEN + 0.3 * GYRO], "looks like a magnetometer"),
     ("android", XYZ, [NANOS, 9.80665 * EVEN], "gravity as the system estimates it"),
+    ("shimmer", ",".join(["S_Timestamp_RAW", *SHIMMER]), [MICROS, ACC, GYRO], r"without a calibrated.*_CAL"),
+    (
+        "sensorlog",
+        ",".join(["loggingTime(txt)", *xyz("accelerometerAcceleration", "{}{}(G)")]),
+        [TIME, ACC],
+        "Motion",
+    ),
+    ("metamotion", META.format(u="g"), [EPOCH, TIME, TIME, GYRO / 30], r"without gravity.*record the raw"),
+    ("imu-table", f"{KG},{DG}", [ACC, GYRO], "no column of times"),
+    ("android", f"t_s,{KG},{DG}", [TIME, 0.01 * ACC, GYRO], "without gravity"),
 ]
 
 
@@ -108,135 +143,94 @@ def test_what_cannot_be_used_says_what_to_record(
         tables(written(tmp_path, header, *rows(*columns)), key)
 
 
-# ---------------------------------------------------------------------------------------- Xsens DOT
-
-
-def test_dot_with_dates_and_columns_in_another_order(tmp_path: Path):
-    header = ",".join([*xyz("Gyr"), "SampleTimeFine", *xyz("Acc")[::-1]])
-    stamps = [f"1970-01-01 00:00:{4 + k * 0.01:09.6f}" for k in range(COUNT)]
-    left, right = rows(DEG), rows(ACC[:, ::-1])
-    body = [f"{a},{stamp},{b}" for a, stamp, b in zip(left, stamps, right, strict=True)]
-    (table,) = tables(written(tmp_path, header, *body), "xsens-dot")
-    check(table, printed(ACC), np.radians(printed(DEG)), 4 + TIME)
-
-
-def test_dot_increments_become_rates(tmp_path: Path):
+@pytest.mark.parametrize("kind", ["dot", "mt"])
+def test_increments_become_rates(tmp_path: Path, kind: str):
     from scipy.spatial.transform import Rotation
 
     turns = Rotation.from_rotvec(GYRO / 100).as_quat()[:, [3, 0, 1, 2]]
     turns[::2] *= -1  # the same turns
     header = "PacketCounter,SampleTimeFine,dQ_W,dQ_X,dQ_Y,dQ_Z,dV[1],dV[2],dV[3],Quat_W,Quat_X"
+    if kind == "mt":
+        names = ("VelInc", "OriInc_q")
+        header = ",".join(["Counter,A", *(f"OriInc_q{k}" for k in range(4)), *xyz(names[0]), "Quat_q0,B"])
+    first = () if kind == "dot" else ("// Update Rate: 100.0Hz",)
     body = rows(np.arange(COUNT), MICROS, turns, ACC / 100, np.ones((COUNT, 2)), form="{:.9f}")
-    (table,) = tables(written(tmp_path, header, *body), "xsens-dot")
+    (table,) = tables(written(tmp_path, *first, header, *body), f"xsens-{kind}")
     np.testing.assert_allclose(table.acc, ACC, atol=1e-6)
     np.testing.assert_allclose(table.gyro, GYRO, atol=1e-6)
     assert "increments" in " ".join(table.notes)
 
 
-# ---------------------------------------------------------------------------------------- Xsens MT
-
-
-def test_mtw_with_empty_columns(tmp_path: Path):
+def test_mtw_with_empty_columns_and_without_a_rate(tmp_path: Path):
     names = ["PacketCounter", "SampleTimeFine", "Year", *xyz("Acc"), *xyz("Gyr"), "Mat[1][1]", "Mat[2][1]"]
     body = [f"{k:05d}\t\t\t{row}" for k, row in enumerate(rows(ACC, GYRO, TWO, separator="\t"))]
     lines = ("// Update Rate: 100.0Hz", "\t".join(names), *body)
     check(tables(written(tmp_path, *lines), "xsens-mt")[0], printed(ACC), printed(GYRO))
-
-
-def test_mt_manager_without_rate(tmp_path: Path):
-    header = "\t".join(["PacketCounter", "SampleTimeFine", *xyz("Acc"), *xyz("Gyr"), "Roll"])
-    body = [f"{k}\tNaN\t{row}" for k, row in enumerate(rows(ACC, GYRO, np.ones(COUNT), separator="\t"))]
-    (table,) = tables(written(tmp_path, "// General information:", header, *body), "xsens-mt")
+    (table,) = tables(written(tmp_path, "// General information:", *lines[1:]), "xsens-mt")
     with pytest.raises(RecordingError, match="neither times nor a rate"):
         repaired_imu(table, "a")
 
 
-# ---------------------------------------------------------------------------------------- Shimmer
-def shimmer(
-    tmp_path: Path, *sensors: str, separator: str = ",", kind: str = "CAL", unit: str = "m/(s^2)"
-) -> Path:
+def shimmer(tmp_path: Path, *without: str, sensors: tuple[str, ...] = ("Shimmer_952D",)) -> Path:
     names, units, columns = [], [], []
-    for sensor in ("Shimmer_952D", "RWrist") if "two" in sensors else ("Shimmer_952D",):
-        names.append(f"{sensor}_Timestamp_Unix_{kind}")
+    for sensor in sensors:
+        names.append(f"{sensor}_Timestamp_Unix_CAL")
         units.append("ms")
         columns.append(1.6294033377807312e12 + 10.0 * np.arange(COUNT))
         for name, values in (("Accel_LN", ACC / 2), ("Accel_WR", ACC), ("Gyro", DEG), ("Mag", ACC)):
-            if name not in sensors:
-                names += [f"{sensor}_{name}_{axis}_{kind}" for axis in "XYZ"]
-                units += [{"G": "deg/s", "M": "local_flux"}.get(name[0], unit)] * 3
+            if name not in without:
+                names += [f"{sensor}_{name}_{axis}_CAL" for axis in "XYZ"]
+                units += [{"G": "deg/s", "M": "local_flux"}.get(name[0], "m/(s^2)")] * 3
                 columns.append(values)
-    body = rows(*columns, separator=separator, end=separator)
-    header = [separator.join(cells) + separator for cells in (names, units)]
-    return written(tmp_path, f'"sep={separator}"', *header, *body, newline="\r\n")
+    header = [",".join(cells) + "," for cells in (names, units)]
+    return written(tmp_path, '"sep=,"', *header, *rows(*columns, end=","), newline="\r\n")
 
 
-def test_shimmer_of_low_noise_and_of_two_sensors(tmp_path: Path):
-    (table,) = tables(shimmer(tmp_path, "Accel_WR"), "shimmer")
-    check(table, printed(ACC / 2), np.radians(printed(DEG)))
-    assert "clips at 2 g" in " ".join(table.notes)
-    both = tables(shimmer(tmp_path, "two"), "shimmer")
-    assert [table.name for table in both] == ["Shimmer_952D", "RWrist"]
-
-
-def test_shimmer_with_the_ticks_of_its_clock_alone(tmp_path: Path):
-    path = shimmer(tmp_path)
+def test_shimmer_of_low_noise_of_two_sensors_and_with_ticks_alone(tmp_path: Path):
+    path = shimmer(tmp_path, "Accel_WR")
     path.write_text(path.read_text().replace("Timestamp_Unix_CAL", "Timestamp_RAW"))
     (table,) = tables(path, "shimmer")
+    check(table, printed(ACC / 2), np.radians(printed(DEG)))
     np.testing.assert_allclose(table.t_s, (1.6294033377807312e12 + 1000 * TIME) / 32768, rtol=1e-12)
-
-
-def test_shimmer_uncalibrated_or_without_gyroscope(tmp_path: Path):
-    with pytest.raises(RecordingError, match=r"without a calibrated.*_CAL"):
-        tables(shimmer(tmp_path, kind="RAW", unit="no_units"), "shimmer")
+    assert "clips at 2 g" in " ".join(table.notes)
+    both = tables(shimmer(tmp_path, sensors=("Shimmer_952D", "RWrist")), "shimmer")
+    assert [table.name for table in both] == ["Shimmer_952D", "RWrist"]
     with pytest.raises(RecordingError, match="calibrated accelerometer and gyroscope"):
         tables(shimmer(tmp_path, "Gyro"), "shimmer")
 
 
-# ---------------------------------------------------------------------------------------- MetaMotion
-
-
-def metamotion(values: np.ndarray, header: str) -> list[str]:
-    ends = rows(TIME, values)
-    body = [f"{e},2018-03-02T14.13.20.{e % 1000:03d},{end}" for e, end in zip(EPOCH, ends, strict=True)]
-    return [*([header] if header else []), *body]
-
-
-@pytest.mark.parametrize(
-    "header", ["epoch (ms),time (-13:00),elapsed (s),x-axis ({u}),y-axis ({u}),z-axis ({u})", ""]
-)
+@pytest.mark.parametrize("header", [META, ""])
 def test_metamotion(tmp_path: Path, header: str):
-    acc_lines = metamotion(ACC / GRAVITY, header.format(u="g"))
+    def lines(values: np.ndarray, unit: str) -> list[str]:
+        ends = zip(EPOCH, rows(TIME, values), strict=True)
+        body = [f"{e},2018-03-02T14.13.20.{e % 1000:03d},{end}" for e, end in ends]
+        return [*([header.format(u=unit)] if header else []), *body]
+
+    acc_lines = lines(ACC / GRAVITY, "g")
     acc_lines[40] = ",".join([*acc_lines[40].split(",")[:5], "-124.874.1"])
     (acc,) = tables(written(tmp_path, *acc_lines), "metamotion")
     expected = printed(ACC / GRAVITY) * GRAVITY
     expected[39 if header else 40, 2] = np.nan
     check(acc, expected, None, EPOCH * 1e-3)
     assert "'-124.874.1' in line 41" in " ".join(acc.notes)
-    (gyro,) = tables(written(tmp_path, *metamotion(DEG, header.format(u="deg/s"))), "metamotion")
+    (gyro,) = tables(written(tmp_path, *lines(DEG, "deg/s")), "metamotion")
     check(gyro, None, np.radians(printed(DEG)), EPOCH * 1e-3)
     assert gyro.units == "deg/s" and (bool(header) or "that of this device" in " ".join(gyro.notes))
 
 
-def test_metamotion_of_fusion_says_what_to_record(tmp_path: Path):
-    header = "epoch (ms),time (-13:00),elapsed (s),x-axis (g),y-axis (g),z-axis (g)"
-    with pytest.raises(RecordingError, match=r"without gravity.*record the raw accelerometer"):
-        tables(written(tmp_path, *metamotion(GYRO / 30, header)), "metamotion")
-
-
-# ---------------------------------------------------------------------------------------- all
-def test_a_wrong_unit_is_said(tmp_path: Path):
-    def repaired(key: str, *lines: str) -> ImuTable:
-        return repaired_imu(tables(written(tmp_path, *lines), key)[0], "a.csv")
-
-    table = repaired("nilspod", "t,gyr_x,gyr_y,gyr_z,acc_x,acc_y,acc_z", *rows(TIME, GYRO, ACC))
-    assert "only if that is in rad/s" in " ".join(table.notes)
-    np.testing.assert_allclose(table.gyro, printed(GYRO), rtol=1e-12)
-    dot = ",".join(["SampleTimeFine", *xyz("Acc"), *xyz("Gyr")])
-    assert "probably rad/s" in " ".join(repaired("xsens-dot", dot, *rows(MICROS, ACC, GYRO)).notes)
-    header = "\t".join(["Counter", *xyz("Acc"), *xyz("Gyr")])
-    body = rows(np.arange(COUNT), ACC, DEG, separator="\t")
-    table = repaired("xsens-mt", "// Update Rate: 100.0Hz", header, *body)
-    assert "probably deg/s" in " ".join(table.notes)
+@pytest.mark.parametrize(
+    ("key", "header", "columns", "said"),
+    [
+        ("nilspod", f"t,{G3},{A3}", [TIME, GYRO, ACC], "only if that is in rad/s"),
+        ("xsens-dot", f"SampleTimeFine,{A3},{G3}", [MICROS, ACC, GYRO], "probably rad/s"),
+        ("xsens-mt", f"// Update Rate: 100.0Hz\nCounter,{A3},{G3}", [MICROS, ACC, DEG], "probably deg/s"),
+    ],
+)
+def test_a_wrong_unit_is_said(tmp_path: Path, key: str, header: str, columns: list[np.ndarray], said: str):
+    table = repaired_imu(tables(written(tmp_path, header, *rows(*columns)), key)[0], "a.csv")
+    assert said in " ".join(table.notes)
+    if key == "nilspod":
+        np.testing.assert_allclose(table.gyro, printed(GYRO), rtol=1e-12)
 
 
 def test_a_named_format_that_does_not_fit_says_so(tmp_path: Path):
@@ -253,7 +247,10 @@ def test_a_named_format_that_does_not_fit_says_so(tmp_path: Path):
 @pytest.mark.parametrize("source", ["raw", "motion", "both"])
 def test_sensorlog_turns_gravity_to_specific_force(tmp_path: Path, units: bool, source: str):
     up = np.array([0.0, 0.0, 1.0])
-    columns, names = [], []
+    names, columns = (
+        ["loggingTime(txt)", *(f"{w}Timestamp_sinceReboot(s)" for w in ("accelerometer", "motion"))],
+        [],
+    )
     for name, unit, values, kind in (
         ("accelerometerAcceleration", "G", -ACC / GRAVITY, "raw"),
         ("gyroRotation", "rad/s", GYRO, "raw"),
@@ -262,57 +259,27 @@ def test_sensorlog_turns_gravity_to_specific_force(tmp_path: Path, units: bool, 
         ("motionRotationRate", "rad/s", GYRO + 0.25, "motion"),
     ):
         names += [f"{name}{a}({unit})" if units else f"{name}{a}" for a in "XYZ"]
-        off = source not in (kind, "both")
-        columns.append([",,"] * COUNT if off else rows(values))
-    stamps = [f"2020-01-10 14:23:{5 + t:06.3f} +0100" for t in TIME]
-    header = [
-        "loggingTime(txt)",
-        "accelerometerTimestamp_sinceReboot(s)",
-        "motionTimestamp_sinceReboot(s)",
-        *names,
-    ]
+        columns.append([",,"] * COUNT if source not in (kind, "both") else rows(values))
     body = [
-        ",".join((stamp, f"{7 + t:.6f}", f"{9 + t:.6f}", *cells))
-        for stamp, t, *cells in zip(stamps, TIME, *columns, strict=True)
+        ",".join((f"2020-01-10 14:23:{5 + t:06.3f} +0100", f"{7 + t:.6f}", f"{9 + t:.6f}", *cells))
+        for t, *cells in zip(TIME, *columns, strict=True)
     ]
-    (table,) = tables(written(tmp_path, ",".join(header), *body), "sensorlog")
+    (table,) = tables(written(tmp_path, ",".join(names), *body), "sensorlog")
     assert np.allclose(table.acc, ACC, atol=3e-5)  # two numbers of six decimals in g
     np.testing.assert_allclose(table.gyro, printed(GYRO + 0.25 * (source == "motion")), atol=1e-12)
     assert table.t_s[0] == (9 if source == "motion" else 7)
     assert "gravity, which points down" in " ".join(table.notes)
 
 
-def test_sensorlog_without_gyroscope(tmp_path: Path):
-    header = ",".join(["loggingTime(txt)", *(f"accelerometerAcceleration{a}(G)" for a in "XYZ")])
-    body = [f"2020-01-10 14:23:05.{k:03d} +0100,{row}" for k, row in enumerate(rows(ACC / GRAVITY))]
-    with pytest.raises(RecordingError, match="Device Motion"):
-        tables(written(tmp_path, header, *body), "sensorlog")
-
-
-def test_android_with_dates(tmp_path: Path):
-    dates = [f"2026-03-12 09:30:{t:09.6f}" for t in TIME]
-    body = [f"{date},{row}" for date, row in zip(dates, rows(ACC), strict=True)]
-    (table,) = tables(written(tmp_path, "timestamp,x,y,z", *body), "android")
-    check(table, printed(ACC), None, 1_773_307_800 + TIME)
-
-
 def test_android_log_with_names_of_sensors(tmp_path: Path):
-    body = [
-        row
-        for k in range(COUNT)
-        for row in (
-            f"{EPOCH[k]},{10 * k},accel_g,{rows(ACC[k : k + 1] / GRAVITY)[0]}",
-            f"{EPOCH[k]},{10 * k},gyro_dps,{rows(DEG[k : k + 1])[0]}",
-        )
-    ]
+    pairs = zip(EPOCH, rows(ACC / GRAVITY), rows(DEG), strict=True)
+    body = [f"{e},0,{name},{row}" for e, a, g in pairs for name, row in (("accel_g", a), ("gyro_dps", g))]
     acc, gyro = tables(written(tmp_path, "epoch_ms,elapsed_ms,sensor,x,y,z", *body), "android")
     check(acc, printed(ACC / GRAVITY) * GRAVITY, None, EPOCH * 1e-3)
     check(gyro, None, np.radians(printed(DEG)), EPOCH * 1e-3)
 
 
 def test_the_other_file_settles_an_assumed_unit(tmp_path: Path):
-    from smoother.io.tables.imu import paired
-
     slow = DEG / 4  # 21 deg/s at most: by its size it could be rad/s
     (gyro,) = tables(written(tmp_path, "timestamp,x,y,z", *rows(NANOS, slow)), "android")
     assert gyro.gyro_unit_assumed and gyro.units == "rad/s"
@@ -321,3 +288,35 @@ def test_the_other_file_settles_an_assumed_unit(tmp_path: Path):
     table = paired([acc_table, gyro], "two files")
     np.testing.assert_allclose(table.gyro, np.radians(printed(slow)), atol=1e-12)
     assert "only if that is in deg/s" in " ".join(table.notes) and table.units == "m/s^2, deg/s"
+
+
+def test_dates_and_three_numbers_in_two_files_that_start_apart(tmp_path: Path):
+    """`date,x,y,z` as a watch writes it: no header, some stamps repeat or go back."""
+    acc, gyro = motion(400)
+    t_s = np.arange(400) * 0.01
+    stamps = 1_773_300_000_000 + (1000 * t_s).astype(int)
+    stamps[50], stamps[120], stamps[300] = stamps[49], stamps[119] - 5, stamps[299]
+    dates = [f"{datetime.fromtimestamp(stamp / 1e3, UTC):%Y-%m-%d %H:%M:%S.%f}" for stamp in stamps]
+    for name, values, late in (("a.csv", acc, 0), ("g.csv", np.degrees(gyro), 70)):
+        lines = zip(dates[late:], rows(values)[late:], strict=True)
+        (tmp_path / name).write_text("".join(f"{date},{row}\n" for date, row in lines))
+    pair = ImuFiles((tmp_path / "a.csv", tmp_path / "g.csv"), "forearm_right")
+    file, (first, second) = import_files([], [pair])
+    since = (file.imus[0].stamp_ns - 1_773_300_000_000_000_000) / 1e9
+    assert since[0] == pytest.approx(0.7, abs=0.02)
+    at = np.searchsorted(t_s, since - 0.004)
+    assert np.median(np.abs(file.imus[0].acc - acc[at])) < 1e-3
+    assert np.median(np.abs(file.imus[0].gyro - gyro[at])) < 1e-3
+    said = " ".join([*first.notes, *second.notes])
+    assert "assumed a gyroscope" in said and "repeat or go back" in said
+
+
+def test_a_table_that_looks_like_a_device_and_is_read_by_its_columns(tmp_path: Path):
+    path = written(tmp_path, f"t_ms,{A3},gyro_x,gyro_y,gyro_z", *rows(1000 * TIME, ACC / GRAVITY, DEG))
+    reader = FileReader()
+    (table,) = reader.read(path, reader.format_of(path, "imu"))
+    np.testing.assert_allclose(table.acc, printed(ACC / GRAVITY) * GRAVITY, rtol=1e-12)
+    assert "as NilsPod CSV it cannot be" in table.notes[-1]
+    with pytest.raises(RecordingError, match=r"NilsPod CSV.* is without both"):
+        named = FileReader(imu_format="nilspod")
+        named.read(path, named.format_of(path, "imu"))

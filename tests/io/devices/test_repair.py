@@ -27,12 +27,13 @@ def table(**changes: object) -> ImuTable:
     return replace(ImuTable("", T.copy(), ACC.copy(), GYRO.copy()), **changes)
 
 
-def test_sound_tables_stay_as_they_are():
+def rows(order: np.ndarray) -> ImuTable:
+    return table(t_s=T[order], acc=ACC[order], gyro=GYRO[order])
+
+
+def test_sound_tables_and_rows_without_numbers():
     corrected = repaired_imu(table(), "a.csv")
     assert not corrected.notes and np.array_equal(corrected.t_s, T) and np.array_equal(corrected.acc, ACC)
-
-
-def test_first_rows_of_zeros_and_rows_without_numbers():
     acc, gyro = ACC.copy(), GYRO.copy()
     acc[:2], gyro[:2], acc[100, 1], gyro[700, 0] = 0, 0, np.nan, np.inf
     corrected = repaired_imu(table(acc=acc, gyro=gyro), "a.csv")
@@ -45,27 +46,31 @@ def test_first_rows_of_zeros_and_rows_without_numbers():
 
 def test_a_watch_with_repeated_stamps_becomes_usable():
     stamps = T.copy()
-    again = RNG.choice(np.arange(1, N), N * 15 // 100, replace=False)
-    stamps[np.sort(again)] = stamps[np.sort(again) - 1]
+    again = np.sort(RNG.choice(np.arange(1, N), N * 15 // 100, replace=False))
+    stamps[again] = stamps[again - 1]
     corrected = repaired_imu(table(t_s=stamps), "watch.csv")
     assert len(corrected.t_s) == N and np.abs(corrected.t_s - T).max() < 0.01
-    assert (
-        "even rate of 100." in corrected.notes[0]
-        and "of 2000; the samples were counted" in corrected.notes[0]
-    )
+    assert "even rate of 100." in corrected.notes[0] and "of 2000; the samples" in corrected.notes[0]
 
 
-def test_rows_that_are_there_twice_and_rows_out_of_order():
-    rows = np.repeat(np.arange(N), np.where(np.arange(N) % 100 == 7, 2, 1))
-    corrected = repaired_imu(table(t_s=T[rows], acc=ACC[rows], gyro=GYRO[rows]), "a.csv")
-    assert (
-        np.array_equal(corrected.t_s, T)
-        and "Rows that repeat the one before, left out: 20." in corrected.notes[0]
-    )
-    order = np.arange(N)
-    order[500:505] = order[500:505][::-1]
-    corrected = repaired_imu(table(t_s=T[order], acc=ACC[order], gyro=GYRO[order]), "a.csv")
-    assert np.array_equal(corrected.acc, ACC) and "out of order" in corrected.notes[0]
+TWICE = np.repeat(np.arange(N), np.where(np.arange(N) % 100 == 7, 2, 1))
+FIVE = np.r_[0:500, 504:499:-1, 505:N]
+
+
+@pytest.mark.parametrize(
+    ("order", "said"),
+    [
+        (TWICE, "repeat the one before, left out: 20."),
+        (FIVE, "out of order"),
+        (np.r_[0:800, 820:840, 800:820, 840:N], "out of order"),  # packets that overtook one another
+        (np.r_[0:500, 1000:1500, 500:1000, 1500:N], "out of order"),  # pages of a memory
+        (np.r_[1000:N, 0:1000], "out of order"),  # the second half first
+        (np.r_[0:800, 700:N], ""),  # written twice
+    ],
+)
+def test_rows_twice_or_out_of_order_are_no_clock_that_was_set_back(order: np.ndarray, said: str):
+    corrected = repaired_imu(rows(order), "a.csv")
+    assert np.allclose(corrected.t_s, T) and np.array_equal(corrected.acc, ACC) and said in corrected.notes[0]
 
 
 @pytest.mark.parametrize("by_s", [0.1, 0.237, 0.5, 1.0, 2.0, 60.0, 3600.0])
@@ -89,42 +94,20 @@ def test_a_clock_that_was_set_back_goes_on(by_s: float, jitter_s: float):
 
 
 def test_a_clock_that_was_set_back_twice():
-    stamps = T - 2.0 * (T >= 5) - 0.5 * (T >= 12)
-    corrected = repaired_imu(table(t_s=stamps), "a.csv")
+    corrected = repaired_imu(table(t_s=T - 2.0 * (T >= 5) - 0.5 * (T >= 12)), "a.csv")
     assert np.abs(corrected.t_s - T).max() < 1e-6
     assert "by 2.0 s at 5.0 s, by 0.50 s at 12.0 s" in corrected.notes[0]
 
 
 @pytest.mark.parametrize(
-    "order",
-    [
-        np.r_[0:800, 820:840, 800:820, 840:N],  # packets that overtook one another
-        np.r_[0:500, 1000:1500, 500:1000, 1500:N],  # pages of a memory
-        np.r_[1000:N, 0:1000],  # the second half first
-    ],
+    ("stamped", "said"), [(False, "misses stay missing: 41"), (True, "nothing is put there: 41")]
 )
-def test_pages_out_of_order_are_no_clock_that_was_set_back(order: np.ndarray):
-    corrected = repaired_imu(table(t_s=T[order], acc=ACC[order], gyro=GYRO[order]), "a.csv")
-    assert np.array_equal(corrected.acc, ACC) and "out of order" in corrected.notes[0]
-
-
-def test_rows_written_twice_are_no_clock_that_was_set_back():
-    order = np.r_[0:800, 700:N]
-    corrected = repaired_imu(table(t_s=T[order], acc=ACC[order], gyro=GYRO[order]), "a.csv")
-    assert np.allclose(corrected.t_s, T) and np.array_equal(corrected.acc, ACC)
-
-
-def test_lost_packets_stay_missing():
+def test_lost_packets_stay_missing(stamped: bool, said: str):
     keep = np.delete(np.arange(N), np.r_[300:340, 900])
-    counter = (keep + 65_000) % 65_536
-    parts = {"acc": ACC[keep], "gyro": GYRO[keep], "counter": counter, "counter_wraps": 65_536}
-    corrected = repaired_imu(table(t_s=None, rate_hz=100.0, **parts), "a.txt")
-    assert np.allclose(corrected.t_s, T[keep]) and "misses stay missing: 41" in corrected.notes[0]
-    corrected = repaired_imu(table(t_s=T[keep] + 5, **parts), "a.txt")
-    assert (
-        np.array_equal(corrected.t_s, T[keep] + 5)
-        and "missing by the counter, nothing is put there: 41" in corrected.notes[0]
-    )
+    counter = {"counter": (keep + 65_000) % 65_536, "counter_wraps": 65_536}
+    times = {"t_s": T[keep]} if stamped else {"t_s": None, "rate_hz": 100.0}
+    corrected = repaired_imu(table(acc=ACC[keep], gyro=GYRO[keep], **times, **counter), "a.txt")
+    assert np.allclose(corrected.t_s, T[keep]) and said in corrected.notes[0]
 
 
 def test_stamps_before_the_clock_was_set():
@@ -142,26 +125,30 @@ def test_a_stamp_that_no_file_can_hold_is_left_out(row: int, stamp: float):
     mended = repaired_imu(table(t_s=stamps), "a.csv")
     assert np.array_equal(mended.t_s, np.delete(T, row)) and len(mended.acc) == N - 1
     assert mended.notes == ["Samples without a time, left out: 1."]
-    position = {"wrist_right": ACC.copy()}
-    frames = repaired_skeleton(SkeletonTable("", stamps, position, {}), "a.csv")
+    frames = repaired_skeleton(SkeletonTable("", stamps, {"wrist_right": ACC.copy()}, {}), "a.csv")
     assert np.array_equal(frames.t_s, np.delete(T, row))
 
 
-def test_what_cannot_be_mended_is_said():
-    with pytest.raises(RecordingError, match=r"neither times nor a rate.*import describe a.csv"):
-        repaired_imu(table(t_s=None), "a.csv")
-    shuffled = np.cumsum(RNG.exponential(0.01, N)) - 3 * (RNG.random(N) < 0.4)
-    with pytest.raises(RecordingError, match="stamps repeat or go back"):
-        repaired_imu(table(t_s=shuffled), "a.csv")
-    with pytest.raises(RecordingError, match=r"too few usable samples \(0\)"):
-        repaired_imu(table(acc=np.full((N, 3), np.nan)), "a.csv")
+MIX = np.random.default_rng(1)
+SHUFFLED = np.cumsum(MIX.exponential(0.01, N)) - 3 * (MIX.random(N) < 0.4)
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({"t_s": None}, r"neither times nor a rate.*import describe a.csv"),
+        ({"t_s": SHUFFLED}, "stamps repeat or go back"),
+        ({"acc": np.full((N, 3), np.nan)}, r"too few usable samples \(0\)"),
+    ],
+)
+def test_what_cannot_be_mended_is_said(changes: dict[str, object], said: str):
+    with pytest.raises(RecordingError, match=said):
+        repaired_imu(table(**changes), "a.csv")
 
 
 def test_frames():
-    t = np.arange(300) / 30
-    position = {"wrist_left": RNG.normal(0, 1, (300, 3))}
-    state = {"wrist_left": np.full(300, 2, np.int8)}
-    body = SkeletonTable(0, None, position, state, rate_hz=30.0)
+    t, state = np.arange(300) / 30, {"wrist_left": np.full(300, 2, np.int8)}
+    body = SkeletonTable(0, None, {"wrist_left": RNG.normal(0, 1, (300, 3))}, state, rate_hz=30.0)
     assert np.allclose(repaired_skeleton(body, "k.csv").t_s, t)
     wrapped = np.mod(t + 2**32 * 1e-6 - 4, 2**32 * 1e-6)
     assert np.allclose(np.diff(repaired_skeleton(replace(body, t_s=wrapped), "k.csv").t_s), 1 / 30)
@@ -176,11 +163,10 @@ def test_two_files_of_a_sensor():
     assert joined.t_s[0] >= 0.5 and not ((joined.t_s > 8.01) & (joined.t_s < 8.99)).any()
     assert np.allclose(joined.acc[:, 0], joined.t_s) and joined.units == "g, deg/s"
     assert "50.0 Hz" in joined.notes[0] and "without accelerometer, left out" in joined.notes[1]
-    for wrong, said in (([fast], "no accelerometer"), ([slow, slow], "2 accelerometers")):
+    late = [slow, replace(fast, t_s=T + 100)]
+    for wrong, said in (([fast], "no acc"), ([slow, slow], "2 accelerometers"), (late, "share too few")):
         with pytest.raises(RecordingError, match=said):
             paired(wrong, "acc.csv")
-    with pytest.raises(RecordingError, match="share too few samples"):
-        paired([slow, replace(fast, t_s=T + 100)], "acc.csv, gyro.csv")
 
 
 def test_clocks_with_nothing_in_common_start_at_zero():
@@ -189,10 +175,8 @@ def test_clocks_with_nothing_in_common_start_at_zero():
     shift, (sentence,) = shifts([camera, wrist, arm])
     assert shift == [-1.7e9, -300.0, -300.0]  # the two IMUs share a clock
     assert "is unrelated to" in sentence and "2023-11-14" in sentence
-    near = Timed("wrist", 1.7e9 + 4.8 + T, True)
-    assert shifts([camera, near]) == ([0.0, 0.0], [])
-    shift, _ = shifts([camera, wrist], imu_starts_at_s=-2.5)
-    assert shift == [0.0, 1.7e9 - 302.5]
+    assert shifts([camera, Timed("wrist", 1.7e9 + 4.8 + T, True)]) == ([0.0, 0.0], [])
+    assert shifts([camera, wrist], imu_starts_at_s=-2.5)[0] == [0.0, 1.7e9 - 302.5]
 
 
 def test_files_that_each_count_from_zero():
@@ -207,22 +191,21 @@ def test_files_that_each_count_from_zero():
     assert not count_from_zero([camera]) and not count_from_zero([])
 
 
-SENSORS = {
-    "xsens_dot": ("Acc_Z", "Gyr_Z"),
-    "xsens_mt": ("Acc_Y", "Gyr_Z"),
+#: Columns of example files that are taken away, of sensors and of joints.
+MISSING = {
+    "xsens_dot": ("Acc_Z",),
+    "xsens_mt": ("Gyr_Z",),
     "shimmer": ("S_Accel_WR_Z_CAL", "S_Gyro_X_CAL"),
     "ximu": ("Gyroscope Z (deg/s)", "Accelerometer Y (g)"),
     "nilspod": ("gyr_z", "acc_x"),
     "metamotion": ("z-axis (g)",),
-    "sensorlog": ("accelerometerAccelerationZ(G)", "gyroRotationY(rad/s)"),
+    "sensorlog": ("accelerometerAccelerationZ(G)",),
     "phyphox": ("Acceleration Z (m/s^2)", "Gyroscope X (rad/s)"),
     "android": ("az", "gy"),
-}
-SKELETONS = {
-    "kinect_v2": "WristRight_z",
-    "mediapipe": "right_wrist_z",
-    "joint_table": "right_elbow_x",
-    "azure_csv": "WRIST_RIGHT (z)",
+    "kinect_v2": ("WristRight_z",),
+    "mediapipe": ("right_wrist_z",),
+    "joint_table": ("right_elbow_x",),
+    "azure_csv": ("WRIST_RIGHT (z)",),
 }
 
 
@@ -231,24 +214,22 @@ def without(path: Path, column: str) -> Path:
     lines = path.read_text(encoding="utf-8").splitlines()
     mark = next((one for one in "\t;" if any(one in line for line in lines)), ",")
     cells = [line.split(mark) for line in lines]
-    header, at = next(
-        (row, [name.strip('"') for name in names].index(column))
-        for row, names in enumerate(cells)
-        if column in [name.strip('"') for name in names]
-    )
-    for names in cells[header:]:
-        del names[at]
-    path.write_text("\n".join(mark.join(names) for names in cells) + "\n", encoding="utf-8")
+    names = [[name.strip('"') for name in row] for row in cells]
+    header = next(at for at, row in enumerate(names) if column in row)
+    for row in cells[header:]:
+        del row[names[header].index(column)]
+    path.write_text("\n".join(mark.join(row) for row in cells) + "\n", encoding="utf-8")
     return path
 
 
-@pytest.mark.parametrize(("made", "column"), [(made, one) for made, all_ in SENSORS.items() for one in all_])
-def test_a_sensors_missing_axis_is_named(tmp_path: Path, made: str, column: str) -> None:
-    """It was "has no gyroscope", of a file with two thirds of one."""
-    path = tmp_path / "sensor.csv"
-    getattr(device_files, made)(path)
+@pytest.mark.parametrize(("made", "column"), [(made, one) for made, each in MISSING.items() for one in each])
+def test_a_missing_axis_is_named(tmp_path: Path, made: str, column: str) -> None:
+    """It was "has no gyroscope", of a file with two thirds of one, or "the wrist was never tracked"."""
+    path = tmp_path / "a.csv"
+    getattr(device_files if hasattr(device_files, made) else skeleton_files, made)(path)
+    streams = ([], [ImuFiles((without(path, column),), "forearm_right")])
     with pytest.raises(RecordingError) as told:
-        import_files([], [ImuFiles((without(path, column),), "forearm_right")])
+        import_files(*(([path], []) if list(MISSING).index(made) > 8 else streams))
     assert f"has no column {column} beside " in str(told.value)
     assert str(told.value).endswith("; export it again with all three axes.")
 
@@ -261,40 +242,23 @@ def test_a_second_sensor_without_an_axis_is_said(tmp_path: Path) -> None:
     assert any("no column Sternum/Angular Velocity/Z beside" in note for note in file.notes)
 
 
-@pytest.mark.parametrize(("made", "column"), SKELETONS.items())
-def test_a_joints_missing_axis_is_named(tmp_path: Path, made: str, column: str) -> None:
-    """It was "the wrist was never tracked", when the recording was recovered."""
-    path = tmp_path / "skeleton.csv"
-    getattr(device_files if hasattr(device_files, made) else skeleton_files, made)(path)
-    with pytest.raises(RecordingError) as told:
-        import_files([without(path, column)], [])
-    assert f"has no column {column} beside " in str(told.value)
-
-
-def test_numbered_landmarks_and_rows_of_joints(tmp_path: Path) -> None:
-    landmarks = skeleton_files.landmarks(30)
-    names = [f"{axis}{number}" for number in range(33) for axis in "xyz"]
-    path = tmp_path / "landmarks.csv"
-    rows = [",".join(f"{value:.5f}" for value in frame.ravel()) for frame in landmarks]
-    path.write_text("\n".join([",".join(names), *rows]) + "\n", encoding="utf-8")
+def test_numbered_landmarks_rows_of_joints_and_places_in_the_image(tmp_path: Path) -> None:
+    path, names = tmp_path / "a.csv", [f"{axis}{number}" for number in range(33) for axis in "xyz"]
+    lines = [",".join(f"{value:.5f}" for value in frame.ravel()) for frame in skeleton_files.landmarks(30)]
+    path.write_text("\n".join([",".join(names), *lines]) + "\n", encoding="utf-8")
     assert import_files([path], [])[0].arms
     with pytest.raises(RecordingError, match="has no column z16 beside x16 and y16"):
         import_files([without(path, "z16")], [])
     device_files.joint_rows(path)
     with pytest.raises(RecordingError, match=r"an unknown format \(it has no column z beside x and y\)"):
         import_files([without(path, "z")], [])
+    skeleton_files.azure_csv(path)  # and its place in the image
+    lines = path.read_text(encoding="utf-8").splitlines()
+    lines = [f"{lines[0]},Wrist.Right.x,Wrist.Right.y", *(f"{line},100,200" for line in lines[1:])]
+    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    assert import_files([path], [])[0].arms
 
 
 def test_only_two_of_three_are_a_vector_without_one() -> None:
     assert missing_axes(["t", "index", "max", "ax", "ay", "az", "Quat_X", "roll_x"]) == {}
     assert list(missing_axes(["LWrist.Y", "LWrist.Z", "x1", "z1"])) == ["LWrist.X", "y1"]
-
-
-def test_two_axes_of_a_joint_that_is_there_otherwise(tmp_path: Path) -> None:
-    """Its place in the image beside its place in the room."""
-    path = tmp_path / "skeleton.csv"
-    skeleton_files.azure_csv(path)
-    lines = path.read_text(encoding="utf-8").splitlines()
-    lines = [f"{lines[0]},Wrist.Right.x,Wrist.Right.y", *(f"{line},100,200" for line in lines[1:])]
-    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
-    assert import_files([path], [])[0].arms

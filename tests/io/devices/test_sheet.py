@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from datetime import datetime, timedelta
 from pathlib import Path
 
@@ -98,20 +99,13 @@ def test_gaps_in_a_table_are_missing_and_said():
     assert np.isnan(acc[[2, 4]]).all() and acc[5] == 5.5
     assert np.isnan(sheet.numbers(3)[2]) and sheet.numbers(2)[2] == -10
     said = " ".join(sheet.notes)
-    for part in (
-        "'-124.874.1' in line 6",
-        "last line is cut off",
-        "Repeated headers",
-        "treated as missing: 1.",
-    ):
+    for part in ("'-124.874.1' in line 6", "last line is cut off", "Repeated headers", "as missing: 1."):
         assert part in said
     assert sheet.line(4) == 6
 
 
 def test_first_rows_without_most_sensors_are_rows():
-    lines = (
-        ["t,ax,ay,az,gx,gy,gz"] + ["0.0,,,,,,", "0.1,1,2,3,,,"] + [f"0.{k},1,2,3,4,5,6" for k in range(2, 9)]
-    )
+    lines = ["t,ax,ay,az,gx,gy,gz", "0.0,,,,,,", "0.1,1,2,3,,,", *(f"0.{k},1,2,3,4,5,6" for k in range(2, 9))]
     sheet = read("\n".join(lines))
     assert len(sheet) == 9 and sheet.labels[1] == "ax"
     assert np.isnan(sheet.numbers(4)[:2]).all() and sheet.numbers(4)[2] == 4
@@ -150,14 +144,10 @@ def test_dates(cells: list[str], seconds: float):
     assert seconds_of_dates(cells)[0] == pytest.approx(seconds, abs=1e-6)
 
 
-def test_dates_of_which_too_many_are_none():
+def test_dates_of_which_too_many_are_none_and_times_past_midnight():
     dates = [f"2026-03-12 09:30:{k:02d}" if k % 5 else "soon" for k in range(1, 50)]
-    sheet = read("\n".join(["when,x", *(f"{date},1" for date in dates), ""]))
     with pytest.raises(RecordingError, match="line 6: 'soon' in column when is not a time"):
-        sheet.times(0)
-
-
-def test_times_of_day_go_on_past_midnight():
+        read("\n".join(["when,x", *(f"{date},1" for date in dates), ""])).times(0)
     assert np.allclose(seconds_of_dates(["23:59:59.5", "00:00:00.5", "00:00:01.5"]), 86399.5 + np.arange(3))
 
 
@@ -181,14 +171,10 @@ def test_typographic_minus_signs(tmp_path: Path, minus: str, encoding: str):
     sheet = read_table(path)
     assert not sheet.notes and sheet.names[1] == "gain 2\u20133"
     assert (sheet.numbers(1) == -np.arange(1, 60) - 0.5).all() and (sheet.numbers(2) == -0.01).all()
-    table, _ = read_strict(_comma(tmp_path, minus), ("t_s", "ax"))
+    plain = tmp_path / "plain.csv"
+    plain.write_text(f"t_s,ax\n0,{minus}1.5\n1,2\n", encoding="utf-8")
+    table, _ = read_strict(plain, ("t_s", "ax"))
     assert table["ax"].tolist() == [-1.5, 2.0]
-
-
-def _comma(folder: Path, minus: str) -> Path:
-    path = folder / "plain.csv"
-    path.write_text(f"t_s,ax\n0,{minus}1.5\n1,2\n", encoding="utf-8")
-    return path
 
 
 @pytest.mark.parametrize(("wrong", "refused"), [(5, False), (6, True)])
@@ -214,17 +200,9 @@ def as_workbook(text: Path, path: Path, separator: str = ",", before: tuple[str,
     sheet = book.create_sheet("data")
     for line in text.read_text("utf-8").splitlines():
         cells = [cell.strip('"') for cell in line.split(separator)]
-        sheet.append([float(cell) if is_number(cell) else cell or None for cell in cells])
+        sheet.append([float(cell) if re.fullmatch(r"-?[\d.]+", cell) else cell or None for cell in cells])
     book.save(path)
     return path
-
-
-def is_number(cell: str) -> bool:
-    try:
-        float(cell)
-    except ValueError:
-        return False
-    return True
 
 
 @pytest.mark.parametrize(
