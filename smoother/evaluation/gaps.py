@@ -183,31 +183,26 @@ def score_gap(
         stated = recovery.pose_covariance[rows, :3, :3]
     else:
         inside = gap.contains(arm.t_s)
-        name = next(
-            (
-                joint
-                for joint in REFERENCES
-                if (joint == "strap" or joint in recovery.joints) and (inside & arm.tracked(joint)).any()
-            ),
-            "",
-        )
-        if not name:
+        known = [joint for joint in REFERENCES if joint == "strap" or joint in recovery.joints]
+        shown = [joint for joint in known if (inside & arm.tracked(joint)).any()]
+        if not shown:
             return GapErrors()
+        name = shown[0]
         frames = inside & arm.tracked(name)
         if name == "strap":
-            known, covariance = strap_position(recovery), recovery.pose_covariance[:, :3, :3]
+            path, covariance = strap_position(recovery), recovery.pose_covariance[:, :3, :3]
         else:
-            known = recovery.joints[name]
+            path = recovery.joints[name]
             covariance = recovery.joint_covariance.get(name, np.full((len(recovery), 3, 3), np.nan))
         reference, t_s, since_s = arm.joint(name)[frames], own_t_s[frames], arm.t_s[frames] - gap.start_s
-        difference = position_at(recovery.t_s, known, t_s) - reference
+        difference = position_at(recovery.t_s, path, t_s) - reference
         angle, scored = np.full(len(t_s), np.nan), np.ones(len(t_s), dtype=bool)
         stated = linear_at(recovery.t_s, covariance.reshape(-1, 9), t_s).reshape(-1, 3, 3)
         # a hidden sample has the camera's own noise, which the answer's covariance does not include
         noise = camera_noise(noise_of or recovery, name)
     distance, variance = np.linalg.norm(difference, axis=1), np.einsum("nii->ni", stated)
     finite = variance[np.isfinite(variance).all(axis=1)]
-    path = reference[np.isfinite(reference).all(axis=1)]
+    way = reference[np.isfinite(reference).all(axis=1)]
     return GapErrors(
         name,
         distance,
@@ -215,7 +210,7 @@ def score_gap(
         squared_sigmas(difference, stated + noise),
         int((scored & ~np.isfinite(distance)).sum()),
         float(np.sqrt(finite.max())) if len(finite) else None,
-        float(np.linalg.norm(np.diff(path, axis=0), axis=1).sum()) if len(path) > 1 else None,
+        float(np.linalg.norm(np.diff(way, axis=0), axis=1).sum()) if len(way) > 1 else None,
         needed_factors(difference, stated, noise),
         since_s,
     )
@@ -445,21 +440,16 @@ SHORTEST_S, ALIKE = 0.2, 1.15
 def compare_real_gaps(recordings: Sequence[Recording], table: GapTable) -> dict[str, Any]:
     """Movement in the real gaps of some recordings against their hidden ones, and a sentence on it."""
     by_name = {recording.name: recording for recording in recordings}
-    real = []
-    for recording in recordings:
-        arm, imu = recording.arm, recording.imu
-        if not len(arm) or not len(imu):
-            continue
-        ends = float(max(arm.t_s[0], imu.t_s[0])), float(min(arm.t_s[-1], imu.t_s[-1]))
-        for gap in find_gaps(arm.t_s, visible_frames(arm, accepted_samples(arm)), *ends):
-            movement = _movement(recording, gap.start_s, gap.end_s)
-            if not (gap.open_start or gap.open_end or gap.length_s < SHORTEST_S or movement is None):
-                real.append(movement)
     rows = [row for row in table.rows if not row.failure]
     rows = [row for row in rows if row.method == "graph"] or rows
     places = dict.fromkeys((row.recording, row.gap) for row in rows)
-    felt = [_movement(by_name[name], gap.start_s, gap.end_s) for name, gap in places]
-    hidden = [each for each in felt if each is not None]
+    hidden = [found for name, gap in places if (found := _movement(by_name[name], gap)) is not None]
+    real = [
+        found
+        for recording in recordings
+        for gap in _real_gaps(recording)
+        if (found := _movement(recording, gap)) is not None
+    ]
     start = "gaps were hidden where the camera saw the arm, which is easier than where it lost it"
     found: dict[str, Any] = {"count": len(real), "turning_ratio": None, "acceleration_ratio": None}
     if not real or not hidden:
@@ -477,9 +467,19 @@ def compare_real_gaps(recordings: Sequence[Recording], table: GapTable) -> dict[
     return found | {"turning_ratio": turning, "acceleration_ratio": acceleration, "sentence": sentence}
 
 
-def _movement(recording: Recording, start_s: float, end_s: float) -> tuple[float, float] | None:
+def _real_gaps(recording: Recording) -> list[Gap]:
+    """Gaps of a recording that the camera saw on both sides, without flicker."""
+    arm, imu = recording.arm, recording.imu
+    if not len(arm) or not len(imu):
+        return []
+    ends = float(max(arm.t_s[0], imu.t_s[0])), float(min(arm.t_s[-1], imu.t_s[-1]))
+    gaps = find_gaps(arm.t_s, visible_frames(arm, accepted_samples(arm)), *ends)
+    return [gap for gap in gaps if not (gap.open_start or gap.open_end or gap.length_s < SHORTEST_S)]
+
+
+def _movement(recording: Recording, gap: Gap) -> tuple[float, float] | None:
     """Rms turn rate, rad/s, and rms of specific force less gravity's size, m/s^2; None without samples."""
-    first, last = np.searchsorted(recording.imu.t_s, [start_s, end_s])
+    first, last = np.searchsorted(recording.imu.t_s, [gap.start_s, gap.end_s])
     if last - first < 3:
         return None
     gyro, acc = recording.imu.gyro[first:last], recording.imu.acc[first:last]
@@ -592,16 +592,19 @@ def allowed_gaps(
         stated = [sigma_m for row in own.rows if (sigma_m := row.errors.sigma_max_m) is not None]
         if stated:  # widened where errors exceed what is stated
             sigmas[length_s] = float(np.median(stated) * np.sqrt(np.fmax(own.figures.nees or 1.0, 1.0)))
-    longest_s = _longest_s(sigmas)
+    lengths_s, largest_m = list(sigmas), np.maximum.accumulate(list(sigmas.values()))
     within = f"within {100 * WITHIN_M:.0f} cm"
-    if longest_s is None:
-        allows = "the forearm was never visible for long enough to try a gap"
-    elif longest_s == 0.0:
-        length_s, sigma_m = next(iter(sigmas.items()))
-        allows = f"no gap is recovered {within}; gaps of {length_s:g} s are known to {100 * sigma_m:.0f} cm"
-    else:
-        up_to = "at least" if longest_s == max(sigmas) else "about"
-        allows = f"gaps up to {up_to} {longest_s:.2g} s are recovered {within}"
+    longest_s: float | None = None
+    allows = "the forearm was never visible for long enough to try a gap"
+    if sigmas and largest_m[0] > WITHIN_M:
+        longest_s, known_cm = 0.0, f"{100 * sigmas[lengths_s[0]]:.0f} cm"
+        allows = f"no gap is recovered {within}; gaps of {lengths_s[0]:g} s are known to {known_cm}"
+    elif sigmas and largest_m[-1] <= WITHIN_M:
+        longest_s = lengths_s[-1]
+        allows = f"gaps up to at least {longest_s:.2g} s are recovered {within}"
+    elif sigmas:
+        longest_s = float(np.exp(np.interp(np.log(WITHIN_M), np.log(largest_m), np.log(lengths_s))))
+        allows = f"gaps up to about {longest_s:.2g} s are recovered {within}"
     return {
         "sentence": "; ".join((allows, *not_determined)),
         "sentences": [allows, *not_determined],
@@ -610,15 +613,3 @@ def allowed_gaps(
         "gaps": [{"length_s": length_s, "sigma_m": sigma_m} for length_s, sigma_m in sigmas.items()],
         "not_determined": list(not_determined),
     }
-
-
-def _longest_s(sigmas: Mapping[float, float]) -> float | None:
-    """Gaps up to about this are within `WITHIN_M`; 0 where none is, None where none could be hidden."""
-    if not sigmas:
-        return None
-    lengths, sigma = list(sigmas), np.maximum.accumulate(list(sigmas.values()))
-    if sigma[0] > WITHIN_M:
-        return 0.0
-    if sigma[-1] <= WITHIN_M:
-        return lengths[-1]
-    return float(np.exp(np.interp(np.log(WITHIN_M), np.log(sigma), np.log(lengths))))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -139,39 +138,6 @@ def test_advice_does_not_depend_on_the_blocks(
     assert any("shoulder in view while" in sentence for sentence in said)
     monkeypatch.setattr("smoother.result.recovery.BATCH_ROWS", 10**6)
     assert advice(recovery, found_in(recovery)) == said
-
-
-@pytest.mark.slow
-def test_the_page_of_a_long_recording_is_thinned_first(
-    tmp_path: Path, recovery: Recovery, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    from smoother.report import write_report
-    from smoother.report.style import MOST_POINTS
-
-    monkeypatch.setattr("smoother.result.recovery.BATCH_ROWS", 10**4)
-    times = 30
-    whole = {
-        name: np.concatenate([getattr(recovery, name)] * times)
-        for name in (
-            "occluded",
-            "position",
-            "quaternion",
-            "velocity",
-            "pose_covariance",
-            "velocity_covariance",
-        )
-    }
-    joints = {joint: np.concatenate([values] * times) for joint, values in recovery.joints.items()}
-    spread = {joint: np.concatenate([values] * times) for joint, values in recovery.joint_covariance.items()}
-    t = np.concatenate([recovery.t_s + 40.0 * k for k in range(times)])
-    long = replace(recovery, t_s=t, joints=joints, joint_covariance=spread, residuals=None, **whole)
-    write_report(long, tmp_path / "long.html")
-    write_report(recovery, tmp_path / "short.html")
-    page = (tmp_path / "long.html").read_text(encoding="utf-8")
-    assert f"of its {len(long)} samples about {MOST_POINTS} are drawn" in page
-    # the player has 5.5 MB at most before it is written as text, a third more as such
-    assert len(page) < 6_000_000 + (tmp_path / "short.html").stat().st_size
-    assert re.search(r"samples</td><td>96000<", page)
 
 
 def occluded_recovery():

@@ -249,9 +249,3 @@ class TestCommand:
         again_found = json.loads((tmp_path / "w.json").read_text())["measures"]["agreement"]["session"]
         assert again_found[FLEXION] == found
         assert read_detectable(tmp_path / "w.json")[FLEXION] == found["mdc95"]
-
-    @pytest.mark.parametrize(("name", "words"), [("none.json", "none.json"), ("a.json", "is not JSON")])
-    def test_wrong_pools(self, folder: Path, tmp_path: Path, name: str, words: str, capsys):
-        (tmp_path / "a.json").write_text("no")
-        assert self.command(folder, "--pool", tmp_path / name, "--json", tmp_path / "v.json") == 1
-        assert words in capsys.readouterr().err and not (tmp_path / "v.json").exists()

@@ -70,14 +70,6 @@ def test_slow_implementation(recovery):
     assert got["orientation_rms_deg"] == pytest.approx(np.degrees(0.1), rel=1e-3)
 
 
-def test_truth_without_orientation_says_so(recovery):
-    truth = make_truth(np.arange(0, 20, 0.01))
-    bare = replace(truth, quaternion=np.full_like(truth.quaternion, np.nan))
-    found = validate(recovery, bare)
-    assert found.all.orientation_rms_deg is None
-    assert any("orientation" in note for note in found.notes)
-
-
 def test_no_covariance_no_nees(recovery):
     blank = replace(recovery, pose_covariance=np.full_like(recovery.pose_covariance, np.nan))
     found = validate(blank, make_truth(np.arange(0, 20, 0.01)))

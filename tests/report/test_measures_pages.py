@@ -14,7 +14,7 @@ from made_measures import made_measure, made_measures, study_row
 
 from smoother.errors import UnoccludeError
 from smoother.evaluation.progress import PersonProgress
-from smoother.measures import BothArms, Measure, Measures
+from smoother.measures import BothArms
 from smoother.measures.symmetry import COMPARED
 from smoother.report.measures import measures_page
 from smoother.report.progress import progress_page
@@ -33,29 +33,6 @@ def browser() -> Iterator[Browser]:
     opened = Browser(program)
     yield opened
     opened.close()
-
-
-def fullest(side: str) -> Measures:
-    """An arm of which a page has as much to say as it can."""
-    zones = [
-        made_measure(f"{angle}_zone_{low}_to_{low + 10}_percent", 5.0, 1.0)
-        for angle in ("elbow_flexion", "shoulder_elevation")
-        for low in range(0, 140, 10)
-    ]
-    notes = tuple(
-        f"A note of the {side} arm that needs a whole line of its own, number {n}" for n in range(6)
-    )
-    arm = made_measures(side, movements=40, notes=notes, name="a name that is long " * 4)
-    return replace(arm, rows=tuple(replace(row, recovered_share=0.7) for row in (*arm.rows, *zones)))
-
-
-def indices(left: Measures, right: Measures) -> tuple[Measure, ...]:
-    """Symmetry indices as wide as they get, of each measure that has one."""
-    return tuple(
-        made_measure(f"{key}_symmetry_percent", -100.4, 12.2)
-        for key in COMPARED
-        if key in left.by_key and key in right.by_key
-    )
 
 
 def person(
@@ -84,8 +61,14 @@ def person(
 @pytest.mark.slow
 def test_every_page_fits_a_phone(browser: Browser, tmp_path: Path):
     measures_page([made_measures()]).write(tmp_path / "one.html")
-    arms = [fullest("left"), fullest("right")]
-    measures_page(arms, [BothArms(*arms, indices(*arms))]).write(tmp_path / "both.html")
+    notes = tuple(f"A note that needs a whole line of its own, number {n}" for n in range(6))
+    arms = [
+        made_measures(side, movements=40, notes=notes, name="a long name " * 5) for side in ("left", "right")
+    ]
+    symmetry = tuple(
+        made_measure(f"{key}_symmetry_percent", -100.4, 12.2) for key in COMPARED if key in arms[0].by_key
+    )
+    measures_page(arms, [BothArms(*arms, symmetry)]).write(tmp_path / "both.html")
     progress_page(person()).write(tmp_path / "few.html")
     many = person(40, ("left", "right"), "a person whose name is long")
     noted = tuple(f"A sentence that takes a whole line of the page to say, number {n}" for n in range(9))

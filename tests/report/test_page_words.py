@@ -19,6 +19,7 @@ from smoother.report.measures import with_interval
 from smoother.report.sheet import PLOTLY
 from smoother.report.style import decimate
 from smoother.report.summary import summary
+from smoother.result import Estimates
 
 
 @pytest.fixture(scope="module")
@@ -57,6 +58,13 @@ def test_errors_of_joints_beyond_their_sigma_are_said(recovery):
     said = summary(recovery, validate(recovery, joints_only(off_m=0.03)))
     assert any("times as large as the stated uncertainty allows" in text for text in said)
     assert not any("In 95 of 100 cases" in text for text in said)
+
+
+def test_an_answer_that_the_camera_contradicts_is_doubted():
+    recovery = replace(make_recovery(make_recording()), estimates=Estimates(camera_sigma_m={"wrist": 0.003}))
+    text = " ".join(summary(recovery, None))
+    assert "Result and camera disagree more than stated: of the wrist samples" in text
+    assert "95 of 100 cases" not in text
 
 
 def test_time_without_any_answer_outside_the_gaps_is_said(recovery):

@@ -87,29 +87,6 @@ def test_a_long_recording_gets_fewer_frames_and_several_arms_share():
     assert re.findall(r'"name":"(\w+)"', data) == ["right", "left"]
 
 
-@pytest.mark.parametrize("what", ["no joints", "no covariance", "no camera", "no answer", "one sample"])
-def test_odd_results(pair, what):
-    _, recovery = pair
-    nan = np.full((len(recovery), 3), np.nan)
-    odd = {
-        "no joints": lambda: replace(recovery, joints={}, joint_covariance={}),
-        "no covariance": lambda: replace(recovery, joint_covariance={}),
-        "no camera": lambda: replace(recovery, arm=recovery.arm.select(slice(0, 0))),
-        "no answer": lambda: replace(recovery, position=nan),
-        "one sample": lambda: recovery.rows(slice(0, 1)),
-    }[what]()
-    shown = player("The arm", Html("words"), [(odd, None)], CameraFrame.KINECT)
-    assert (shown is None) == (what in ("no answer", "one sample"))
-    if shown is None:
-        return
-    arm = played_arm(odd, None, MOST_BYTES)
-    assert ("joints" in arm) == (what != "no joints") and ("camera" in arm) == (
-        what not in ("no joints", "no camera")
-    )
-    assert arm["tip"] == ("sensor" if what == "no joints" else "wrist")
-    assert ("sigma" in arm) == (what != "no covariance")
-
-
 def test_up_is_where_gravity_says():
     leaning = np.array([0.0, -0.8, 0.6])
     np.testing.assert_allclose(upwards(CameraFrame.KINECT, leaning), [0.0, 0.8, -0.6])

@@ -200,18 +200,6 @@ def test_dishonest_sigma_is_said(tmp_path):
     assert not any("95 of 100 cases" in text for text in summary(recovery, found))
 
 
-def test_existing_page_needs_force(tmp_path):
-    _, recovery = occluded()
-    path = tmp_path / "r.html"
-    path.write_text("mine")
-    with pytest.raises(UnoccludeError, match="force=True"):
-        write_report(recovery, path)
-    assert path.read_text() == "mine"
-    write_report(recovery, path, force=True)
-    assert path.stat().st_size > 1e6
-    assert [p.name for p in tmp_path.iterdir()] == ["r.html"]
-
-
 @pytest.fixture(scope="module")
 def pair():
     """A recovery with a gap and R_F_A, and a truth with joints."""
