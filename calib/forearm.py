@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.ndimage import uniform_filter1d
@@ -14,7 +14,7 @@ from smoother.calibration import ArmCalibration, Length, LeverArm
 from smoother.config import Config
 from smoother.errors import CalibrationError, UnoccludeError
 from smoother.linalg import robust_sigma, unit
-from smoother.recording import JOINTS, CameraFrame, ImuStream, Recording
+from smoother.recording import JOINTS, CameraFrame, Recording
 from smoother.result import Recovery
 from smoother.smoothing import smooth
 
@@ -116,23 +116,19 @@ def _held(recording: Recording, offset_s: float) -> BoolArray:
 
 
 def _turning(recording: Recording, t: FloatArray) -> FloatArray:
-    """(F,) rms angular velocity of the sensor about each time, rad/s, less the gyroscope's bias."""
-    imu = recording.imu
-    width = max(int(STILL_S * imu.rate_hz), 1)
-    square = uniform_filter1d(np.sum((imu.gyro - _bias(imu)) ** 2, axis=1), width, mode="nearest")
-    return np.sqrt(np.interp(t, imu.t_s, square))
+    """(F,) rms angular velocity of the sensor about each time, rad/s, less the gyroscope's bias.
 
-
-def _bias(imu: ImuStream) -> FloatArray:
-    """(3,) what the gyroscope shows in the recording's quietest part, rad/s; zero if no bias is so large."""
-    gyro = np.asarray(imu.gyro)
+    The bias is what the gyroscope shows in the recording's quietest part; zero if no bias is so large.
+    """
+    imu, gyro = recording.imu, np.asarray(recording.imu.gyro)
     width = max(int(SHORTEST_S * imu.rate_hz), 1)
-    if len(gyro) < width:
-        return np.zeros(3)
-    mean = uniform_filter1d(gyro, width, axis=0, mode="nearest")
-    varies = uniform_filter1d(np.sum((gyro - mean) ** 2, axis=1), width, mode="nearest")
-    bias = np.median(gyro[varies <= np.quantile(varies, QUIET_SHARE)], axis=0)
-    return bias if np.linalg.norm(bias) < LARGEST_BIAS_RAD_S else np.zeros(3)
+    if len(gyro) >= width:
+        mean = uniform_filter1d(gyro, width, axis=0, mode="nearest")
+        varies = uniform_filter1d(np.sum((gyro - mean) ** 2, axis=1), width, mode="nearest")
+        bias = np.median(gyro[varies <= np.quantile(varies, QUIET_SHARE)], axis=0)
+        gyro = gyro - bias * (np.linalg.norm(bias) < LARGEST_BIAS_RAD_S)
+    square = uniform_filter1d(np.sum(gyro**2, axis=1), max(int(STILL_S * imu.rate_hz), 1), mode="nearest")
+    return np.sqrt(np.interp(t, imu.t_s, square))
 
 
 def _pose(recording: Recording, frames: BoolArray, offset_s: float, chosen: str) -> HeldPose:
@@ -171,35 +167,14 @@ SOLVED_S = 90.0
 
 
 @dataclass(frozen=True)
-class Measured:
-    """Measures of the forearm in the pose, m, each with its sigma; None where the pose does not show."""
-
-    radius: Length  # r, from the forearm's core to the sensor
-    strap_to_elbow: Length  # d_se and d_sw, along the forearm
-    strap_to_wrist: Length  # d_se and d_sw, along the forearm
-    upper_arm: Length  # d_ul, and elbow to wrist
-    forearm: Length  # d_ul, and elbow to wrist
-    strap_from: str  # "seen", "ruler" or "usual": where the strap's place comes from
-
-    @property
-    def lengths(self) -> dict[str, Length]:
-        """The measures by the names that the calibration file has for them."""
-        return {
-            "r": self.radius,
-            "d_se": self.strap_to_elbow,
-            "d_sw": self.strap_to_wrist,
-            "d_ul": self.upper_arm,
-            "forearm": self.forearm,
-        }
-
-
-@dataclass(frozen=True)
 class ForearmCalibration:
     """What the held pose showed."""
 
     calibration: ArmCalibration  # Lever arms, upper arm and R_F_A
     pose: HeldPose  # When the pose was held, and where the joints were
-    measured: Measured  # r, d_se, d_sw, d_ul and the forearm's length
+    # r (core to sensor), d_se and d_sw (along the forearm, from the strap), d_ul, and elbow to wrist, m
+    measured: dict[str, Length]  # by the names that the calibration file has for them
+    strap_from: str  # "seen", "ruler" or "usual": where the strap's place comes from
     R_K_F: FloatArray  # (3, 3): the forearm in the pose
     direction_sigma_rad: float = float("nan")  # Of R_F_A; nan without it
     roll_sigma_rad: float = float("nan")  # Of R_F_A; nan without it
@@ -228,21 +203,24 @@ def calibrate_forearm(
     joints = {joint: pose.position[k] for k, joint in enumerate(JOINTS)}
     sigma = {joint: float(np.hypot(pose.sigma_m[k], bias)) for k, joint in enumerate(JOINTS)}
     R_K_F = forearm_axes(joints["elbow"], joints["wrist"])
-    measured = _measure(joints, sigma, R_K_F, radius_m, strap_to_wrist_m)
-    arm = ArmCalibration(recording.side, upper_arm=measured.upper_arm)
+    measured, strap_from = _measure(joints, sigma, R_K_F, radius_m, strap_to_wrist_m)
+    arm = ArmCalibration(recording.side, upper_arm=measured["d_ul"])
+    found = ForearmCalibration(arm, pose, measured, strap_from, R_K_F, why_not=why_not)
     if recovery is None:
-        return ForearmCalibration(arm, pose, measured, R_K_F, why_not=why_not)
-    R_K_A, attitude = _attitude(recovery, pose)
+        return found
+    # `R_K_A` in the middle of the pose, and its covariance, rad^2 in {K}
+    t = recovery.t_s - recovery.clock_offset_s
+    rows = (t >= pose.start_s) & (t <= pose.end_s) & np.isfinite(recovery.quaternion).all(axis=1)
+    R_K_A = Rotation.from_quat(recovery.quaternion[rows], scalar_first=True).mean().as_matrix()
+    attitude = recovery.pose_covariance[rows][:, 3:, 3:].mean(axis=0)
     tilt = float(np.sqrt(np.linalg.eigvalsh(attitude)[-1]))
     if not tilt < LARGEST_ATTITUDE_SIGMA_RAD:
-        return ForearmCalibration(arm, pose, measured, R_K_F, why_not=_STILL)
-    levers = _levers(joints, sigma, measured, R_K_F, R_K_A, attitude)
-    ends = np.hypot(sigma["elbow"], sigma["wrist"]) / measured.forearm.value_m
-    return ForearmCalibration(
+        return replace(found, why_not=_STILL)
+    levers = _levers(joints, sigma, found, R_K_A, attitude)
+    ends = np.hypot(sigma["elbow"], sigma["wrist"]) / measured["forearm"].value_m
+    return replace(
+        found,
         calibration=replace(arm, lever_arms=levers, R_F_A=R_K_F.T @ R_K_A),
-        pose=pose,
-        measured=measured,
-        R_K_F=R_K_F,
         direction_sigma_rad=float(np.hypot(tilt, ends)),
         roll_sigma_rad=float(np.hypot(tilt, PALM_SIGMA_RAD)),
         motion=recovery.calibration,
@@ -273,21 +251,13 @@ def _solve(recording: Recording, pose: HeldPose, config: Config | None) -> tuple
     return recovery, ""
 
 
-def _attitude(recovery: Recovery, pose: HeldPose) -> tuple[FloatArray, FloatArray]:
-    """`R_K_A` (3, 3) in the middle of the pose, and its covariance (3, 3), rad^2 in {K}."""
-    t = recovery.t_s - recovery.clock_offset_s
-    rows = (t >= pose.start_s) & (t <= pose.end_s) & np.isfinite(recovery.quaternion).all(axis=1)
-    R = Rotation.from_quat(recovery.quaternion[rows], scalar_first=True).mean().as_matrix()
-    return R, recovery.pose_covariance[rows][:, 3:, 3:].mean(axis=0)
-
-
 def _measure(
     joints: dict[str, FloatArray],
     sigma: dict[str, float],
     R_K_F: FloatArray,
     radius_m: float | None,
     strap_to_wrist_m: float | None,
-) -> Measured:
+) -> tuple[dict[str, Length], str]:
     forearm, upper = (
         Length(float(np.linalg.norm(joints[a] - joints[b])), float(np.hypot(sigma[a], sigma[b])))
         for a, b in (("wrist", "elbow"), ("elbow", "shoulder"))
@@ -307,40 +277,34 @@ def _measure(
             line = np.hypot((1 - part) * sigma["wrist"], part * sigma["elbow"])
             radius = Length(float(np.linalg.norm(off)), float(np.hypot(line, sigma["strap"])))
     to_elbow = Length(forearm.value_m - to_wrist.value_m, float(np.hypot(to_wrist.sigma_m, sigma["elbow"])))
-    return Measured(radius, to_elbow, to_wrist, upper, forearm, where)
+    return {"r": radius, "d_se": to_elbow, "d_sw": to_wrist, "d_ul": upper, "forearm": forearm}, where
 
 
 def _levers(
     joints: dict[str, FloatArray],
     sigma: dict[str, float],
-    measured: Measured,
-    R_K_F: FloatArray,
+    found: ForearmCalibration,
     R_K_A: FloatArray,
     attitude: FloatArray,
 ) -> dict[str, LeverArm]:
     """Lever arms in {A} with sigmas: of the joints' places, the strap's place and the orientation."""
-    x, y, z = R_K_F.T
-    levers = {}
+    x, y, z = found.R_K_F.T
+    r, to_wrist, levers = found.measured["r"], found.measured["d_sw"], {}
     for joint in ("elbow", "wrist", "hand"):
         if not np.isfinite(joints[joint]).all():
             continue
-        if measured.strap_from == "seen":
+        if found.strap_from == "seen":
             lever = joints[joint] - joints["strap"]
             spread = (sigma[joint] ** 2 + sigma["strap"] ** 2) * np.eye(3)
         else:
-            r, to_wrist = measured.radius, measured.strap_to_wrist
             lever = joints[joint] - joints["wrist"] + to_wrist.value_m * y - r.value_m * x
             roll = np.hypot(PALM_SIGMA_RAD, PLACED_SIGMA_RAD)
             spread = to_wrist.sigma_m**2 * np.outer(y, y) + r.sigma_m**2 * np.outer(x, x)
             spread = spread + (r.value_m * roll) ** 2 * np.outer(z, z)
             own = sigma[joint] ** 2 + sigma["wrist"] ** 2 if joint != "wrist" else 0.0
             # the line that the strap's place is counted along turns with both ends
-            turn = (
-                to_wrist.value_m**2
-                * (sigma["elbow"] ** 2 + sigma["wrist"] ** 2)
-                / measured.forearm.value_m**2
-            )
-            spread = spread + own * np.eye(3) + turn * (np.eye(3) - np.outer(y, y))
+            turn = (sigma["elbow"] ** 2 + sigma["wrist"] ** 2) / found.measured["forearm"].value_m ** 2
+            spread = spread + own * np.eye(3) + to_wrist.value_m**2 * turn * (np.eye(3) - np.outer(y, y))
         cross = np.cross(np.eye(3), lever)
         spread = R_K_A.T @ (spread + cross @ attitude @ cross.T) @ R_K_A
         levers[joint] = LeverArm(R_K_A.T @ lever, np.sqrt(np.diag(spread)))
@@ -366,13 +330,12 @@ _BROKEN = {
 }
 
 
-@dataclass(frozen=True)
-class Compared:
-    """One measure by the pose and by the motion."""
+class Compared(NamedTuple):
+    """One measure by the pose and by the motion, each with its standard deviation."""
 
-    measure: str  # What it is, and the unit of the numbers
+    measure: str
     unit: str
-    pose: float  # Its value by either, with standard deviations
+    pose: float
     pose_sigma: float
     motion: float
     motion_sigma: float
@@ -390,29 +353,22 @@ class Compared:
 
 def compare(calibration: ForearmCalibration) -> list[Compared]:
     """Every measure that both the pose and the motion showed; empty where the motion showed nothing."""
-    if calibration.motion is None:
+    motion, m, rows = calibration.motion, calibration.measured, []
+    if motion is None:
         return []
-    m, motion = calibration.measured, calibration.motion
-    pairs = [("upper arm", m.upper_arm, motion.upper_arm)]
-    frame = forearm_frame(motion)
+    frame, upper = forearm_frame(motion), motion.upper_arm
+    pairs = [] if upper is None else [("upper arm", "d_ul", upper.value_m, upper.sigma_m)]
     if frame is not None:
-
-        def along(joint: str, sign: float) -> Length:
+        pairs.append(("forearm", "forearm", frame.length_m, frame.length_sigma_m))
+        for joint, name, sign in (("wrist", "d_sw", 1.0), ("elbow", "d_se", -1.0)):
             lever = motion.lever_arms[joint]
+            along = sign * float(lever.position_m @ frame.direction)
             sigma = float(np.linalg.norm(lever.sigma_m * frame.direction))
-            return Length(sign * float(lever.position_m @ frame.direction), sigma)
-
-        pairs += [
-            ("forearm", m.forearm, Length(frame.length_m, frame.length_sigma_m)),
-            ("strap to wrist", m.strap_to_wrist, along("wrist", 1.0)),
-            ("strap to elbow", m.strap_to_elbow, along("elbow", -1.0)),
-            ("radius", m.radius, Length(frame.distance_m, frame.distance_sigma_m)),
-        ]
-    rows = [
-        Compared(name, "mm", *(1e3 * x for x in (a.value_m, a.sigma_m, b.value_m, b.sigma_m)))
-        for name, a, b in pairs
-        if b is not None
-    ]
+            pairs.append((f"strap to {joint}", name, along, sigma))
+        pairs.append(("radius", "r", frame.distance_m, frame.distance_sigma_m))
+    for measure, name, *by_motion in pairs:
+        values = (m[name].value_m, m[name].sigma_m, *by_motion)
+        rows.append(Compared(measure, "mm", *(1e3 * value for value in values)))
     R_F_A = calibration.calibration.R_F_A
     if frame is None or R_F_A is None:
         return rows
@@ -424,9 +380,7 @@ def compare(calibration: ForearmCalibration) -> list[Compared]:
         x = R_F_A @ frame.R_F_A[0]  # the motion's x in the pose's {F}
         own = np.hypot(frame.roll_sigma_rad, PLACED_SIGMA_RAD)
         angles.append(("roll", 0.0, calibration.roll_sigma_rad, np.arctan2(-x[2], x[0]), own))
-    return rows + [
-        Compared(name, "degrees", *(float(np.degrees(x)) for x in values)) for name, *values in angles
-    ]
+    return rows + [Compared(name, "degrees", *map(float, np.degrees(values))) for name, *values in angles]
 
 
 def forearm_answer(calibration: ForearmCalibration) -> Answer:
@@ -464,15 +418,15 @@ def forearm_answer(calibration: ForearmCalibration) -> Answer:
         checks.append(Check(text, remedy=THEN_MOVE, is_open=True))
     elif contradicts:
         checks.append(Check("R_F_A is not written: pose and motion contradict each other", is_open=True))
-    if calibration.measured.strap_from == "usual":
+    if calibration.strap_from == "usual":
         text = "the strap's place was neither seen nor measured: usual values are used"
         checks.append(Check(text, remedy=BY_RULER, is_open=True))
     sigma_deg = {
         "direction": float(np.degrees(calibration.direction_sigma_rad)),
         "roll": float(np.degrees(calibration.roll_sigma_rad)),
     }
-    measures = calibration.measured.lengths
-    table: dict[str, Any] = {"strap_from": calibration.measured.strap_from}
+    measures = calibration.measured
+    table: dict[str, Any] = {"strap_from": calibration.strap_from}
     for name, length in measures.items():
         table |= {f"{name}_m": float(length.value_m), f"{name}_sigma_m": float(length.sigma_m)}
     if arm.R_F_A is not None:
@@ -481,11 +435,11 @@ def forearm_answer(calibration: ForearmCalibration) -> Answer:
         "side": arm.side,
         "pose": {"from_s": pose.start_s, "to_s": pose.end_s, "chosen": pose.chosen},
         "measures": {name: asdict(length) for name, length in measures.items()},
-        "strap_from": calibration.measured.strap_from,
+        "strap_from": calibration.strap_from,
         "lever_arms": {joint: asdict(lever) for joint, lever in arm.lever_arms.items()},
         "R_F_A": arm.R_F_A,
         "R_F_A_sigma_deg": sigma_deg,
-        "against_motion": [asdict(row) | {"sigmas_apart": row.apart, "agrees": row.agrees} for row in rows],
+        "against_motion": [row._asdict() | {"sigmas_apart": row.apart, "agrees": row.agrees} for row in rows],
     }
     file = CalibrationFile().with_arm(arm).with_table("forearm", {arm.side or "any": table})
     grade = "not good enough" if arm.R_F_A is None else "good" if rows and not broken else "usable"

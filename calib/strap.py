@@ -141,16 +141,12 @@ class _Forearm:
         steps = np.arange(-REACH_M, REACH_M + 1e-9, 0.001)
         seen, own = self.depth.at(surface + steps[:, None] * across)
         missing = ~np.isfinite(seen) & (np.abs(steps) < 0.6 * self.radius_m)
-        arm = (np.abs(seen - own) < JUMP_M) | missing
+        off = np.flatnonzero(~((np.abs(seen - own) < JUMP_M) | missing))
         centre = len(steps) // 2
-        ends = []
-        for way in (-1, 1):
-            k = centre
-            while 0 < k < len(steps) - 1 and arm[k]:
-                k += way
-            if not 0 < k < len(steps) - 1:
-                return None
-            ends.append(steps[k])
+        before, after = off[off <= centre], off[off >= centre]
+        if not len(before) or not len(after) or before[-1] == 0 or after[0] == len(steps) - 1:
+            return None
+        ends = steps[[before[-1], after[0]]]
         if not 1.2 * self.radius_m < ends[1] - ends[0] < 3.0 * self.radius_m:
             return None
         middle = 0.5 * float(ends[0] + ends[1])
@@ -274,19 +270,16 @@ def _dark_stretch(profile: FloatArray, part: FloatArray, width: float) -> tuple[
 
 def _edges(profile: FloatArray, part: FloatArray, k: int, half: float) -> tuple[float, float] | None:
     """Where the brightness crosses `half` on both sides of place k, between samples; None if it does not."""
-    left, right = k, k
-    while left > 0 and profile[left] < half:
-        left -= 1
-    while right < len(profile) - 1 and profile[right] < half:
-        right += 1
-    if profile[left] < half or profile[right] < half or right - left < 2:
+    light = np.flatnonzero(profile >= half)
+    before, after = light[light <= k], light[light >= k]
+    if not len(before) or not len(after) or after[0] - before[-1] < 2:
         return None
 
     def crossing(dim: int, light: int) -> float:
         share = (half - profile[dim]) / (profile[light] - profile[dim])
         return float(part[dim] + share * (part[light] - part[dim]))
 
-    return crossing(left + 1, left), crossing(right - 1, right)
+    return crossing(before[-1] + 1, before[-1]), crossing(after[0] - 1, after[0])
 
 
 def _core(

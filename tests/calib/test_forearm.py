@@ -48,12 +48,12 @@ def test_measures_are_right_within_their_sigmas(arms):
     sigmas = []
     for arm, found in arms:
         m, true = found.measured, arm.parameters
-        assert m.strap_from == "seen"
+        assert found.strap_from == "seen"
         for measured, value in (
-            (m.upper_arm, true["upper_arm_m"]),
-            (m.forearm, true["forearm_m"]),
-            (m.strap_to_wrist, true["strap_to_wrist_m"]),
-            (m.strap_to_elbow, true["forearm_m"] - true["strap_to_wrist_m"]),
+            (m["d_ul"], true["upper_arm_m"]),
+            (m["forearm"], true["forearm_m"]),
+            (m["d_sw"], true["strap_to_wrist_m"]),
+            (m["d_se"], true["forearm_m"] - true["strap_to_wrist_m"]),
         ):
             assert 0.002 < measured.sigma_m < 0.025
             sigmas.append((measured.value_m - value) / measured.sigma_m)
@@ -84,7 +84,7 @@ def test_what_broke_is_named(arms):
         answer = forearm_answer(away)
         assert any("palm square to the camera" in text for text in answer.next)
     m = found.measured
-    slid = replace(m, strap_to_wrist=replace(m.strap_to_wrist, value_m=m.strap_to_wrist.value_m + 0.07))
+    slid = replace(m, strap_to_wrist=replace(m["d_sw"], value_m=m.strap_to_wrist.value_m + 0.07))
     rows = compare(replace(found, measured=slid))
     assert [row.measure for row in rows if not row.agrees] == ["strap to wrist"]
     assert any("the strap slid" in text for text in forearm_answer(replace(found, measured=slid)).next)
