@@ -198,8 +198,8 @@ def calibrate_forearm(
         pose = find_held_pose(recording, from_s, to_s, recovery.clock_offset_s)
     bias = USUAL_JOINT_BIAS_M
     if recovery is not None:
-        found = recovery.estimates.joint_bias_sigma_m
-        bias = found if found is not None and np.isfinite(found) else bias
+        stated = recovery.estimates.joint_bias_sigma_m
+        bias = stated if stated is not None and np.isfinite(stated) else bias
     joints = {joint: pose.position[k] for k, joint in enumerate(JOINTS)}
     sigma = {joint: float(np.hypot(pose.sigma_m[k], bias)) for k, joint in enumerate(JOINTS)}
     R_K_F = forearm_axes(joints["elbow"], joints["wrist"])

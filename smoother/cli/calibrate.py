@@ -4,18 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, nullcontext
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from ..errors import CalibrationError
 from . import options as o
 from .arm_output import arms_figures, say_arm
-from .load import load_arm, load_arms, refuse_twice
-from .output import check_outputs, print_notes, say, say_written, show, write_json
+from .load import ConfigInput, Which, load_arm, load_arms, refuse_twice
+from .output import Out, print_notes, say, say_written, show
 
 if TYPE_CHECKING:
+    from calib.file import CalibrationFile
     from calib.protocol import Answer
 
     from ..calibration import ArmCalibration
@@ -23,66 +25,48 @@ if TYPE_CHECKING:
     from ..recording import ImuStream, Recording
 
 
-#: Files that a command reads; some may not be given.
-Paths = Iterable[Path | None]
+@dataclass(frozen=True)
+class CalibrationOut(Out):
+    """Where a calibration is written besides its file, which is added to."""
 
+    report: o.Report = None
 
-class Outputs:
-    """Where a calibration is written; what cannot be written, or added to, is refused before the work.
-
-    The file of the calibration may be the `known` one, which is read as well.
-    """
-
-    def __init__(
-        self,
-        output: Path | None,
-        report: Path | None,
-        json_file: Path | None,
-        force: bool,
-        inputs: Paths,
-        known: Path | None = None,
-    ) -> None:
-        from calib.file import CalibrationFile, read_calibration
-
-        self.output, self.report, self.json_file, self.force = output, report, json_file, force
-        others = [path for path in (report, json_file) if path is not None]
-        check_outputs(True, [output, *others], inputs)
-        check_outputs(force, others, [known])
-        is_there = output is not None and output.exists()
-        self.held = read_calibration(output) if output is not None and is_there else CalibrationFile()
-
-    def finish(self, answer: Answer, title: str, notes: Iterable[str]) -> None:
+    def finish(self, output: Path | None, answer: Answer, title: str, notes: Iterable[str]) -> None:
         """Write what a calibration found to all outputs, then print it."""
+        from ..report.calibration_page import calibration_page
+
         notes = list(dict.fromkeys(notes))
         if self.report is not None:
-            from ..report.calibration_page import calibration_page
-
             calibration_page(title, answer, notes).write(self.report, self.force)
-        self.finish_arms([(None, answer)], answer.to_dict(), notes)
-
-    def finish_arms(
-        self, answers: list[tuple[Recording | None, Answer]], figures: dict[str, Any], notes: list[str]
-    ) -> None:
-        """The same of several answers without a report; the arms' names stand before what was found."""
-        from calib.file import write_calibration
-
-        write_json(self.json_file, {**figures, "notes": notes}, self.force)
-        for recording, answer in answers:
-            if self.output is not None:
-                write_calibration(self.output, answer.table)
-            if recording is not None:
-                say_arm(recording, len(answers))
-            for table in answer.tables():
-                show(table)
-            say(f"verdict: {answer.sentence}")
-            for sentence in answer.findings:
-                say(f"  {sentence}")
-            for sentence in answer.open_questions:
-                say(f"not determined: {sentence}")
-            for sentence in answer.next:
-                say(f"next: {sentence}")
+        self.json({**answer.to_dict(), "notes": notes})
+        keep(output, answer)
         print_notes(notes)
-        say_written(self.output, self.json_file, self.report)
+        say_written(output, self.json_file, self.report)
+
+
+def held(output: Path | None) -> CalibrationFile:
+    """What the file contains already: read before the work, as what cannot be read cannot be added to."""
+    from calib.file import CalibrationFile, read_calibration
+
+    return read_calibration(output) if output is not None and output.exists() else CalibrationFile()
+
+
+def keep(output: Path | None, answer: Answer) -> None:
+    """Add an answer to the file; print its figures, verdict, what is open and what to record next."""
+    from calib.file import write_calibration
+
+    if output is not None:
+        write_calibration(output, answer.table)
+    for table in answer.tables():
+        show(table)
+    say(f"verdict: {answer.sentence}")
+    for before, sentences in (
+        ("  ", answer.findings),
+        ("not determined: ", answer.open_questions),
+        ("next: ", answer.next),
+    ):
+        for sentence in sentences:
+            say(f"{before}{sentence}")
 
 
 @contextmanager
@@ -99,15 +83,10 @@ def motion(
         list[Path], o.argument("REC.mcap", "Recordings of one person and one mounting.")
     ],
     output: o.CalibrationOutput,
+    which: Which,
+    settings: ConfigInput,
+    out: Out,
     known: o.Known = None,
-    json_file: o.Json = None,
-    force: o.Force = False,
-    imu: o.Imu = None,
-    skeleton: o.Skeleton = None,
-    side: o.Side = None,
-    body: o.Body = None,
-    config_file: o.ConfigFile = None,
-    processes: o.Processes = None,
 ) -> None:
     """Lever arms, limb lengths, IMU mounting, from visible motion.
 
@@ -119,13 +98,11 @@ def motion(
     """
     from calib.motion import calibrate_motion, motion_answer
 
-    from .config import read_config
-
     refuse_twice(recording_files)
-    outputs = Outputs(output, None, json_file, force, [*recording_files, config_file], known)
-    config = read_config(config_file, processes)
-    arms = _by_side(recording_files, known, {"imu": imu, "skeleton": skeleton, "side": side, "body": body})
-    answers: list[tuple[Recording | None, Answer]] = []
+    held(output)
+    config = settings.read()
+    arms = _by_side(recording_files, known, which.chosen)
+    answers: list[tuple[Recording, Answer]] = []
     for recordings, given in arms:
         with error_prefix(recordings[0].arm_label) if len(arms) > 1 else nullcontext():
             estimates = calibrate_motion(recordings, given, config)
@@ -135,13 +112,16 @@ def motion(
                 )
         answers.append((recordings[0], motion_answer(estimates)))
     notes = [note for recordings, _ in arms for recording in recordings for note in recording.notes]
-    notes.append(
-        "A clock offset belongs to its recording: every recording's is solved anew, never carried over."
-    )
-    if any(answer.figures["R_F_A"] is not None for _, answer in answers):
-        notes.append("R_F_A takes the IMU to sit on the back of the forearm.")
-    figures = arms_figures([own[0] for own, _ in arms], [answer.to_dict() for _, answer in answers])
-    outputs.finish_arms(answers, figures, list(dict.fromkeys(notes)))
+    figures = arms_figures([own for own, _ in answers], [answer.to_dict() for _, answer in answers])
+    out.json({**figures, "notes": list(dict.fromkeys(notes))})
+    for recording, answer in answers:
+        say_arm(recording, len(arms))
+        keep(output, answer)
+        say("A clock offset belongs to its recording: every recording's is solved anew, never carried over.")
+        if answer.figures["R_F_A"] is not None:
+            say("R_F_A takes the IMU to sit on the back of the forearm.")
+    print_notes(notes)
+    say_written(output, out.json_file)
 
 
 def _by_side(
@@ -175,10 +155,8 @@ Sensor = Annotated[
 def imu(
     recording_file: o.RecordingPath,
     output: o.CalibrationOutput,
+    out: CalibrationOut,
     name: Sensor = None,
-    report: o.Report = None,
-    json_file: o.Json = None,
-    force: o.Force = False,
     gravity: Annotated[
         float, o.rare("Gravity where it was recorded; `smooth` assumes 9.81.", metavar="M/S^2")
     ] = 9.81,
@@ -194,20 +172,17 @@ def imu(
 
     if not 9.7 <= gravity <= 9.9:
         raise typer.BadParameter("--gravity on Earth is between 9.76 and 9.84 m/s^2")
-    outputs = Outputs(output, report, json_file, force, [recording_file])
-    stream, notes = _load(recording_file, name, outputs)
+    stream, notes = _load(recording_file, name, output)
     with error_prefix(f"{recording_file}, {stream.name}"):
         calibration = calibrate_imu(stream, gravity)
-    outputs.finish(imu_answer(calibration), f"Accelerometer and gyroscope of {stream.name}", notes)
+    out.finish(output, imu_answer(calibration), f"Accelerometer and gyroscope of {stream.name}", notes)
 
 
 def magnetometer(
     recording_file: o.RecordingPath,
     output: o.CalibrationOutput,
+    out: CalibrationOut,
     name: Sensor = None,
-    report: o.Report = None,
-    json_file: o.Json = None,
-    force: o.Force = False,
 ) -> None:
     """A magnetometer's hard and soft iron.
 
@@ -218,8 +193,7 @@ def magnetometer(
     """
     from calib.imu import calibrate_magnetometer, magnetometer_answer
 
-    outputs = Outputs(output, report, json_file, force, [recording_file])
-    stream, notes = _load(recording_file, name, outputs)
+    stream, notes = _load(recording_file, name, output)
     if stream.mag is None:
         raise CalibrationError(
             f"{recording_file}: {stream.name} has no magnetometer; record its magnetic field as well."
@@ -227,16 +201,16 @@ def magnetometer(
     with error_prefix(f"{recording_file}, {stream.name}"):
         calibration = calibrate_magnetometer(stream.mag)
     answer = magnetometer_answer(calibration, stream.name)
-    outputs.finish(answer, f"Magnetometer of {stream.name}", notes)
+    out.finish(output, answer, f"Magnetometer of {stream.name}", notes)
 
 
-def _load(path: Path, name: str | None, outputs: Outputs) -> tuple[ImuStream, list[str]]:
+def _load(path: Path, name: str | None, output: Path) -> tuple[ImuStream, list[str]]:
     """The stream to calibrate, and what there is to know of its file."""
     from calib.sensor import sensors_in
 
     from ..io.recording.read import read_imu
 
-    sensors_in(outputs.held)
+    sensors_in(held(output))
     stream, notes = read_imu(path, name)
     say(f"{path}: IMU {stream.name}, {stream.rate_hz:.0f} Hz, {stream.t_s[-1] - stream.t_s[0]:.0f} s")
     return stream, notes
@@ -245,6 +219,9 @@ def _load(path: Path, name: str | None, outputs: Outputs) -> tuple[ImuStream, li
 def forearm(
     recording_file: o.RecordingPath,
     output: o.CalibrationOutput,
+    which: Which,
+    settings: ConfigInput,
+    out: CalibrationOut,
     from_s: Annotated[
         float | None, o.option("Start of the held pose, s on the camera's clock.", "--from", metavar="S")
     ] = None,
@@ -255,15 +232,6 @@ def forearm(
     strap_to_wrist_m: Annotated[
         float | None, o.option("Strap to the wrist joint, by ruler.", min=-0.1, max=0.3)
     ] = None,
-    report: o.Report = None,
-    json_file: o.Json = None,
-    force: o.Force = False,
-    imu: o.Imu = None,
-    skeleton: o.Skeleton = None,
-    side: o.Side = None,
-    body: o.Body = None,
-    config_file: o.ConfigFile = None,
-    processes: o.Processes = None,
 ) -> None:
     """Lever arms, lengths, mounting, from a held pose.
 
@@ -275,13 +243,11 @@ def forearm(
     """
     from calib.forearm import calibrate_forearm, forearm_answer
 
-    from .config import read_config
-
     if (from_s is None) != (to_s is None) or (from_s is not None and to_s is not None and to_s <= from_s):
         raise typer.BadParameter("--from and --to belong together, --to later than --from")
-    outputs = Outputs(output, report, json_file, force, [recording_file, config_file])
-    config = read_config(config_file, processes)
-    recording, _ = load_arm(recording_file, imu=imu, skeleton=skeleton, side=side, body=body)
+    held(output)
+    config = settings.read()
+    recording, _ = load_arm(recording_file, **which.chosen)
     calibration = calibrate_forearm(
         recording,
         from_s=from_s,
@@ -291,17 +257,14 @@ def forearm(
         config=config,
     )
     title = f"Forearm from a held pose: {recording.name}"
-    outputs.finish(forearm_answer(calibration), title, recording.notes)
+    out.finish(output, forearm_answer(calibration), title, recording.notes)
 
 
 def cameras(
     recording_files: Annotated[list[Path], o.argument("REC.mcap..", "Recordings of the set-up.")],
     output: o.CalibrationOutput,
-    json_file: o.Json = None,
-    imu: o.Imu = None,
-    skeleton: o.Skeleton = None,
-    side: o.Side = None,
-    body: o.Body = None,
+    which: Which,
+    out: CalibrationOut,
 ) -> None:
     """Poses of further cameras, from joints seen by both.
 
@@ -312,8 +275,7 @@ def cameras(
     """
     from calib.camera_poses import calibrate_cameras, cameras_answer
 
-    outputs = Outputs(output, None, json_file, True, recording_files)
-    chosen: Selection = {"imu": imu, "skeleton": skeleton, "side": side, "body": body}
-    recordings = [load_arm(path, **chosen)[0] for path in recording_files]
+    held(output)
+    recordings = [load_arm(path, **which.chosen)[0] for path in recording_files]
     notes = [note for recording in recordings for note in recording.notes]
-    outputs.finish(cameras_answer(calibrate_cameras(recordings)), "Poses of the cameras", notes)
+    out.finish(output, cameras_answer(calibrate_cameras(recordings)), "Poses of the cameras", notes)

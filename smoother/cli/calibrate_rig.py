@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from . import options as o
-from .calibrate import Outputs, error_prefix
-from .load import load_arm, refuse_twice
+from .calibrate import CalibrationOut, error_prefix, held
+from .load import ConfigInput, Which, load_arm, refuse_twice
 
 if TYPE_CHECKING:
     from calib.clock import MotionClock, Receptions
@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 
 def panel(
     output: o.CalibrationOutput,
+    out: CalibrationOut,
     recording: Annotated[
         Path | None, o.argument("REC.mcap", "Images, lens and mocap markers, instead of files.")
     ] = None,
@@ -38,9 +39,6 @@ def panel(
     ] = None,
     intrinsics: o.Intrinsics = None,
     panel: o.Panel = None,
-    report: o.Report = None,
-    json_file: o.Json = None,
-    force: o.Force = False,
     mocap_sigma_mm: Annotated[float, o.rare("Noise of a mocap marker, per axis.", min=0.001, max=20.0)] = 0.2,
 ) -> None:
     """The camera's pose in motion capture, from a marker panel.
@@ -55,8 +53,7 @@ def panel(
 
     from ..io.tables.markers import read_positions
 
-    inputs = [*(depth or []), *(infrared or []), *(markers or []), panel, intrinsics, recording]
-    outputs = Outputs(output, report, json_file, force, inputs)
+    held(output)
     known, lens = _known(panel, intrinsics)
     positions = [read_positions(path) for path in markers or []]
     notes: list[str] = []
@@ -70,7 +67,7 @@ def panel(
             _refuse_files(images)
             views, positions, lens = read_panel_session(recording, positions, lens, notes)
         calibration = calibrate_panel(views, positions, known, lens, 1e-3 * mocap_sigma_mm)
-    outputs.finish(panel_answer(calibration), "Camera from motion capture, by the marker panel", notes)
+    out.finish(output, panel_answer(calibration), "Camera from motion capture, by the marker panel", notes)
 
 
 def _known(panel: Path | None, intrinsics: Path | None) -> tuple[Panel, Intrinsics | None]:
@@ -132,6 +129,7 @@ def pictured(path: Path) -> Iterator[None]:
 
 def world(
     output: o.CalibrationOutput,
+    out: CalibrationOut,
     recording: Annotated[
         Path | None, o.argument("[REC.mcap]", "The session with images, lens and both IMUs.")
     ] = None,
@@ -147,9 +145,6 @@ def world(
     base_imu: Annotated[o.Files, o.option("Those of the IMU on the camera.", metavar="B.csv")] = None,
     intrinsics: o.Intrinsics = None,
     panel: o.Panel = None,
-    report: o.Report = None,
-    json_file: o.Json = None,
-    force: o.Force = False,
     panel_topic: Annotated[str, o.rare("In a recording: the IMU on the panel.", metavar="TOPIC")] = "panel",
     base_topic: Annotated[str, o.rare("In a recording: the IMU on the camera.", metavar="TOPIC")] = "base",
 ) -> None:
@@ -164,8 +159,7 @@ def world(
     from calib.world import calibrate_world_from_views, common_time, world_answer
 
     files = {"--depth": depth, "--infrared": infrared, "--panel-imu": panel_imu, "--base-imu": base_imu}
-    inputs = [*(path for paths in files.values() for path in paths or []), panel, intrinsics, recording]
-    outputs = Outputs(output, report, json_file, force, inputs)
+    there = held(output)
     known, lens = _known(panel, intrinsics)
     notes: list[str] = []
     if recording is not None:
@@ -185,11 +179,14 @@ def world(
             with error_prefix(f"{path} and the base IMU's file of that pose"):
                 times.append(common_time(own, base))
     with pictured(output.with_name(f"{output.stem}.seen.png")):
-        calibration = calibrate_world_from_views(views, times, panels, bases, known, lens, outputs.held)
-    outputs.finish(world_answer(calibration), "Camera from base IMU, by the panel", notes)
+        calibration = calibrate_world_from_views(views, times, panels, bases, known, lens, there)
+    out.finish(output, world_answer(calibration), "Camera from base IMU, by the panel", notes)
 
 
 def clock(
+    which: Which,
+    settings: ConfigInput,
+    out: CalibrationOut,
     sound: Annotated[
         Path | None, o.option("The camera's sound: WAV, or MCAP with an audio topic.", metavar="BEEP.wav")
     ] = None,
@@ -202,19 +199,16 @@ def clock(
         Path | None, o.option("A recording with the arm in motion; no equipment.", metavar="REC.mcap")
     ] = None,
     known: Annotated[
-        Path | None, o.option("With --motion: calibration with the IMU's mounting.", metavar="CAL.toml")
+        o.File,
+        o.option("With --motion: calibration with the IMU's mounting.", metavar="CAL.toml"),
+        o.UNCHECKED,
     ] = None,
     output: Annotated[
-        Path | None, o.option("Calibration file for the offsets.", "-o", "--output", metavar="CAL.toml")
+        o.File,
+        o.option("Calibration file for the offsets.", "-o", "--output", metavar="CAL.toml"),
+        o.ADDED_TO,
     ] = None,
     session: Annotated[str | None, o.option("Name of the session in the file.", metavar="NAME")] = None,
-    report: o.Report = None,
-    json_file: o.Json = None,
-    force: o.Force = False,
-    imu: o.Imu = None,
-    skeleton: o.Skeleton = None,
-    side: o.Side = None,
-    body: o.Body = None,
     sound_clocks: Annotated[
         str | None,
         o.rare(
@@ -232,8 +226,6 @@ def clock(
     tone_hz: Annotated[float | None, o.rare("The buzzer's tone, where it is known.")] = None,
     distance_m: Annotated[float, o.rare("Buzzer to microphone.", min=0.0, max=20.0)] = 0.0,
     resolution_ms: Annotated[float, o.rare("Step of broadcast and event stamps.", min=1e-6)] = 0.3125,
-    config_file: o.ConfigFile = None,
-    processes: o.Processes = None,
 ) -> None:
     """Clock offsets and drift, by sound, broadcast or motion.
 
@@ -245,7 +237,6 @@ def clock(
     from calib.sound import beep_receptions, beeps_of_tracks, buzzer_node
 
     from ..io.rig.clock import read_broadcast, read_sound
-    from .config import read_config
 
     if sound is None and broadcast is None and motion is None:
         raise typer.BadParameter("give --sound with --event-time, --broadcast, --motion, or several of them")
@@ -254,7 +245,7 @@ def clock(
     if not all(isfinite(t) for t in event_time or []):
         raise typer.BadParameter("--event-time takes seconds on the IMU's clock")
     clocks = _two("--sound-clocks", sound_clocks or "camera,base")
-    outputs = Outputs(output, report, json_file, force, [sound, broadcast, motion, config_file], known)
+    held(output)
     receptions: list[Receptions] = []
     beeps: list[Beep] = []
     moved: MotionClock | None = None
@@ -279,14 +270,13 @@ def clock(
             )
         receptions.insert(0, own)
     if motion is not None:
-        config = read_config(config_file, processes)
-        recording, given = load_arm(motion, known, imu=imu, skeleton=skeleton, side=side, body=body)
+        recording, given = load_arm(motion, known, **which.chosen)
         names = _two("--motion-clocks", motion_clocks or f"camera,{recording.imu.name.rpartition('/')[2]}")
-        moved, origin_ns = clock_from_motion(recording, given, config, names), recording.origin_ns
+        moved, origin_ns = clock_from_motion(recording, given, settings.read(), names), recording.origin_ns
         notes += recording.notes
     name = session or ", ".join(path.name for path in dict.fromkeys((sound, broadcast, motion)) if path)
     answer = clock_answer(ClockSession(name, receptions, beeps, moved, origin_ns))
-    outputs.finish(answer, f"Clocks: {name}", notes)
+    out.finish(output, answer, f"Clocks: {name}", notes)
 
 
 def _two(option: str, text: str) -> tuple[str, str]:

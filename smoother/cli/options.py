@@ -56,7 +56,9 @@ CalibrationOutput = Annotated[
     Path, value("CAL.toml", "File to write or to add to.", "-o", "--output"), ADDED_TO
 ]
 Calibration = Annotated[File, value("CAL.toml", "IMU mounting, lever arms, limb lengths.", "--calibration")]
-Known = Annotated[File, value("CAL.toml", "Calibration file with values to use as given.", "--known")]
+Known = Annotated[
+    File, value("CAL.toml", "Calibration file with values to use as given.", "--known"), UNCHECKED
+]
 Json = Annotated[Path | None, value("FILE", "Also write the figures as JSON.", "--json"), WRITTEN]
 Force = Annotated[bool, option("Overwrite outputs that exist.", "--force")]
 Strict = Annotated[bool, option("Exit with 3 where a result is not to be trusted.", "--strict")]

@@ -229,14 +229,15 @@ def test_refusals_name_file_and_key(tmp_path: Path, text: str, message: str):
     assert "_ArmSection" not in str(caught.value)
 
 
-def test_unreadable_files(tmp_path: Path):
-    with pytest.raises(CalibrationError, match="No such file"):
-        read_calibration(tmp_path / "absent.toml")
-    with pytest.raises(CalibrationError, match="cannot be read"):
-        read_calibration(tmp_path)
+def test_what_is_no_calibration_is_neither_read_nor_written_over(tmp_path: Path):
     (tmp_path / "binary.toml").write_bytes(b"\xff\xfe\x00")
-    with pytest.raises(CalibrationError, match="is not TOML"):
-        read_calibration(tmp_path / "binary.toml")
+    (tmp_path / "thesis.toml").write_text("mine = true\n")
+    for name, why in (("absent", "No such file"), ("", "cannot be read"), ("binary", "is not TOML")):
+        with pytest.raises(CalibrationError, match=why):
+            read_calibration(tmp_path / (name and f"{name}.toml"))
+    with pytest.raises(CalibrationError, match="is not a calibration"):
+        write_calibration(tmp_path / "thesis.toml", CalibrationFile())
+    assert (tmp_path / "thesis.toml").read_text() == "mine = true\n"
 
 
 def test_a_failed_write_leaves_the_file_alone(tmp_path: Path):
@@ -272,14 +273,6 @@ def test_a_file_written_by_hand_may_lack_format_and_version(tmp_path: Path):
     path.write_text("version = 2\n[arm.right]\n")
     with pytest.raises(CalibrationError, match="has version 2"):
         read_calibration(path)
-
-
-def test_never_writes_over_what_is_not_a_calibration(tmp_path: Path):
-    path = tmp_path / "thesis.toml"
-    path.write_text("mine = true\n")
-    with pytest.raises(CalibrationError, match="is not a calibration"):
-        write_calibration(path, CalibrationFile())
-    assert path.read_text() == "mine = true\n"
 
 
 def answers() -> list[Answer]:

@@ -17,40 +17,40 @@ MATRIX = np.array([[910.5, 0.0, 633.0], [0.0, 905.0, 362.5], [0.0, 0.0, 1.0]])
 TERMS = (-0.12, 0.03, 1e-3, -2e-3, 0.004)
 
 
-def check(lens: object) -> None:
-    assert (lens.fx, lens.fy, lens.cx, lens.cy) == (910.5, 905.0, 633.0, 362.5)  # type: ignore[attr-defined]
-    assert (lens.width, lens.height) == (1280, 720)  # type: ignore[attr-defined]
-    np.testing.assert_allclose(lens.distortion, TERMS)  # type: ignore[attr-defined]
-
-
-@pytest.mark.parametrize("name", ["lens.yml", "lens.json"])
-def test_opencvs_own_files(tmp_path: Path, name: str) -> None:
+def opencvs_own(path: Path) -> None:
     """As cv2.FileStorage writes them."""
-    path = tmp_path / name
     storage = cv2.FileStorage(str(path), cv2.FILE_STORAGE_WRITE)
     storage.write("image_width", 1280)
     storage.write("image_height", 720)
     storage.write("camera_matrix", MATRIX)
     storage.write("distortion_coefficients", np.array([TERMS]))
     storage.release()
-    cameras = read_camera_file(path)
-    assert list(cameras) == [""]
-    check(cameras[""].lens)
-    assert cameras[""].R is None
 
 
-def test_ros_and_plain_json(tmp_path: Path) -> None:
-    ros = tmp_path / "ros.yaml"
-    ros.write_text(
-        "image_width: 1280\nimage_height: 720\ncamera_name: front  # the left one\ncamera_matrix:\n"
-        "  rows: 3\n  cols: 3\n  data: [910.5, 0., 633., 0., 905.,\n     362.5, 0., 0., 1.]\n"
-        "distortion_model: plumb_bob\ndistortion_coefficients:\n  rows: 1\n  cols: 5\n"
-        f"  data: {list(TERMS)}\n"
-    )
-    check(read_camera_file(ros)[""].lens)
-    plain = tmp_path / "plain.json"
-    plain.write_text(json.dumps({"K": MATRIX.tolist(), "dist": [TERMS], "image_size": [1280, 720]}))
-    check(read_camera_file(plain)[""].lens)
+ROS = (
+    "image_width: 1280\nimage_height: 720\ncamera_name: front  # the left one\ncamera_matrix:\n"
+    "  rows: 3\n  cols: 3\n  data: [910.5, 0., 633., 0., 905.,\n     362.5, 0., 0., 1.]\n"
+    "distortion_model: plumb_bob\ndistortion_coefficients:\n  rows: 1\n  cols: 5\n"
+    f"  data: {list(TERMS)}\n"
+)
+PLAIN = json.dumps({"K": MATRIX.tolist(), "dist": [TERMS], "image_size": [1280, 720]})
+
+
+@pytest.mark.parametrize(
+    ("name", "text"), [("lens.yml", ""), ("lens.json", ""), ("ros.yaml", ROS), ("plain.json", PLAIN)]
+)
+def test_a_file_of_one_lens(tmp_path: Path, name: str, text: str) -> None:
+    path = tmp_path / name
+    if text:
+        path.write_text(text)
+    else:
+        opencvs_own(path)
+    ((key, camera),) = read_camera_file(path).items()
+    lens = camera.lens
+    assert key == "" and camera.R is None
+    assert (lens.fx, lens.fy, lens.cx, lens.cy) == (910.5, 905.0, 633.0, 362.5)
+    assert (lens.width, lens.height) == (1280, 720)
+    np.testing.assert_allclose(lens.distortion, TERMS)
 
 
 def test_kalibrs_chain_of_cameras(tmp_path: Path) -> None:

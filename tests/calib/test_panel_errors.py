@@ -16,123 +16,9 @@ from calib.panel import (
     PoseData,
     solve,
 )
-from calib.plane import Frame, Plane
+from calib.plane import Frame
 from smoother.array_types import FloatArray
 from smoother.errors import CalibrationError
-
-TURN = Rotation.from_euler("xyz", [100, 20, -40], degrees=True).as_matrix()
-ORIGIN = np.array([0.1, -0.2, 0.4])
-ON_PANEL = np.array([[0.0, 0.0, 0.0], [0.2, 0.0, 0.0], [0.5, 0.0, 0.0], [0.0, 0.35, 0.0]])
-HEIGHT_M = 0.007
-
-
-def pose(seed: int, noise: float = 1.0) -> PoseData:
-    """A panel held in {K}, its markers 7 mm above the plane; the depth's plane is off by its covariance."""
-    rng = np.random.default_rng(seed)
-    turned = Rotation.from_rotvec(0.3 * rng.normal(size=3)).as_matrix() @ np.diag([1.0, -1.0, -1.0])
-    origin = np.array([-0.2, 0.1, 1.5]) + 0.2 * rng.normal(size=3)
-    normal = turned[:, 2]  # towards the camera
-    markers_K = origin + ON_PANEL @ turned.T + HEIGHT_M * normal
-    theta = normal / (normal @ origin)
-    A = rng.normal(size=(3, 3))
-    covariance = 1e-8 * (A @ A.T + 0.5 * np.eye(3))
-    plane = Plane(
-        theta=theta + noise * np.linalg.cholesky(covariance) @ rng.normal(size=3),
-        covariance=covariance,
-        offset_rate=-0.4 * theta + 0.05 * rng.normal(size=3),
-        offset_curve=0.3 * rng.normal(size=3),
-        inliers=np.ones(1, dtype=bool),
-        residuals_m=np.zeros(1),
-        noise_m=0.001,
-        share_common=1.0,
-        warp_m=0.0,
-    )
-    sigmas = np.array([1.0, 1.5, 2.0, 1.2]) * 1e-4
-    rays = markers_K[:, :2] / markers_K[:, 2:] + noise * sigmas[:, None] * rng.normal(size=(4, 2))
-    sigma_E = 0.0003 + 0.0001 * seed
-    markers_E = (markers_K - ORIGIN) @ TURN + noise * sigma_E * rng.normal(size=(4, 3))
-    return PoseData(rays, sigmas, plane, markers_E, sigma_E, HEIGHT_M)
-
-
-class Dense:
-    """The same problem without GTSAM: (6 turn and shift about the truth, offset, 15 a pose)."""
-
-    def __init__(self, poses: list[PoseData], with_offset: bool) -> None:
-        self.poses, self.with_offset = poses, with_offset
-        size = 7 + 15 * len(poses)
-        scale = np.concatenate([np.full(6, 1e-3), [1e-3], np.full(size - 7, 1e-4)])
-        fit = least_squares(
-            self.residuals, np.zeros(size), x_scale=scale, jac="3-point", xtol=1e-15, ftol=1e-15
-        )
-        self.x, self.misfit = fit.x, float(2 * fit.cost)
-        self.covariance = np.linalg.inv(fit.jac.T @ fit.jac)
-        self.R = Rotation.from_rotvec(fit.x[:3]).as_matrix() @ TURN
-        self.t = Rotation.from_rotvec(fit.x[:3]).as_matrix() @ ORIGIN + fit.x[3:6]
-
-    def residuals(self, x: FloatArray) -> FloatArray:
-        turn = Rotation.from_rotvec(x[:3]).as_matrix()
-        R, t, offset = turn @ TURN, turn @ ORIGIN + x[3:6], x[6] if self.with_offset else 0.0
-        rows = [x[6:7] / 0.01]
-        for p, each in enumerate(self.poses):
-            part = x[7 + 15 * p : 22 + 15 * p]
-            theta, markers = each.plane.theta + part[:3], each.markers_E + part[3:].reshape(4, 3)
-            at = markers @ R.T + t
-            rows.append(((at[:, :2] / at[:, 2:] - each.rays) / each.sigmas[:, None]).ravel())
-            rows.append(part[3:] / each.sigma_E_m)
-            rows.append(((at @ theta - 1) / np.linalg.norm(theta) + each.height_m) / 0.0002)
-            root = np.linalg.cholesky(np.linalg.inv(each.plane.covariance)).T
-            rows.append(root @ (theta - each.plane.at_offset(offset)))
-        return np.concatenate(rows)
-
-
-def agrees(found: PanelSolution, dense: Dense, poses: list[PoseData]) -> None:
-    """Answer, covariance about the camera's own axes, misfit."""
-    sigma = np.sqrt(np.diag(dense.covariance))
-    turn = Rotation.from_matrix(found.camera_from_mocap.R @ dense.R.T).as_rotvec()
-    shift = found.camera_from_mocap.origin - dense.t
-    assert (np.abs(np.concatenate([turn, shift])) < 0.02 * sigma[:6]).all()
-    count = 6 * len(poses)
-    assert found.residuals == count
-    assert found.misfit * count == pytest.approx(dense.misfit, rel=1e-4)
-    scale = (12.0 + dense.misfit) / (12.0 + count)
-    expected = dense.covariance[:6, :6] * scale
-    size = np.sqrt(np.diag(expected))
-    np.testing.assert_allclose(
-        found.covariance / size[:, None] / size, expected / size[:, None] / size, atol=0.02
-    )
-    if dense.with_offset:
-        assert found.depth_offset_m == pytest.approx(dense.x[6], abs=0.02 * sigma[6])
-        assert found.depth_offset_sigma_m == pytest.approx(sigma[6] * np.sqrt(scale), rel=0.01)
-
-
-def test_several_poses_are_the_dense_solution() -> None:
-    poses = [pose(1), pose(2), pose(3)]
-    found = solve(poses)
-    agrees(found, Dense(poses, True), poses)
-    assert found.offset_apart_m == found.depth_offset_m
-    assert found.offset_apart_sigma_m == found.depth_offset_sigma_m
-
-
-def test_one_pose_is_the_dense_solution() -> None:
-    poses = [pose(1)]
-    found, free = solve(poses), panel.graph_solution(poses, solve_offset=True)
-    agrees(found, Dense(poses, False), poses)
-    agrees(free, Dense(poses, True), poses)
-    assert found.depth_offset_m == 0.0 and found.depth_offset_sigma_m == np.inf
-    assert (found.offset_apart_m, found.offset_apart_sigma_m) == (
-        free.depth_offset_m,
-        free.depth_offset_sigma_m,
-    )
-    assert free.offset_apart_m == 0.0 and free.offset_apart_sigma_m == np.inf
-
-
-def test_poses_that_determine_nothing() -> None:
-    """All markers in one point: the turn about it is free."""
-    one = pose(1)
-    point = replace(one, rays=np.tile(one.rays[:1], (4, 1)), markers_E=np.tile(one.markers_E[:1], (4, 1)))
-    with pytest.raises(CalibrationError, match="do not determine the transform"):
-        solve([point])
-
 
 TRUTH = Frame(
     Rotation.from_euler("xyz", [100, 20, -40], degrees=True).as_matrix(), np.array([0.1, -0.2, 0.4])
@@ -155,6 +41,86 @@ def solved_pose(seed: int, number: int, offset_m: float = 0.0, height_m: float =
         sigma_E_m=SIGMA_E_M,
         height_m=height_m,
     )
+
+
+class Dense:
+    """The same problem without GTSAM: (6 turn and shift about the truth, offset, 15 a pose)."""
+
+    def __init__(self, poses: list[PoseData], with_offset: bool) -> None:
+        self.poses, self.with_offset = poses, with_offset
+        size = 7 + 15 * len(poses)
+        scale = np.concatenate([np.full(6, 1e-3), [1e-3], np.full(size - 7, 1e-4)])
+        fit = least_squares(
+            self.residuals, np.zeros(size), x_scale=scale, jac="3-point", xtol=1e-15, ftol=1e-15
+        )
+        self.x, self.misfit = fit.x, float(2 * fit.cost)
+        self.covariance = np.linalg.inv(fit.jac.T @ fit.jac)
+        self.R = Rotation.from_rotvec(fit.x[:3]).as_matrix() @ TRUTH.R
+        self.t = Rotation.from_rotvec(fit.x[:3]).as_matrix() @ TRUTH.origin + fit.x[3:6]
+
+    def residuals(self, x: FloatArray) -> FloatArray:
+        turn = Rotation.from_rotvec(x[:3]).as_matrix()
+        R, t, offset = turn @ TRUTH.R, turn @ TRUTH.origin + x[3:6], x[6] if self.with_offset else 0.0
+        rows = [x[6:7] / 0.01]
+        for p, each in enumerate(self.poses):
+            part = x[7 + 15 * p : 22 + 15 * p]
+            theta, markers = each.plane.theta + part[:3], each.markers_E + part[3:].reshape(4, 3)
+            at = markers @ R.T + t
+            rows.append(((at[:, :2] / at[:, 2:] - each.rays) / each.sigmas[:, None]).ravel())
+            rows.append(part[3:] / each.sigma_E_m)
+            rows.append(((at @ theta - 1) / np.linalg.norm(theta) + each.height_m) / 0.0002)
+            root = np.linalg.cholesky(np.linalg.inv(each.plane.covariance)).T
+            rows.append(root @ (theta - each.plane.at_offset(offset)))
+        return np.concatenate(rows)
+
+
+def agrees(found: PanelSolution, dense: Dense, poses: list[PoseData]) -> None:
+    """Answer, covariance about the camera's own axes, misfit."""
+    sigma = np.sqrt(np.diag(dense.covariance))
+    turn = Rotation.from_matrix(found.camera_from_mocap.R @ dense.R.T).as_rotvec()
+    shift = found.camera_from_mocap.origin - dense.t
+    assert (np.abs(np.concatenate([turn, shift])) < 0.02 * sigma[:6]).all()
+    count = 6 * len(poses)
+    assert found.residuals == count
+    assert found.misfit * count == pytest.approx(dense.misfit, rel=1e-3)
+    scale = (12.0 + dense.misfit) / (12.0 + count)
+    expected = dense.covariance[:6, :6] * scale
+    size = np.sqrt(np.diag(expected))
+    np.testing.assert_allclose(
+        found.covariance / size[:, None] / size, expected / size[:, None] / size, atol=0.02
+    )
+    if dense.with_offset:
+        assert found.depth_offset_m == pytest.approx(dense.x[6], abs=0.02 * sigma[6])
+        assert found.depth_offset_sigma_m == pytest.approx(sigma[6] * np.sqrt(scale), rel=0.01)
+
+
+def test_several_poses_are_the_dense_solution() -> None:
+    poses = [solved_pose(1, number, height_m=0.007) for number in range(3)]
+    found = solve(poses)
+    agrees(found, Dense(poses, True), poses)
+    assert found.offset_apart_m == found.depth_offset_m
+    assert found.offset_apart_sigma_m == found.depth_offset_sigma_m
+
+
+def test_one_pose_is_the_dense_solution() -> None:
+    poses = [solved_pose(1, 0, height_m=0.007)]
+    found, free = solve(poses), panel.graph_solution(poses, solve_offset=True)
+    agrees(found, Dense(poses, False), poses)
+    agrees(free, Dense(poses, True), poses)
+    assert found.depth_offset_m == 0.0 and found.depth_offset_sigma_m == np.inf
+    assert (found.offset_apart_m, found.offset_apart_sigma_m) == (
+        free.depth_offset_m,
+        free.depth_offset_sigma_m,
+    )
+    assert free.offset_apart_m == 0.0 and free.offset_apart_sigma_m == np.inf
+
+
+def test_poses_that_determine_nothing() -> None:
+    """All markers in one point: the turn about it is free."""
+    one = solved_pose(1, 0)
+    point = replace(one, rays=np.tile(one.rays[:1], (4, 1)), markers_E=np.tile(one.markers_E[:1], (4, 1)))
+    with pytest.raises(CalibrationError, match="do not determine the transform"):
+        solve([point])
 
 
 def test_errors_are_as_large_as_sigma_says():
