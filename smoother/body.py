@@ -12,46 +12,21 @@ from .recording.joint_tracks import FOREARM_JOINTS, JOINTS, JointTracks
 
 @dataclass(frozen=True)
 class BodySegment:
-    """A segment of the arm.
-
-    Attributes
-    ----------
-    name : str
-    label : str
-        In sentences, after "the".
-    prefix : str
-        Of the names of columns on its IMU.
-    sigma_name : str
-        Of the columns of its IMU's sigmas.
-    axes : str
-        Letter of its IMU's axes.
-    joints : tuple of str
-        Those with a lever arm in these axes.
-    parent : str
-        The segment whose chain it continues; "" of the first one.
-    shared_joint : str
-        The joint that it shares with its parent; "" of the first one.
-    camera_joints : tuple of str
-        Joints whose camera samples are tied to it rather than to its parent, where it has an IMU.
-    remedy : str
-        What to do where its motion does not show how its IMU sits.
-    letters : str
-        Of its variables in a graph: pose, velocity, bias, lever arm, and the shared joint's position.
-    as_forearm : mapping of str to str
-        Its joint by the joint of the forearm that is to the forearm's IMU what this one is to its own.
-    """
+    """A segment of the arm."""
 
     name: str
-    label: str
-    prefix: str
-    sigma_name: str
-    axes: str
-    joints: tuple[str, ...]
-    parent: str
-    shared_joint: str
+    label: str  # In sentences, after "the"
+    prefix: str  # Of the names of columns on its IMU
+    sigma_name: str  # Of the columns of its IMU's sigmas
+    axes: str  # Letter of its IMU's axes
+    joints: tuple[str, ...]  # Those with a lever arm in these axes
+    parent: str  # The segment whose chain it continues; "" of the first one
+    shared_joint: str  # The joint that it shares with its parent; "" of the first one
+    # Joints whose camera samples are tied to it rather than to its parent, where it has an IMU
     camera_joints: tuple[str, ...]
-    remedy: str
-    letters: str
+    remedy: str  # What to do where its motion does not show how its IMU sits
+    letters: str  # Of its variables in a graph: pose, velocity, bias, lever arm, shared joint's position
+    # Its joint by the joint of the forearm that is to the forearm's IMU what this one is to its own
     as_forearm: Mapping[str, str] = field(default_factory=dict)
 
     @property

@@ -14,65 +14,34 @@ from .array_types import FloatArray
 
 @dataclass(frozen=True)
 class LeverArm:
-    """A joint's constant position in the forearm IMU's axes {A}.
+    """A joint's constant position in the forearm IMU's axes {A}."""
 
-    Attributes
-    ----------
-    position_m : ndarray, shape (3,), m
-        In {A}.
-    sigma_m : ndarray, shape (3,), m
-        One standard deviation of each axis.
-    """
-
-    position_m: FloatArray
-    sigma_m: FloatArray
+    position_m: FloatArray  # (3,) m: In {A}
+    sigma_m: FloatArray  # (3,) m: One standard deviation of each axis
 
 
 @dataclass(frozen=True)
 class Length:
-    """A length and its standard deviation.
-
-    Attributes
-    ----------
-    value_m : float, m
-    sigma_m : float, m
-        One standard deviation.
-    """
+    """A length and its standard deviation."""
 
     value_m: float
-    sigma_m: float
+    sigma_m: float  # One standard deviation
 
 
 @dataclass(frozen=True)
 class SigmaFactor:
-    """How much wider sigma must be in gaps of one length, as hidden gaps have shown.
+    """How much wider sigma must be in gaps of one length, as hidden gaps have shown."""
 
-    Attributes
-    ----------
-    length_s : float, s
-        Of the gaps.
-    factor : float
-        What sigma of a position is multiplied by.
-    gaps : int
-        Hidden gaps behind it.
-    """
-
-    length_s: float
-    factor: float
-    gaps: int
+    length_s: float  # Of the gaps
+    factor: float  # What sigma of a position is multiplied by
+    gaps: int  # Hidden gaps behind it
 
 
 @dataclass(frozen=True)
 class SigmaFactors:
-    """Factors of sigma by the length of a gap.
+    """Factors of sigma by the length of a gap."""
 
-    Attributes
-    ----------
-    by_length : tuple of SigmaFactor
-        Of increasing lengths, at least one.
-    """
-
-    by_length: tuple[SigmaFactor, ...]
+    by_length: tuple[SigmaFactor, ...]  # Of increasing lengths, at least one
 
     def at(self, length_s: float) -> float:
         """The factor for a gap of some length: linear between the lengths, held beyond them."""
@@ -87,21 +56,11 @@ class SigmaFactors:
 
 @dataclass(frozen=True)
 class SegmentMounting:
-    """How an IMU sits on a segment beyond the forearm.
+    """How an IMU sits on a segment beyond the forearm."""
 
-    Attributes
-    ----------
-    lever_arms : dict of str to LeverArm
-        Of the segment's two joints, in that IMU's axes.
-    tissue_m : float, m
-        How far the joints are from constant there, per axis: soft tissue.
-    R_bone : ndarray, shape (3, 3), or None
-        Maps a vector from that IMU's axes to the bone's (ISB); None where unknown.
-    """
-
-    lever_arms: dict[str, LeverArm]
-    tissue_m: float = 0.01
-    R_bone: FloatArray | None = None
+    lever_arms: dict[str, LeverArm]  # Of the segment's two joints, in that IMU's axes
+    tissue_m: float = 0.01  # How far the joints are from constant there, per axis: soft tissue
+    R_bone: FloatArray | None = None  # (3, 3): Maps a vector from that IMU's axes to the bone's (ISB)
 
 
 @dataclass(frozen=True)

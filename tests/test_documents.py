@@ -246,7 +246,7 @@ def test_topics_and_columns(tmp_path):
     from smoother import read_recording
     from smoother.config import Config
     from smoother.io.export.tables import file_columns
-    from smoother.result.segment_motion import SegmentMotion, TrunkMotion
+    from smoother.result import SegmentMotion, TrunkMotion
     from smoother.smoothing import smooth
 
     text = (ROOT / "docs" / "formats.md").read_text(encoding="utf-8")

@@ -19,8 +19,7 @@ from ..body import HAND
 from ..calibration import LeverArm
 from ..joint_angles import arm_angles, forearm_axes, wrapped_deg
 from ..linalg import rotate_covariance, skew
-from ..result import Recovery
-from ..result.segment_motion import TrunkMotion
+from ..result import Recovery, TrunkMotion
 from .definitions import (
     ELBOW_FLEXION,
     PRONATION,

@@ -14,7 +14,7 @@ from ..errors import RecordingError
 from ..measurements.allowance import allowance
 from ..measurements.visibility import accepted_samples, find_gaps, visible_frames
 from ..recording import Camera, Recording
-from ..result.plain import plain
+from ..result.verdict import plain
 from .mcap.messages import Topic
 from .recording.choose import Selection
 from .recording.names import named_side, role

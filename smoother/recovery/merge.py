@@ -14,8 +14,7 @@ from ..measurements.clock import Clock
 from ..measurements.segment import Timeline
 from ..measurements.visibility import REASONS, Gap
 from ..recording import JOINTS, Recording
-from ..result import Draws, Estimates, FrameResiduals, Recovery
-from ..result.segment_motion import SegmentMotion
+from ..result import Draws, Estimates, FrameResiduals, Recovery, SegmentMotion
 from ..result.verdict import finding
 from ..runtime.store import large_array
 from ..selfcal.self_calibration import SelfCalibration

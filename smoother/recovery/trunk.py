@@ -17,8 +17,7 @@ from ..measurements.inertial import InertialSignal, inertial_attitude
 from ..measurements.segment import without_spikes
 from ..measurements.timestamps import dejitter, split_at_pauses
 from ..recording import ImuStream, JointTracks, Recording, TrunkSensors
-from ..result import Recovery
-from ..result.segment_motion import TrunkMotion
+from ..result import Recovery, TrunkMotion
 from ..rotation import Rotation
 from ..runtime.store import large_array
 from ..selfcal.trunk_mount import OFFSETS_S, ShoulderLine, TrunkMount, mount_trunk

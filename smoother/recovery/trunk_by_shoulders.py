@@ -11,8 +11,7 @@ import numpy as np
 from ..array_types import BoolArray, FloatArray
 from ..linalg import nearest, unit
 from ..recording import JointTracks, Recording
-from ..result import Recovery
-from ..result.segment_motion import TrunkMotion
+from ..result import Recovery, TrunkMotion
 from ..rotation import Rotation
 from ..runtime.store import large_array
 from ..selfcal.trunk_mount import GIRDLE_M

@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
-from .camera_estimate import CameraEstimate
 from .draws import Draws
-from .estimates import Estimates
-from .frame_residuals import FrameResiduals
-from .recoveries import Recoveries, arm_tags, is_of_arm
-from .recovery import Recovery
+from .estimates import CameraEstimate, Estimates
+from .recovery import (
+    FrameResiduals,
+    Recoveries,
+    Recovery,
+    SegmentMotion,
+    TrunkMotion,
+    arm_tags,
+    is_of_arm,
+)
 from .verdict import GapVerdict, Pairing, SelfCheck, UntrustedInterval
 
 __all__ = [
@@ -19,7 +24,9 @@ __all__ = [
     "Pairing",
     "Recoveries",
     "Recovery",
+    "SegmentMotion",
     "SelfCheck",
+    "TrunkMotion",
     "UntrustedInterval",
     "arm_tags",
     "is_of_arm",

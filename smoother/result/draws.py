@@ -10,7 +10,7 @@ import numpy as np
 from ..array_types import FloatArray
 from ..body import FURTHER, SEGMENTS
 from ..errors import UnoccludeError
-from ..linalg import by_columns, rows_of
+from ..linalg import by_columns
 from ..rotation import Rotation
 
 #: Names of the columns of joints begin so, those of further segments' rotations end so.
@@ -63,10 +63,6 @@ class Draws:
         joints = {name.removeprefix(JOINT): v for name, v in columns.items() if name.startswith(JOINT)}
         turns = {body.name: columns[body.prefix + TURN] for body in FURTHER if body.prefix + TURN in columns}
         return cls(t_s, seed, columns["position"], columns["rotation"], joints, turns)
-
-    def first(self, count: int) -> Draws:
-        """The first few of them: a draw does not depend on how many others there are."""
-        return rows_of(self, slice(count), "position", "rotation", "joints", "turns")
 
     def at(self, k: int, t_s: FloatArray) -> Deviation:
         """How far a drawn motion is from the answer at other times.

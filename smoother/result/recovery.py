@@ -1,4 +1,4 @@
-"""The arm's motion over a recording, sample by sample."""
+"""The arm's motion over a recording, sample by sample, with that of further IMUs; several arms."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from importlib import import_module
 from textwrap import shorten
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, overload
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,14 +17,13 @@ from ..calibration import ArmCalibration
 from ..error_radius import error_radius, within_words
 from ..errors import UnoccludeError
 from ..linalg import median_rate_hz, rotation_sigma_deg, rows_of
-from ..measurements.visibility import Gap
-from ..recording import JointTracks, arm_words
+from ..measurements.visibility import Gap, Reason
+from ..recording import JointTracks, Recording, arm_words
 from ..runtime.packages import pandas_module
+from ..runtime.store import by_rows
 from .columns import SAMPLES, Column, columns_of, flat_columns
 from .draws import Draws, turned_by
 from .estimates import Estimates
-from .frame_residuals import BATCH_ROWS, FrameResiduals
-from .segment_motion import SegmentMotion, TrunkMotion
 from .verdict import GapVerdict, gap_verdicts, trusted_at
 
 if TYPE_CHECKING:
@@ -35,6 +34,89 @@ if TYPE_CHECKING:
     from ..angles import AngleTable
 
 _VERDICT_LENGTH = 200
+#: Samples or frames that are looked at together; what is computed of them passes through the memory.
+BATCH_ROWS = 8192
+
+
+@dataclass(frozen=True)
+class FrameResiduals:
+    """Camera minus recovered joint position, one row per camera frame."""
+
+    t_s: FloatArray  # (F,), s: Frame times on the IMU's clock
+    # (F, 5, 3), m: In {K}, joints in the order of `JOINTS`; nan where there is no answer
+    residual: FloatArray
+    used: BoolArray  # (F, 5): The sample was used in the solution
+    # (F, 5): Why a tracked sample was rejected: index into `reasons`, 0 where it was not
+    reason: NDArray[np.uint8]
+    reasons: tuple[Reason, ...] = (Reason(""),)  # The first one empty
+
+    def __len__(self) -> int:
+        return len(self.t_s)
+
+    def rows(self, rows: slice) -> FrameResiduals:
+        """Some of the frames."""
+        return rows_of(self, rows, "t_s", "residual", "used", "reason")
+
+    def batches(self) -> Iterator[FrameResiduals]:
+        """All frames, some thousand at a time."""
+        for start in range(0, len(self), BATCH_ROWS):
+            yield self.rows(slice(start, start + BATCH_ROWS))
+
+
+def _axis_sigma(pose_covariance: FloatArray) -> FloatArray:
+    """Standard deviations of positions, (n, 3), of covariances of poses (n, 6, 6)."""
+    return np.sqrt(np.einsum("nii->ni", pose_covariance[:, :3, :3]))
+
+
+@dataclass(frozen=True)
+class SegmentMotion:
+    """The IMU on a segment beyond the forearm at the forearm IMU's times; nan where it has no samples."""
+
+    position: FloatArray  # (N, 3), m: In {K}
+    quaternion: FloatArray  # (N, 4): qw, qx, qy, qz: from the IMU's axes to {K}
+    pose_covariance: FloatArray  # (N, 6, 6), m and rad: Of (position in {K}, rotation vector in {K})
+    # (3,), rad: How far the bone's axes may be from where `SegmentMounting.R_bone` has them, soft tissue
+    # included, about each of them
+    mount_sigma_rad: FloatArray
+    clock_offset_s: float = float("nan")  # s: t_own = t_camera + offset, mean
+    name: str = ""  # Of the IMU
+
+    def rows(self, rows: slice | IntArray) -> SegmentMotion:
+        """Some of the samples."""
+        return rows_of(self, rows, "position", "quaternion", "pose_covariance")
+
+    @property
+    def sigma_m(self) -> FloatArray:
+        """(N, 3) standard deviation of the IMU's position, m per axis of {K}."""
+        return _axis_sigma(self.pose_covariance)
+
+    @property
+    def sigma_deg(self) -> FloatArray:
+        """(N,) square root of the trace of the orientation covariance, degrees."""
+        return rotation_sigma_deg(self.pose_covariance[:, 3:, 3:])
+
+
+@dataclass(frozen=True)
+class TrunkMotion:
+    """The thorax at the forearm IMU's times; nan where the trunk's IMU has no samples."""
+
+    # (N, 4): qw, qx, qy, qz of `R_K_T`: from the thorax's axes {T} (ISB: x forward, y up, z to its right)
+    quaternion: FloatArray
+    covariance: FloatArray  # (N, 3, 3), rad^2: Of the rotation vector in {K}
+    R_T_D: FloatArray  # (3, 3): Mounting: maps a vector from the IMU's axes {D} to the thorax's
+    mount_sigma_rad: FloatArray  # (3,), rad: How far the mounting may be off about each of the thorax's axes
+    clock_offset_s: float = float("nan")  # s: t_trunk = t_camera + offset, mean
+    name: str = "trunk"  # Of the IMU
+    by_imu: bool = True  # By an IMU on it; False where it is by both shoulders as the camera sees them
+
+    def rows(self, rows: slice | IntArray) -> TrunkMotion:
+        """Some of the samples."""
+        return rows_of(self, rows, "quaternion", "covariance")
+
+    @property
+    def sigma_deg(self) -> FloatArray:
+        """(N,) square root of the trace of the orientation covariance, degrees."""
+        return rotation_sigma_deg(self.covariance)
 
 
 @dataclass(frozen=True, repr=False)
@@ -238,22 +320,22 @@ class Recovery:
     @property
     def answered(self) -> BoolArray:
         """(N,) whether there is a position."""
-        return self._of_each(lambda batch: np.asarray(np.isfinite(batch.position).all(axis=1)), bool)
+        return by_rows(lambda position: np.isfinite(position).all(axis=1), self.position)
 
     @property
     def sigma_m(self) -> FloatArray:
         """(N, 3) standard deviation of the IMU's position, m per axis of {K}."""
-        return np.sqrt(np.einsum("nii->ni", self.pose_covariance[:, :3, :3]))
+        return _axis_sigma(self.pose_covariance)
 
     @property
     def worst_sigma_m(self) -> FloatArray:
         """(N,) standard deviation of the IMU's position on its worst axis, m."""
-        return self._of_each(lambda batch: batch.sigma_m.max(axis=1), float)
+        return by_rows(lambda pose: _axis_sigma(pose).max(axis=1), self.pose_covariance)
 
     @property
     def error_95_m(self) -> FloatArray:
         """(N,) the distance within which the IMU's position is in 95 of 100 cases, m."""
-        return self._of_each(lambda batch: error_radius(batch.pose_covariance[:, :3, :3]), float)
+        return by_rows(lambda pose: error_radius(pose[:, :3, :3]), self.pose_covariance)
 
     @property
     def sigma_deg(self) -> FloatArray:
@@ -276,15 +358,6 @@ class Recovery:
     def has_verdict(self) -> bool:
         """Whether it was judged; otherwise `trusted` has no meaning."""
         return self.estimates.trusted is not None or bool(self.estimates.untrusted)
-
-    def _of_each(self, value: Callable[[Recovery], NDArray], kind: type) -> NDArray:
-        """(N,) a value of each sample, with little more than itself in memory."""
-        values: NDArray = np.empty(len(self), kind)
-        start = 0
-        for batch in self.batches():
-            values[start : start + len(batch)] = value(batch)
-            start += len(batch)
-        return values
 
     def angles(self) -> AngleTable:
         """Every joint angle with its sigma: flexion, shoulder, pronation, in the ISB's order of turns.
@@ -445,3 +518,66 @@ def _from_above(name: str) -> Callable[..., Any]:
 def _zeros(values: FloatArray) -> FloatArray:
     """Zeros of that shape, which take no memory."""
     return np.broadcast_to(np.zeros(()), values.shape)
+
+
+def arm_tags(recoveries: Sequence[Recovery]) -> list[str]:
+    """A name for each arm among several, as topics end in: "left", or "body_2/left" with several people.
+
+    Where side and body do not distinguish them, a number does.
+    """
+
+    def tag(recovery: Recovery) -> str:
+        side = recovery.side or "arm"
+        return side if recovery.body is None else f"body_{recovery.body}/{side}"
+
+    tags = [tag(recovery) for recovery in recoveries]
+    return [
+        one if tags.count(one) == 1 and recovery.side else f"{one}_{number}"
+        for number, (one, recovery) in enumerate(zip(tags, recoveries, strict=True), start=1)
+    ]
+
+
+def is_of_arm(recovery: Recovery, recording: Recording) -> bool:
+    """Whether a recovery is of this arm of a recording."""
+    of_arm = (recording.arm.name, recording.side, recording.body)
+    return of_arm == (recovery.arm.name, recovery.side, recovery.body)
+
+
+@dataclass(frozen=True)
+class Recoveries(Sequence[Recovery]):
+    """The arms of a recording: by number, by side, or by name where there are several people.
+
+    `recoveries["left"]`, `recoveries["body_2/left"]`, `recoveries[0]`; iterates over the arms.
+
+    Attributes
+    ----------
+    arms : tuple of Recovery
+        In order of body and side.
+    left_out : tuple of str
+        A sentence for each arm that could not be recovered.
+    """
+
+    arms: tuple[Recovery, ...]
+    left_out: tuple[str, ...] = ()
+
+    def __len__(self) -> int:
+        return len(self.arms)
+
+    @overload
+    def __getitem__(self, key: int | str) -> Recovery: ...
+    @overload
+    def __getitem__(self, key: slice) -> tuple[Recovery, ...]: ...
+    def __getitem__(self, key: int | str | slice) -> Recovery | tuple[Recovery, ...]:
+        if not isinstance(key, str):
+            return self.arms[key]
+        named = [arm for arm, tag in zip(self.arms, self.tags, strict=True) if tag == key]
+        fitting = named or [arm for arm in self.arms if arm.side == key]
+        if len(fitting) != 1:
+            what = "several arms fit" if fitting else "there is no arm"
+            raise UnoccludeError(f"{what} {key!r}; arms: {', '.join(self.tags)}")
+        return fitting[0]
+
+    @property
+    def tags(self) -> list[str]:
+        """The arms' names, as a result file's topics end in."""
+        return arm_tags(self.arms)

@@ -20,8 +20,7 @@ from smoother.calibration import ArmCalibration, LeverArm, SegmentMounting
 from smoother.io.export.tables import export_csv
 from smoother.joint_angles import arm_angles, forearm_axes, torso_axes, wrapped_deg
 from smoother.linalg import unit
-from smoother.result import Estimates, Recovery
-from smoother.result.segment_motion import SegmentMotion, TrunkMotion
+from smoother.result import Estimates, Recovery, SegmentMotion, TrunkMotion
 
 ALWAYS = ["elbow_flexion", "shoulder_plane", "shoulder_elevation", "shoulder_rotation", "pronation"]
 DOWN = np.array([0.05, -0.99, 0.1]) / np.linalg.norm([0.05, -0.99, 0.1])

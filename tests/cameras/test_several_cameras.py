@@ -18,7 +18,7 @@ from smoother.evaluation.summary import camera_sentences
 from smoother.recording import JointState, Recording
 from smoother.recovery.cameras import spans
 from smoother.result import CameraEstimate, Estimates, Recovery
-from smoother.result.plain import from_plain
+from smoother.result.verdict import from_plain
 from smoother.simulation import ArmSimulation, SimulatedArm, simulate_arm
 from smoother.smoothing import smooth
 from smoother.window.nodes import GROUPED_S, group_frames_of_cameras

@@ -19,8 +19,7 @@ from smoother.joint_angles import (
     torso_axes,
     wrapped_deg,
 )
-from smoother.result import Recovery
-from smoother.result.segment_motion import SegmentMotion
+from smoother.result import Recovery, SegmentMotion
 
 DOWN = np.array([0.0, -1.0, 0.0])  # a level Kinect: x to the camera's left, y up, z away from it
 RIGHT_OF_PERSON, UP, TO_CAMERA = np.eye(3)[0], np.eye(3)[1], -np.eye(3)[2]

@@ -29,8 +29,7 @@ from smoother.io.recording.choose import choose_arms
 from smoother.io.recording.select import select_recording
 from smoother.io.recording.streams import RecordingFile
 from smoother.recording import FOREARM_JOINTS, JOINTS, ImuStream, JointState, Recording, TrunkSensors
-from smoother.result import Recovery
-from smoother.result.segment_motion import SegmentMotion, TrunkMotion
+from smoother.result import Recovery, SegmentMotion, TrunkMotion
 from smoother.simulation import ArmSimulation, simulate_arm
 
 

@@ -16,8 +16,7 @@ from smoother.measures import Measures, MeasureSettings, measure, measure_both
 from smoother.measures.definitions import MeasureDefinition, definition_of, interval
 from smoother.measures.figures import angle_figures, centre_of, centred, zone_figures
 from smoother.measures.symmetry import symmetry_index
-from smoother.result import Estimates, Recovery
-from smoother.result.segment_motion import SegmentMotion
+from smoother.result import Estimates, Recovery, SegmentMotion
 from smoother.result.verdict import UntrustedInterval
 from smoother.runtime.printable import plain
 

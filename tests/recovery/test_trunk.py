@@ -18,8 +18,7 @@ from smoother.measures.measuring import measure
 from smoother.recording import JOINTS, ImuStream, JointTracks, Recording, TrunkSensors
 from smoother.recovery.trunk import with_trunk
 from smoother.recovery.trunk_by_shoulders import LEAN_RAD, trunk_by_shoulders
-from smoother.result import Recovery
-from smoother.result.segment_motion import SegmentMotion
+from smoother.result import Recovery, SegmentMotion
 from smoother.simulation import ArmSimulation, SimulatedArm, simulate_arm
 
 

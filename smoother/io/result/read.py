@@ -16,9 +16,8 @@ import numpy as np
 from ...errors import RecordingError
 from ...measurements.visibility import Reason
 from ...recording import JointTracks
-from ...result import Draws, Estimates, FrameResiduals, Recovery
+from ...result import Draws, Estimates, FrameResiduals, Recovery, SegmentMotion, TrunkMotion
 from ...result.columns import SAMPLES
-from ...result.segment_motion import SegmentMotion, TrunkMotion
 from ..mcap.container import Container
 from ..mcap.messages import DamageNote, plain_name, seconds, told_behind
 from ..recording.read import METADATA

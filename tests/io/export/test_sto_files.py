@@ -16,8 +16,7 @@ from smoother.calibration import ArmCalibration, SegmentMounting
 from smoother.errors import UnoccludeError
 from smoother.io import write_recovery
 from smoother.io.export.prepare import prepare_export
-from smoother.result import Recovery
-from smoother.result.segment_motion import SegmentMotion, TrunkMotion
+from smoother.result import Recovery, SegmentMotion, TrunkMotion
 
 R_F_A = Rotation.from_rotvec([0.4, -0.3, 0.9]).as_matrix()
 R_U_B = Rotation.from_rotvec([0.3, -0.8, 0.5]).as_matrix()
