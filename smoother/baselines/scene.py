@@ -19,7 +19,7 @@ from ..cameras.joining import FOREARM_M
 from ..config import CameraNoise
 from ..errors import SolveError
 from ..linalg import interpolate
-from ..measurements.alignment import Alignment, VectorPairs, align, lever_of, pairs
+from ..measurements.alignment import VectorPairs, align, lever_of, pairs
 from ..measurements.inertial import InertialSignal, inertial_attitude
 from ..measurements.segment import FEWEST_SAMPLES, Segment
 from ..measurements.timestamps import dejitter, split_at_pauses
@@ -188,11 +188,14 @@ def _scene(recording: Recording, graph: Recovery, orientation: str, samples: sli
     assert graph.residuals is not None
     calibration, arm = graph.calibration or ArmCalibration(side=recording.side), recording.arm
     whole = recording.imu.select(samples)
-    acc_bias, gyro_bias = (
-        np.zeros(3) if bias is None else bias
-        for bias in (calibration.accelerometer_bias, calibration.gyroscope_bias)
+    acc, gyro = (
+        values if bias is None else values - bias
+        for values, bias in (
+            (whole.acc, calibration.accelerometer_bias),
+            (whole.gyro, calibration.gyroscope_bias),
+        )
     )
-    whole = replace(whole, t_s=dejitter(whole.t_s), acc=whole.acc - acc_bias, gyro=whole.gyro - gyro_bias)
+    whole = replace(whole, t_s=dejitter(whole.t_s), acc=acc, gyro=gyro)
     imu = whole.select(slice(rows.start - samples.start, rows.stop - samples.start))
     frames = (graph.arm.t_s >= imu.t_s[0]) & (graph.arm.t_s <= imu.t_s[-1])
     frame_t, used = graph.arm.t_s[frames], graph.residuals.used[frames]
@@ -202,13 +205,30 @@ def _scene(recording: Recording, graph: Recovery, orientation: str, samples: sli
     errors = graph.estimates.joint_bias_m or {}
     joint_bias = np.array([errors.get(joint, np.zeros(3)) for joint in JOINTS])
     joints = np.where(used[:, :, None], camera_joints - joint_bias, np.nan)
-    segment = _segment(recording, graph, whole, orientation, frame_t, joints, used)
-    alignment = _aligned(segment, calibration, graph.gravity_direction)
-    R_K_A = (alignment.at(imu.t_s) * segment.attitude.at(imu.t_s)).as_matrix()
-    gravity = GRAVITY * graph.gravity_direction
+    signal, down, needed = InertialSignal(whole), graph.gravity_direction, joints_needed(arm)
+    bias = inertial_attitude(signal, whole.rate_hz).gyroscope_bias
+    attitude = attitude_by(orientation, signal, whole, whole.rate_hz, bias)
+    segment = Segment(
+        signal=signal,
+        attitude=attitude,
+        frame_t_camera=frame_t,
+        position=joints,
+        accepted=used,
+        reason=np.zeros(used.shape, np.uint8),
+        down=down,
+        needed=needed,
+        frames=slice(0, len(frame_t)),
+        start_s=float(whole.t_s[0]),
+        end_s=float(whole.t_s[-1]),
+    )
+    # heading from what camera and IMU both saw, the vertical from the graph's gravity
+    up_K, up_E = (np.tile(up, (len(frame_t), 1)) for up in (-down, np.array([0.0, 0.0, 1.0])))
+    vertical = VectorPairs(frame_t, up_K, up_E, np.full(len(frame_t), VERTICAL_SIGMA_RAD**-2))
+    both_saw = pairs(segment, frame_t, used, calibration)
+    alignment = align([*both_saw, vertical], segment.start_s, segment.end_s, down)
+    R_K_A, R_frames = ((alignment.at(t) * attitude.at(t)).as_matrix() for t in (imu.t_s, frame_t))
     attitude_sigma = np.sqrt(np.trace(alignment.covariance, axis1=1, axis2=2) / 3.0)
-    R_frames = (alignment.at(frame_t) * segment.attitude.at(frame_t)).as_matrix()
-    point = _point(joints, used, R_frames, calibration, segment.needed)
+    gravity, estimates = GRAVITY * down, graph.estimates
     return Scene(
         imu=imu,
         R_K_A=R_K_A,
@@ -218,53 +238,13 @@ def _scene(recording: Recording, graph: Recovery, orientation: str, samples: sli
         frame_t=frame_t,
         joints=joints,
         camera_joints=camera_joints,
-        point=point,
-        point_sigma_m=_point_sigma(graph.estimates.camera_sigma_m, used),
+        point=_point(joints, used, R_frames, calibration, needed),
+        point_sigma_m=_point_sigma(estimates.camera_sigma_m, used),
         gaps=tuple(gap for gap in graph.gaps if gap.end_s > imu.t_s[0] and gap.start_s < imu.t_s[-1]),
         calibration=calibration,
-        point_effective_sigma_m=_point_sigma(graph.estimates.camera_effective_sigma_m, used),
+        point_effective_sigma_m=_point_sigma(estimates.camera_effective_sigma_m, used),
         rows=rows,
     )
-
-
-def _segment(
-    recording: Recording,
-    graph: Recovery,
-    imu: ImuStream,
-    orientation: str,
-    frame_t: FloatArray,
-    joints: FloatArray,
-    used: BoolArray,
-) -> Segment:
-    """The segment as the alignment takes it, its attitude by the chosen filter."""
-    signal = InertialSignal(imu)
-    bias = inertial_attitude(signal, imu.rate_hz).gyroscope_bias
-    return Segment(
-        signal=signal,
-        attitude=attitude_by(orientation, signal, imu, imu.rate_hz, bias),
-        frame_t_camera=frame_t,
-        position=joints,
-        accepted=used,
-        reason=np.zeros(used.shape, np.uint8),
-        down=graph.gravity_direction,
-        needed=joints_needed(recording.arm),
-        frames=slice(0, len(frame_t)),
-        start_s=float(imu.t_s[0]),
-        end_s=float(imu.t_s[-1]),
-    )
-
-
-def _aligned(segment: Segment, calibration: ArmCalibration, down: FloatArray) -> Alignment:
-    """`R_K_E` over time: heading from what camera and IMU both saw, the vertical from the graph's gravity."""
-    both_saw = pairs(segment, segment.frame_t_camera, segment.accepted, calibration)
-    t = segment.frame_t_camera
-    vertical = VectorPairs(
-        t,
-        np.tile(-down, (len(t), 1)),
-        np.tile([0.0, 0.0, 1.0], (len(t), 1)),
-        np.full(len(t), VERTICAL_SIGMA_RAD**-2),
-    )
-    return align([*both_saw, vertical], segment.start_s, segment.end_s, down)
 
 
 def _point(
@@ -274,14 +254,12 @@ def _point(
     total, count = np.zeros((len(joints), 3)), np.zeros(len(joints))
     for joint in FOREARM_JOINTS:
         lever, column = lever_of(calibration, joint), JOINTS.index(joint)
-        if lever is None:
-            continue
-        seen = used[:, column]
-        total[seen] += joints[seen, column] - R_K_A[seen] @ lever
-        count[seen] += 1.0
+        if lever is not None:
+            seen = used[:, column]
+            total[seen] += joints[seen, column] - R_K_A[seen] @ lever
+            count[seen] += 1.0
     good = (count > 0) & enough_joints(used, needed)
-    with np.errstate(invalid="ignore", divide="ignore"):
-        return np.where(good[:, None], total / count[:, None], np.nan)
+    return np.where(good[:, None], total / np.maximum(count, 1.0)[:, None], np.nan)
 
 
 def _point_sigma(sigma_m: dict[str, float] | None, used: BoolArray) -> float:
@@ -348,28 +326,33 @@ def recovery_of(
 def _write(recovery: Recovery, recording: Recording, scene: Scene, path: Path) -> None:
     """Write a scene's path into its rows, from the scene's even times to the IMU's own stamps."""
     assert recovery.residuals is not None
-    rows, frame_t = scene.rows, recovery.arm.t_s
+    n, rows, frame_t = len(scene.t), scene.rows, recovery.arm.t_s
     stamps = recovery.t_s[rows]
-    same = np.array_equal(scene.t, stamps)
 
     def at_stamps(values: FloatArray) -> FloatArray:
-        return values if same else interpolate(scene.t, values, stamps)
+        return values if np.array_equal(scene.t, stamps) else interpolate(scene.t, values, stamps)
 
-    R = scene.R_K_A if path.R_K_A is None else path.R_K_A
-    place, turn = (
-        np.full((len(scene.t), 3, 3), np.nan) if each is None else each
-        for each in (path.covariance, path.attitude_covariance)
-    )
+    R, unknown = scene.R_K_A if path.R_K_A is None else path.R_K_A, np.full((n, 3, 3), np.nan)
+    place = unknown if path.covariance is None else path.covariance
+    turn = unknown if path.attitude_covariance is None else path.attitude_covariance
     recovery.position[rows] = at_stamps(path.position)
     recovery.quaternion[rows] = _quaternion(scene.t, R, stamps)
     recovery.pose_covariance[rows] = at_stamps(_independent(place, turn))
     if path.velocity is not None:
         recovery.velocity[rows] = at_stamps(path.velocity)
     if path.attitude_covariance is None:  # the scene's orientation, with the sigma that the scene states
-        turn = np.tile(np.eye(3) * scene.attitude_sigma_rad**2, (len(scene.t), 1, 1))
-    joints = {"strap": _strap(scene, path, R)}
+        turn = np.tile(np.eye(3) * scene.attitude_sigma_rad**2, (n, 1, 1))
+    pose, levers = _independent(place, turn), {joint: lever_of(scene.calibration, joint) for joint in JOINTS}
+    strap = levers["strap"]  # a path without orientation has the IMU's position alone
+    joints = {"strap": path.position if strap is None or not strap.any() else path.position + R @ strap}
     for joint in recovery.joints:
-        joints[joint], covariance = _joint(joint, scene, path, R, _independent(place, turn))
+        lever, known = levers[joint], scene.calibration.lever_arms.get(joint)
+        joints[joint], covariance = path.joints.get(joint, unknown[:, 0]), unknown
+        if joint not in path.joints and joint == "shoulder":
+            joints[joint] = scene.shoulder
+        elif joint not in path.joints and lever is not None:
+            spread = None if known is None else np.diag(known.sigma_m**2)
+            joints[joint], covariance = joint_from_pose(R, path.position, pose, lever, spread)
         recovery.joints[joint][rows] = at_stamps(joints[joint])
         recovery.joint_covariance[joint][rows] = at_stamps(covariance)
     frames = (frame_t >= scene.t[0]) & (frame_t <= scene.t[-1])
@@ -385,36 +368,13 @@ def _independent(place: FloatArray, turn: FloatArray) -> FloatArray:
     return np.block([[place, none], [none, turn]])
 
 
-def _joint(
-    joint: str, scene: Scene, path: Path, R: FloatArray, pose_covariance: FloatArray
-) -> tuple[FloatArray, FloatArray]:
-    """A joint's position (n, 3) and covariance (n, 3, 3) at the scene's times."""
-    unknown, lever = np.full((len(scene.t), 3, 3), np.nan), lever_of(scene.calibration, joint)
-    if joint in path.joints:
-        return path.joints[joint], unknown
-    if joint == "shoulder":
-        return scene.shoulder, unknown
-    if lever is None:
-        return unknown[:, 0], unknown
-    known = scene.calibration.lever_arms.get(joint)
-    spread = None if known is None else np.diag(known.sigma_m**2)
-    return joint_from_pose(R, path.position, pose_covariance, lever, spread)
-
-
-def _strap(scene: Scene, path: Path, R: FloatArray) -> FloatArray:
-    """The strap's position (n, 3), also where a path without orientation has the IMU's position alone."""
-    lever = lever_of(scene.calibration, "strap")
-    return path.position if lever is None or not lever.any() else path.position + R @ lever
-
-
 def _quaternion(t: FloatArray, R: FloatArray, stamps: FloatArray) -> FloatArray:
     """qw, qx, qy, qz (n, 4) at the stamps; nan where there is no orientation."""
     known = np.isfinite(R).all(axis=(1, 2))
     quaternion = np.full((len(stamps), 4), np.nan)
-    if not known.any():
-        return quaternion
-    rotation = Rotation.from_matrix(R[known])
-    if not np.array_equal(t, stamps):
-        rotation = Slerp(t[known], rotation)(np.clip(stamps[known], t[known][0], t[known][-1]))
-    quaternion[known] = rotation.as_quat(scalar_first=True)
+    if known.any():
+        rotation = Rotation.from_matrix(R[known])
+        if not np.array_equal(t, stamps):
+            rotation = Slerp(t[known], rotation)(np.clip(stamps[known], t[known][0], t[known][-1]))
+        quaternion[known] = rotation.as_quat(scalar_first=True)
     return quaternion

@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import asyncio
 import logging
 import secrets
+import socket
+import threading
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import suppress
 from types import ModuleType
 from typing import Any, NamedTuple
 
@@ -21,9 +25,9 @@ from ..live.answers import LiveEstimate, LiveState
 from ..measurements.visibility import Gap
 from ..recording import JOINTS, JointTracks
 from ..result import Recovery
+from ..runtime.local_requests import LOOPBACK, OWN_NAMES, LocalDoor, joined
 from ..runtime.packages import extra_module
 from .arrivals import FrameRows, LiveStep, SourceInfo
-from .origin_gate import LOOPBACK, OriginGate
 
 #: Of a settled answer, the topics with numbers.
 _SETTLED = tuple(f"{RESULT_PREFIX}{name}" for name in ("skeleton", "forearm"))
@@ -106,23 +110,23 @@ class LiveMessages:
     def _recovery(self, estimates: list[LiveEstimate], arm: JointTracks) -> Recovery:
         """An estimate or none as a recovery of one sample or none."""
         joints = [joint for joint in JOINTS if all(joint in each.joints for each in estimates)]
-        count = len(estimates)
 
-        def column(values: list[FloatArray], *shape: int) -> FloatArray:
-            return np.array(values, float).reshape(count, *shape)
+        def column(of: str | Callable[[LiveEstimate], object], *shape: int) -> FloatArray:
+            values = [getattr(each, of) if isinstance(of, str) else of(each) for each in estimates]
+            return np.array(values, float).reshape(len(estimates), *shape)
 
         return Recovery(
             method="live",
-            t_s=np.array([each.t_s for each in estimates], float),
+            t_s=column("t_s"),
             occluded=np.array([each.state is not LiveState.VISIBLE for each in estimates], bool),
-            position=column([each.position for each in estimates], 3),
-            quaternion=column([each.quaternion for each in estimates], 4),
-            velocity=column([each.velocity for each in estimates], 3),
-            pose_covariance=column([each.pose_covariance for each in estimates], 6, 6),
-            velocity_covariance=np.full((count, 3, 3), np.nan),
-            joints={joint: column([each.joints[joint] for each in estimates], 3) for joint in joints},
+            position=column("position", 3),
+            quaternion=column("quaternion", 4),
+            velocity=column("velocity", 3),
+            pose_covariance=column("pose_covariance", 6, 6),
+            velocity_covariance=np.full((len(estimates), 3, 3), np.nan),
+            joints={name: column(lambda each, j=name: each.joints[j], 3) for name in joints},
             joint_covariance={
-                joint: column([each.joint_covariance[joint] for each in estimates], 3, 3) for joint in joints
+                name: column(lambda each, j=name: each.joint_covariance[j], 3, 3) for name in joints
             },
             gaps=(),
             calibration=None,
@@ -133,6 +137,78 @@ class LiveMessages:
             origin_ns=self._info.origin_ns,
             side=self._info.side,
         )
+
+
+#: Pages that may connect: Foxglove's own and those of this computer, and its desktop application. Any page
+#: that a browser shows may connect to a WebSocket on this computer; the browser sends the page's origin
+#: (Origin, RFC 6455, 10.2). A client that sends no Origin is a program of this computer.
+DOOR = LocalDoor(guests=("app.foxglove.dev", "foxglove.dev", *OWN_NAMES), schemes=("file", "foxglove", "app"))
+#: The head of a request is awaited this long, s, and is no longer than this, bytes.
+_HEAD_S, _HEAD_BYTES = 5.0, 16384
+#: A side that takes nothing for this long is let go, s.
+_PATIENCE_S = 10.0
+_REFUSAL = (
+    b"HTTP/1.1 403 Forbidden\r\nContent-Type: text/plain\r\nConnection: close\r\n\r\n"
+    b"unocclude live lets Foxglove and programs of this computer in, no other page.\n"
+)
+
+
+def is_allowed(head: bytes) -> bool:
+    """Whether the head of a request is of no foreign page."""
+    lines = (line.partition(":") for line in head.decode("latin-1").split("\r\n")[1:])
+    return DOOR.refusal(joined((key, value) for key, _, value in lines), changes=False) is None
+
+
+class OriginGate:
+    """Listens on this computer, and passes on to a server behind it what is not of a foreign page."""
+
+    def __init__(self, port: int, behind: tuple[str, int]):
+        listener = socket.create_server((LOOPBACK, port))
+        self.port, self._behind = int(listener.getsockname()[1]), behind
+        self._loop = asyncio.new_event_loop()
+        started = asyncio.start_server(self._serve, sock=listener, limit=_HEAD_BYTES)
+        self._server = self._loop.run_until_complete(started)
+        self._thread = threading.Thread(target=self._loop.run_forever, name="origin-gate", daemon=True)
+        self._thread.start()
+
+    def close(self) -> None:
+        """Let all connections go."""
+        self._loop.call_soon_threadsafe(self._server.close)
+        for task in asyncio.all_tasks(self._loop):
+            self._loop.call_soon_threadsafe(task.cancel)
+        self._loop.call_soon_threadsafe(self._loop.call_later, 0.05, self._loop.stop)
+        self._thread.join(_PATIENCE_S)
+        self._loop.close()
+
+    async def _serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        writers = [writer]
+        try:
+            head = await asyncio.wait_for(reader.readuntil(b"\r\n\r\n"), _HEAD_S)
+            if not is_allowed(head[:-4]):
+                writer.write(_REFUSAL)
+                return await writer.drain()
+            back, behind = await asyncio.open_connection(*self._behind)
+            writers.append(behind)
+            behind.write(head)
+            ways = [asyncio.ensure_future(_pass_on(*way)) for way in ((reader, behind), (back, writer))]
+            try:
+                await asyncio.wait(ways, return_when=asyncio.FIRST_COMPLETED)
+            finally:
+                for way in ways:
+                    way.cancel()
+        except (OSError, EOFError, asyncio.LimitOverrunError, TimeoutError, asyncio.CancelledError):
+            pass  # a client that is gone, or says nothing that this can pass on
+        finally:
+            for each in writers:
+                each.close()
+
+
+async def _pass_on(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+    """Bytes one way until a side closes."""
+    with suppress(OSError, TimeoutError):
+        while chunk := await reader.read(1 << 16):
+            writer.write(chunk)
+            await asyncio.wait_for(writer.drain(), _PATIENCE_S)
 
 
 #: The port that Foxglove proposes.
@@ -200,10 +276,13 @@ class FoxgloveServer:
         return topic not in self._channels or bool(self._channels[topic].has_sinks())
 
     def _log(self, messages: Iterable[LiveMessage]) -> None:
-        for message in messages:
-            if message.topic not in self._channels:
-                self._channels[message.topic] = self._channel(message.topic, message.schema)
-            self._channels[message.topic].log(message.data, log_time=max(message.stamp_ns, 0))
+        for topic, schema, stamp_ns, data in messages:
+            if topic not in self._channels:
+                described = self._foxglove.Schema(name=schema, encoding="protobuf", data=schema_data(schema))
+                self._channels[topic] = self._foxglove.Channel(
+                    topic, schema=described, message_encoding="protobuf", context=self._context
+                )
+            self._channels[topic].log(data, log_time=max(stamp_ns, 0))
 
     def _hidden_server(self) -> tuple[str, Any]:
         """The server behind the gate, on a loopback address that no page guesses, where there are several."""
@@ -216,9 +295,3 @@ class FoxgloveServer:
             except (OSError, RuntimeError) as error:
                 failure = error
         raise UnoccludeError(f"Foxglove's server cannot be started: {failure}") from failure
-
-    def _channel(self, topic: str, schema: str) -> Any:
-        described = self._foxglove.Schema(name=schema, encoding="protobuf", data=schema_data(schema))
-        return self._foxglove.Channel(
-            topic, schema=described, message_encoding="protobuf", context=self._context
-        )

@@ -150,8 +150,14 @@ class SessionFigures:
         """What `--json` states."""
         further = {name: own.figures() for name, own in self.imus.items() if own is not self.imu}
         of_output = ("clock_offset_s", "clock_sigma_s", "camera_latency_s", "dropped", "calibration")
-        delays = np.asarray(self.frame_delays_s if len(self.frame_delays_s) else [np.nan], float)
-        median, most, largest = (1e3 * np.percentile(delays, (50, 99, 100))).tolist()
+        delays = np.asarray(self.frame_delays_s if self.frame_delays_s else [np.nan], float)
+        done = dict(
+            zip(
+                ("median_ms", "percentile_99_ms", "largest_ms"),
+                1e3 * np.percentile(delays, (50, 99, 100)),
+                strict=True,
+            )
+        )
         return {
             "seconds": self.seconds,
             "steps": self.steps,
@@ -165,12 +171,8 @@ class SessionFigures:
             **{name: getattr(self.output, name, None) for name in of_output},
             "frame_done": {
                 "count": len(self.frame_delays_s),
-                "median_ms": median,
-                "percentile_99_ms": most,
-                "largest_ms": largest,
-                "share_within_20_ms": float(np.mean(delays <= 0.020))
-                if self.frame_delays_s
-                else float("nan"),
+                **{name: float(ms) for name, ms in done.items()},
+                "share_within_20_ms": float(np.mean(np.where(np.isnan(delays), delays, delays <= 0.020))),
             },
             "load": self.load,
             "events": [{"t_s": when, "event": sentence} for when, sentence in self.events],

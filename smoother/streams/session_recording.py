@@ -22,7 +22,7 @@ from ..io.recording.streams import ARRIVAL, ORDER, ArmFrames, ImuSamples
 from ..io.recording.write import CAMERA, arm_messages, imu_messages, imu_topic
 from ..recording import JOINTS
 from ..runtime.outputs import check_output, umask
-from .arrivals import LiveStep, SourceInfo
+from .arrivals import LiveStep, SourceInfo, drained
 from .foxglove import LiveMessages
 
 #: What came is written after this long, s: a killed program loses no more.
@@ -36,21 +36,6 @@ _MOST_WAITING = 20_000
 _CLOSE_S = 60.0
 
 
-class _RecordedArm:
-    """The topics of one arm, and when it was shown last."""
-
-    def __init__(self, info: SourceInfo, several: bool, taken: set[str]) -> None:
-        self.side, self.messages, self.shown_s = info.side, LiveMessages(info), -np.inf
-        self.present = [JOINTS.index(joint) for joint in info.joints]
-        self.shown_topic = f"{SHOWN_TOPIC}/{info.side}" if several else SHOWN_TOPIC
-        self.topics = {}
-        for segment, name in info.imus.items():
-            topic = imu_topic(name, info.side, segment)
-            topic = f"{topic}_{info.side}" if topic in taken else topic  # devices may all have one name
-            taken.add(topic)
-            self.topics[segment] = topic
-
-
 class SessionRecording:
     """Writes IMU and skeleton to an MCAP file as they arrive: stamps inside, arrival as log time.
 
@@ -61,90 +46,100 @@ class SessionRecording:
         self, path: Path, infos: Sequence[SourceInfo], force: bool = False, patient: bool = False
     ) -> None:
         check_recording(path, force)
-        self.path, self.growing, self._info = path, growing_name(path), infos[0]
-        self._notes: list[str] = []
-        self.has_samples = self._is_broken = False
+        self.path, self.growing, self._infos = path, growing_name(path), infos
         try:
             os.close(os.open(self.growing, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o600))
             self._output = Output(self.growing)
             self._output.__enter__()
         except OSError as error:
             raise UnoccludeError(f"{self.growing} cannot be written: {error.strerror or error}") from error
-        taken: set[str] = set()
-        self._arms = [_RecordedArm(info, len(infos) > 1, taken) for info in infos]
+        self._topics: list[dict[str, str]] = []  # of the IMUs of each arm
+        for info in infos:
+            named = {segment: imu_topic(name, info.side, segment) for segment, name in info.imus.items()}
+            taken = [topic for own in self._topics for topic in own.values()]  # devices may all have one name
+            self._topics.append(
+                {at: f"{each}_{info.side}" if each in taken else each for at, each in named.items()}
+            )
+        self._messages, self._shown_s = [LiveMessages(info) for info in infos], [-np.inf] * len(infos)
         self._flushed_s = -np.inf
+        self._notes: list[str] = []
+        self.has_samples = self._has_ended = False
         self._write_metadata()
-        self._patient, self._has_ended, self._lost = patient, False, 0
-        self._jobs: Queue[LiveStep | threading.Event | None] = Queue(_MOST_WAITING)
+        self._patient, self._lost = patient, 0
+        self._steps: Queue[LiveStep | None] = Queue(_MOST_WAITING)
         self._events: SimpleQueue[str] = SimpleQueue()
         self._thread = threading.Thread(target=self._work, name="recorder", daemon=True)
         self._thread.start()
 
     def send(self, step: LiveStep) -> None:
         """Write what arrived before a step, and some 30 times per second the pose of the IMU *now*."""
-        self._put(step)
-
-    def events(self) -> list[str]:
-        """What became of the recording since the last call."""
-        return [self._events.get_nowait() for _ in range(self._events.qsize())]
-
-    def wait(self) -> None:
-        """Return once all that was given is written, or the recording has ended."""
-        written, until_s = threading.Event(), time.monotonic() + _CLOSE_S
-        self._put(written)
-        while not (self._has_ended or written.wait(0.02)) and time.monotonic() < until_s:
-            pass
-
-    def _put(self, job: LiveStep | threading.Event) -> None:
         if self._has_ended:
             return
         try:
-            self._jobs.put(job, block=self._patient, timeout=_CLOSE_S)
+            self._steps.put(step, block=self._patient, timeout=_CLOSE_S)
         except Full:
             self._lost += 1
             if self._lost == 1:
                 self._events.put("the disk is too slow: the recording has gaps from now on")
 
+    def events(self) -> list[str]:
+        """What became of the recording since the last call."""
+        return drained(self._events)
+
+    def wait(self) -> None:
+        """Return once all that was given is written, or the recording has ended."""
+        until_s = time.monotonic() + _CLOSE_S
+        while self._steps.unfinished_tasks and not self._has_ended and time.monotonic() < until_s:
+            time.sleep(0.01)
+
     def _work(self) -> None:
-        while (job := self._jobs.get()) is not None:
-            if isinstance(job, threading.Event):
-                job.set()
-            elif not self._has_ended:
-                try:
-                    self._write(job)
-                except OSError as error:
-                    self._is_broken = self._has_ended = True
-                    self._events.put(
-                        f"the recording has ended, the session continues: {self.growing} cannot be written"
-                        f" any more ({error.strerror or error}); what is in it can be read:"
-                        f" `unocclude repair {self.growing} -o {self.path}`"
-                    )
+        while (step := self._steps.get()) is not None:
+            try:
+                if not self._has_ended:
+                    self._write(step)
+            except OSError as error:
+                self._events.put(
+                    f"the recording has ended, the session continues: {self.growing} cannot be written any"
+                    f" more ({error.strerror or error}); what is in it can be read: `unocclude repair"
+                    f" {self.growing} -o {self.path}`"
+                )
+                self._has_ended = True
+            self._steps.task_done()
 
     def _write(self, step: LiveStep) -> None:
-        arm, origin, outgoing = self._arms[step.arm], self._info.origin_ns, []
+        info, topics, origin, outgoing = (
+            self._infos[step.arm],
+            self._topics[step.arm],
+            self._infos[0].origin_ns,
+            [],
+        )
         self._notes += step.arrivals.events
         for segment, rows in step.arrivals.imus.items():
             if len(rows):
-                topic, stamp = arm.topics[segment], nanoseconds(rows.t_s, origin)
+                topic, stamp = topics[segment], nanoseconds(rows.t_s, origin)
                 samples = ImuSamples(topic, topic.rpartition("/")[2], stamp, rows.acc, rows.gyro, rows.mag)
-                messages = imu_messages(self._output, samples)
-                outgoing.append(replace(messages, time_ns=nanoseconds(rows.arrival_s, origin)))
+                outgoing.append((rows, imu_messages(self._output, samples)))
         frames = step.arrivals.frames
         if len(frames):
             stamp = nanoseconds(frames.t_s, origin)
-            joints = ArmFrames("/skeleton", CAMERA, 0, arm.side, stamp, frames.position, frames.state)
-            messages = arm_messages(self._output, joints, arm.present)
-            outgoing.append(replace(messages, time_ns=nanoseconds(frames.arrival_s, origin)))
+            joints = ArmFrames("/skeleton", CAMERA, 0, info.side, stamp, frames.position, frames.state)
+            present = [JOINTS.index(joint) for joint in info.joints]
+            outgoing.append((frames, arm_messages(self._output, joints, present)))
         self.has_samples |= bool(outgoing)
+        streams = [
+            replace(messages, time_ns=nanoseconds(rows.arrival_s, origin)) for rows, messages in outgoing
+        ]
         now_s, now = step.output.now_s, step.output.now
-        if now is not None and abs(now_s - arm.shown_s) >= _SHOWN_EACH_S:
-            arm.shown_s = now_s
-            data = [each.data for each in arm.messages.estimate(now, {_FOREARM}.__contains__)]
-            channel = self._output.channel(arm.shown_topic, "foxglove.Odometry")
+        if now is not None and abs(now_s - self._shown_s[step.arm]) >= _SHOWN_EACH_S:
+            self._shown_s[step.arm] = now_s
+            shown = self._messages[step.arm].estimate(now, {_FOREARM}.__contains__)
+            data = [each.data for each in shown]
+            topic = f"{SHOWN_TOPIC}/{info.side}" if len(self._infos) > 1 else SHOWN_TOPIC
             time_ns = np.full(len(data), round(now_s * 1e9) + origin)
-            outgoing.append(OutputStream(channel, time_ns, lambda part: data[part]))
-        if outgoing:
-            self._output.write(outgoing)
+            channel = self._output.channel(topic, "foxglove.Odometry")
+            streams.append(OutputStream(channel, time_ns, lambda part: data[part]))
+        if streams:
+            self._output.write(streams)
         if now_s - self._flushed_s > _FLUSH_S:
             self._output.flush()
             self._flushed_s = now_s
@@ -152,9 +147,9 @@ class SessionRecording:
     def close(self) -> None:
         """Write what waits and the file's end, and give it its name; one without any sample goes."""
         with suppress(Full):
-            self._jobs.put(None, timeout=_CLOSE_S)
+            self._steps.put(None, timeout=_CLOSE_S)
         self._thread.join(_CLOSE_S)
-        if self._is_broken or not self.has_samples:
+        if self._has_ended or not self.has_samples:
             self._output.__exit__(UnoccludeError, None, None)
             if not self.has_samples:
                 self.growing.unlink()
@@ -168,11 +163,11 @@ class SessionRecording:
         os.replace(self.growing, self.path)
 
     def _write_metadata(self) -> None:
-        values = {"notes": json.dumps(self._notes), "name": self._info.name, ORDER: ARRIVAL}
-        if self._info.camera_frame is not None:
-            values["camera_frame"] = str(self._info.camera_frame)
-        if self._info.gravity_hint is not None:
-            values["gravity"] = json.dumps([float(value) for value in self._info.gravity_hint])
+        values = {"notes": json.dumps(self._notes), "name": self._infos[0].name, ORDER: ARRIVAL}
+        if self._infos[0].camera_frame is not None:
+            values["camera_frame"] = str(self._infos[0].camera_frame)
+        if self._infos[0].gravity_hint is not None:
+            values["gravity"] = json.dumps([float(value) for value in self._infos[0].gravity_hint])
         self._output.metadata(METADATA, values)
 
 

@@ -9,7 +9,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 from simulated_scenes import NO_GAPS, arm, errors, rms, scene_of, turned_off
 
-from smoother.array_types import BoolArray, FloatArray
+from smoother.array_types import BoolArray
 from smoother.baselines.gaussian_process import gaussian_process
 from smoother.baselines.kalman import kalman, multirate_kalman
 from smoother.baselines.rts import rts
@@ -23,6 +23,7 @@ from smoother.baselines.simple import (
     pchip,
 )
 from smoother.baselines.ukf import ukf
+from smoother.evaluation.metrics import squared_sigmas
 from smoother.measurements.visibility import find_gaps
 from smoother.recording import JOINTS
 
@@ -206,11 +207,6 @@ MEASURED: dict[Baseline, tuple[float, float, float | None]] = {
 FACTOR = 1.5
 
 
-def nees(error: FloatArray, covariance: FloatArray) -> FloatArray:
-    """Normalised squared errors (k,) per degree of freedom of errors (k, 3) (Bar-Shalom et al. 2001, 5.4)."""
-    return np.einsum("ni,ni->n", error, np.linalg.solve(covariance, error[..., None])[..., 0]) / 3.0
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("baseline", MEASURED, ids=lambda baseline: baseline.__name__)
 def test_sigmas_go_with_the_errors(baseline: Baseline):
@@ -222,11 +218,11 @@ def test_sigmas_go_with_the_errors(baseline: Baseline):
         answered = np.isfinite(path.position).all(axis=1)
         error = path.position - truth.position
         for rows, squares in ((answered & ~scene.occluded, visible), (answered & scene.occluded, occluded)):
-            squares.append(nees(error[rows], path.covariance[rows]))
+            squares.append(squared_sigmas(error[rows], path.covariance[rows]) / 3.0)
         if path.attitude_covariance is not None:
             true = Rotation.from_quat(truth.quaternion, scalar_first=True)
             turn = (Rotation.from_matrix(path.R_K_A) * true.inv()).as_rotvec()
-            attitude.append(nees(turn[answered], path.attitude_covariance[answered]))
+            attitude.append(squared_sigmas(turn[answered], path.attitude_covariance[answered]) / 3.0)
     for squares, measured in zip((visible, occluded, attitude), MEASURED[baseline], strict=True):
         if measured is None:
             assert not squares

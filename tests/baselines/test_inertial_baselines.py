@@ -11,9 +11,7 @@ from simulated_scenes import NO_GAPS, arm, errors, rms, scene_of, turned_off
 from smoother.baselines import rts as es
 from smoother.baselines.rts import linearised, residuals, rts, start
 from smoother.baselines.scene import Baseline
-from smoother.baselines.ukf import (
-    ukf,
-)
+from smoother.baselines.ukf import ukf
 from smoother.measurements.inertial import InertialSignal, integrate
 from smoother.recording import JOINTS
 
@@ -71,22 +69,6 @@ def test_measurements_are_the_derivative_of_the_residuals():
     slope = loss(states.moved(error)) - loss(states.moved(-error))
     expected = -2.0 * np.einsum("ni,ni->n", chain.vector[..., 0], error)
     np.testing.assert_allclose(slope, expected, rtol=0.01, atol=0.01 * np.abs(expected).max())
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("protocol", ["random", "behind"])
-def test_rts_recovers_gaps_to_centimetres(protocol: str):
-    squares, worst, angles = [], [], []
-    for seed in (0, 1):
-        made = arm("white", seed, protocol=protocol, occlusion_lengths_s=(1.0, 2.0, 3.0), repetitions=1)
-        scene = scene_of(made, tilt_deg=1.0)
-        path = rts(scene)
-        error = errors(made, path)[scene.occluded]
-        squares.append(rms(error))
-        worst.append(error.max())
-        angles.append(rms(turned_off(made, path.R_K_A)))
-    # measured 0.1-0.5 cm rms, 0.6 cm at most, 0.4 degrees
-    assert rms(np.array(squares)) < 0.010 and max(worst) < 0.025 and max(angles) < 1.0
 
 
 def test_rts_bears_wrong_samples():

@@ -114,58 +114,47 @@ def test_multirate_states_smaller_sigmas_as_published():
     assert 1.0 - sigma_two[1] / sigma_one[1] > 0.631
 
 
-def a_chain(seed: int, n: int = 9, d: int = 3, columns: int = 2, lead: tuple[int, ...] = ()) -> Chain:
+def a_chain(seed: int, n: int = 9, d: int = 3, columns: int = 2) -> Chain:
     """A random chain; every third state is not measured."""
     rng = np.random.default_rng(seed)
-
-    def spd(*shape: int) -> np.ndarray:
-        half = rng.normal(size=(*shape, d, d))
-        return half @ np.swapaxes(half, -1, -2) + 0.1 * np.eye(d)
-
-    H = rng.normal(size=(n, *lead, 2, d))
-    R = rng.uniform(0.1, 1.0, (n, *lead, 2))
-    z = rng.normal(size=(n, *lead, 2, columns))
+    half, H, R = rng.normal(size=(n, d, d)), rng.normal(size=(n, 2, d)), rng.uniform(0.1, 1.0, (n, 2))
     H[::3] = 0.0
-    weighted = np.swapaxes(H, -1, -2) / R[..., None, :]
+    spd = half @ np.swapaxes(half, 1, 2) + 0.1 * np.eye(d)
+    weighted = np.swapaxes(H, 1, 2) / R[:, None, :]
     return Chain(
-        F=np.eye(d) + 0.3 * rng.normal(size=(n - 1, *lead, d, d)),
-        Q=spd(n - 1, *lead),
-        drift=rng.normal(size=(n - 1, *lead, d, columns)),
+        F=np.eye(d) + 0.3 * rng.normal(size=(n - 1, d, d)),
+        Q=spd[1:],
+        drift=rng.normal(size=(n - 1, d, columns)),
         information=weighted @ H,
-        vector=weighted @ z,
-        mean=rng.normal(size=(*lead, d, columns)),
-        covariance=spd(*lead),
+        vector=weighted @ rng.normal(size=(n, 2, columns)),
+        mean=rng.normal(size=(d, columns)),
+        covariance=spd[0],
     )
 
 
-def batch(chain: Chain, used: int) -> tuple[np.ndarray, np.ndarray]:
-    """Normal equations of all states at once, measurements of the first `used` states only."""
+def batch(chain: Chain) -> tuple[np.ndarray, np.ndarray]:
+    """Normal equations of all states at once."""
     n, d = len(chain.information), chain.covariance.shape[-1]
-    A, b = np.zeros((n * d, n * d)), np.zeros((n * d, chain.mean.shape[-1]))
     first = np.linalg.inv(chain.covariance)
-    A[:d, :d] += first
-    b[:d] += first @ chain.mean
+    A, b = np.zeros((n * d, n * d)), np.zeros((n * d, chain.mean.shape[-1]))
+    A[:d, :d], b[:d] = first, first @ chain.mean
     for k in range(n):
-        here = slice(k * d, (k + 1) * d)
-        if k < used:
-            A[here, here] += chain.information[k]
-            b[here] += chain.vector[k]
+        here, both = slice(k * d, (k + 1) * d), slice(k * d, (k + 2) * d)
+        A[here, here] += chain.information[k]
+        b[here] += chain.vector[k]
         if k + 1 < n:
-            both = slice(k * d, (k + 2) * d)
-            J = np.hstack([-chain.F[k], np.eye(d)])
-            W = np.linalg.inv(chain.Q[k])
+            J, W = np.hstack([-chain.F[k], np.eye(d)]), np.linalg.inv(chain.Q[k])
             A[both, both] += J.T @ W @ J
             b[both] += J.T @ W @ chain.drift[k]
     covariance = np.linalg.inv(A)
-    mean = (covariance @ b).reshape(n, d, -1)
     blocks = np.array([covariance[k * d : (k + 1) * d, k * d : (k + 1) * d] for k in range(n)])
-    return mean, blocks
+    return (covariance @ b).reshape(n, d, -1), blocks
 
 
-@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("seed", range(3))
 def test_smoother_is_least_squares_over_all_states(seed: int):
     chain = a_chain(seed)
     smoothed = rts_smoother(chain)
-    mean, covariance = batch(chain, used=len(chain.information))
+    mean, covariance = batch(chain)
     np.testing.assert_allclose(smoothed.mean, mean, rtol=1e-8, atol=1e-8)
     np.testing.assert_allclose(smoothed.covariance, covariance, rtol=1e-8, atol=1e-8)

@@ -12,8 +12,6 @@ from live_engine import CameraEcho
 import smoother.live.smoother
 from smoother.cli.run import run
 from smoother.io import read_recording
-from smoother.streams.replay import Replay
-from smoother.streams.session import LiveSession
 
 SIDES = ("right", "left")
 
@@ -24,28 +22,6 @@ def both(tmp_path_factory) -> Path:
     made = [*("--arms", "both", "--set", "imus=wrist,upper-arm", "--set", "protocol=random")]
     assert run(["simulate", "arm", "-o", str(path), "--seed", "3", *made, "--set", "duration_s=6"]) == 0
     return path
-
-
-@pytest.mark.slow
-def test_each_arm_gets_what_it_gets_alone(both):
-    engines, steps = [CameraEcho(), CameraEcho()], []
-    session = LiveSession(Replay(both, dict.fromkeys(SIDES), speed=0.0), engines)
-    session.run(lambda: False, lambda *arms: steps.append([each.seconds for each in arms]))
-    assert [own.side for own in session.figures] == list(SIDES)
-    assert all(abs(a - b) < 1e-9 for a, b in steps)
-    for side, engine, own in zip(SIDES, engines, session.figures, strict=True):
-        alone = CameraEcho()
-        LiveSession(Replay(both, {side: None}, speed=0.0), [alone]).run(lambda: False)
-        for segment, name in (("forearm", "t_s"), ("forearm", "acc"), ("upper_arm", "acc")):
-            np.testing.assert_array_equal(engine.column(name, segment), alone.column(name, segment))
-        pairs = list(zip(engine.frames, alone.frames, strict=True))
-        assert len(pairs) > 100
-        assert all(a.t_s == b.t_s and a.arrival_s == b.arrival_s for a, b in pairs)
-        places = [np.array([each.position for each in pair]) for pair in zip(*pairs, strict=True)]
-        np.testing.assert_array_equal(*places)
-        assert own.figures()["further"]["upper_arm"]["count"] == own.imu.count
-    moved = [np.array([frame.position[2] for frame in engine.frames]) for engine in engines]
-    assert np.nanmedian(np.linalg.norm(moved[0] - moved[1], axis=1)) > 0.1  # of two arms
 
 
 @pytest.mark.slow

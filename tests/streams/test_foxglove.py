@@ -21,8 +21,7 @@ from smoother.io import write_recording
 from smoother.io.wire.schemas import message_class
 from smoother.measurements.visibility import Gap
 from smoother.streams.arrivals import LiveStep
-from smoother.streams.foxglove import LiveMessages
-from smoother.streams.origin_gate import OriginGate, is_allowed
+from smoother.streams.foxglove import LiveMessages, OriginGate, is_allowed
 from smoother.streams.replay import Replay
 from smoother.streams.session import LiveSession
 

@@ -43,30 +43,26 @@ def begun(path, record, **options) -> tuple[Replay, SessionRecording, LiveSessio
     return source, recording, LiveSession(source, [CameraEcho()], recording=recording)
 
 
-def played(path, record) -> None:
-    _, recording, session = begun(path, record, patient=True)
+def same(one, other) -> None:
+    for stream, names in (("imu", ("t_s", "acc", "gyro", "mag")), ("arm", ("t_s", "position", "state"))):
+        for name in names:
+            np.testing.assert_array_equal(*(getattr(getattr(each, stream), name) for each in (one, other)))
+    assert (one.side, one.camera_frame, one.origin_ns) == (other.side, other.camera_frame, other.origin_ns)
+    if one.gravity_hint is not None:
+        np.testing.assert_allclose(one.gravity_hint, other.gravity_hint)
+
+
+def test_what_is_recorded_is_what_was_played_and_what_was_shown(original, tmp_path):
+    _, recording, session = begun(original, tmp_path / "session.mcap", patient=True)
     session.run(never)
     recording.close()
-
-
-def same(one, other) -> None:
-    np.testing.assert_array_equal(one.imu.t_s, other.imu.t_s)
-    np.testing.assert_array_equal(one.imu.acc, other.imu.acc)
-    np.testing.assert_array_equal(one.imu.gyro, other.imu.gyro)
-    np.testing.assert_array_equal(one.imu.mag, other.imu.mag)
-    np.testing.assert_array_equal(one.arm.t_s, other.arm.t_s)
-    np.testing.assert_array_equal(one.arm.position, other.arm.position)
-    np.testing.assert_array_equal(one.arm.state, other.arm.state)
-    assert (one.side, one.camera_frame, one.origin_ns) == (other.side, other.camera_frame, other.origin_ns)
-    hints = [recording.gravity_hint for recording in (one, other)]
-    if hints[0] is not None:
-        np.testing.assert_allclose(*hints)
-
-
-def test_what_is_recorded_is_what_was_played(original, tmp_path):
-    played(original, tmp_path / "session.mcap")
     same(read_recording(original), read_recording(tmp_path / "session.mcap"))
     assert not growing_name(tmp_path / "session.mcap").exists()
+    with open(tmp_path / "session.mcap", "rb") as file:
+        messages = [(channel.topic, message) for _, channel, message in make_reader(file).iter_messages()]
+    shown = [message for topic, message in messages if topic == SHOWN_TOPIC]
+    seconds = (shown[-1].log_time - shown[0].log_time) / 1e9
+    assert 20 < len(shown) / seconds < 40
 
 
 @pytest.mark.slow
@@ -173,15 +169,4 @@ def test_a_slow_disk_delays_no_answer(original, tmp_path, monkeypatch):
         session.run(never)
         recording.close()
     assert np.percentile(waited, 95) < 0.001  # a write takes 2 ms at least
-    same(read_recording(original), read_recording(tmp_path / "session.mcap"))
-
-
-@pytest.mark.slow
-def test_what_was_shown_is_kept(original, tmp_path):
-    played(original, tmp_path / "session.mcap")
-    with open(tmp_path / "session.mcap", "rb") as file:
-        messages = [(channel.topic, message) for _, channel, message in make_reader(file).iter_messages()]
-    shown = [message for topic, message in messages if topic == SHOWN_TOPIC]
-    seconds = (shown[-1].log_time - shown[0].log_time) / 1e9
-    assert 20 < len(shown) / seconds < 40
     same(read_recording(original), read_recording(tmp_path / "session.mcap"))
