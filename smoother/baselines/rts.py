@@ -32,6 +32,7 @@ from .scene import Path, Scene, no_answer
 
 #: Rows of the error state.
 P, V, TURN, ACC_BIAS, GYRO_BIAS, GRAVITY, SHOULDER = (slice(3 * k, 3 * k + 3) for k in range(7))
+BIAS = slice(ACC_BIAS.start, GYRO_BIAS.stop)
 SIZE = 21
 #: Error of the integration itself, m^2/s.
 INTEGRATION_VARIANCE = 1e-6
@@ -42,24 +43,16 @@ class InertialTrajectory:
     """States at the nodes."""
 
     t: FloatArray  # (n,) s
-    p: FloatArray  # (n, 3) m and m/s: of the IMU in {K}
-    v: FloatArray
-    R: FloatArray  # (n, 3, 3): orientation `R_K_A`
-    bias: FloatArray  # (n, 6) m/s^2 and rad/s: of accelerometer and gyroscope in {A}
-    gravity: FloatArray  # (n, 3) m/s^2: in {K}
-    shoulder: FloatArray  # (n, 3) m: in {K}
+    R: FloatArray  # (n, 3, 3): orientation `R_K_A` of the IMU
+    # (n, 21) SI: its position and velocity in {K}, nothing, biases of accelerometer and gyroscope in {A},
+    # gravity and the shoulder in {K}
+    x: FloatArray
 
     def moved(self, error: FloatArray) -> InertialTrajectory:
         """The states with errors (n, 21) added."""
-        return InertialTrajectory(
-            self.t,
-            self.p + error[:, P],
-            self.v + error[:, V],
-            Rotation.from_rotvec(error[:, TURN]).as_matrix() @ self.R,
-            self.bias + error[:, ACC_BIAS.start : GYRO_BIAS.stop],
-            self.gravity + error[:, GRAVITY],
-            self.shoulder + error[:, SHOULDER],
-        )
+        x = self.x + error
+        x[:, TURN] = 0.0
+        return InertialTrajectory(self.t, Rotation.from_rotvec(error[:, TURN]).as_matrix() @ self.R, x)
 
 
 def orientation_at(scene: Scene, t: FloatArray) -> FloatArray:
@@ -102,12 +95,24 @@ def joint_sigma(scene: Scene) -> float:
     return white_sigma(scene) * float(np.sqrt(max(usual, 1)))
 
 
-def predict(states: InertialTrajectory, motion: Preintegration) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """p, v and R of the next nodes by the IMU (Forster et al., IEEE Trans. Robotics 33:1-21, 2017, eq 33)."""
-    h, g, R = motion.dt[:, None], states.gravity[:-1], states.R[:-1]
-    p = states.p[:-1] + states.v[:-1] * h + 0.5 * g * h**2 + np.einsum("nij,nj->ni", R, motion.delta_p)
-    v = states.v[:-1] + g * h + np.einsum("nij,nj->ni", R, motion.delta_v)
-    return p, v, R @ motion.delta_R
+def integrated(signal: InertialSignal, states: InertialTrajectory) -> Preintegration:
+    """The IMU between the nodes."""
+    return integrate(signal, states.t, states.x[:-1, BIAS])
+
+
+def predict(states: InertialTrajectory, motion: Preintegration) -> InertialTrajectory:
+    """The next nodes by the IMU (Forster et al., IEEE Trans. Robotics 33:1-21, 2017, eq 33)."""
+    h, R, x = motion.dt[:, None], states.R[:-1], states.x[:-1].copy()
+    x[:, P] += x[:, V] * h + 0.5 * x[:, GRAVITY] * h**2 + np.einsum("nij,nj->ni", R, motion.delta_p)
+    x[:, V] += x[:, GRAVITY] * h + np.einsum("nij,nj->ni", R, motion.delta_v)
+    return InertialTrajectory(states.t[1:], R @ motion.delta_R, x)
+
+
+def less(states: InertialTrajectory, others: InertialTrajectory) -> FloatArray:
+    """Errors (n, 21) that take the others to some states."""
+    error = states.x - others.x
+    error[:, TURN] = turned(states.R, others.R)
+    return error
 
 
 def transition(states: InertialTrajectory, motion: Preintegration) -> FloatArray:
@@ -124,18 +129,6 @@ def transition(states: InertialTrajectory, motion: Preintegration) -> FloatArray
     F[:, V, GYRO_BIAS] = 0.5 * h * R @ skew(motion.delta_v)
     F[:, TURN, GYRO_BIAS] = -h * middle
     return F
-
-
-def defects(states: InertialTrajectory, motion: Preintegration) -> FloatArray:
-    """What the IMU predicts less what the next node has, (n - 1, 21)."""
-    p, v, R = predict(states, motion)
-    out = np.zeros((len(motion.dt), SIZE))
-    out[:, P], out[:, V] = p - states.p[1:], v - states.v[1:]
-    out[:, TURN] = turned(R, states.R[1:])
-    steps = [(ACC_BIAS, states.bias[:, :3]), (GYRO_BIAS, states.bias[:, 3:])]
-    for rows, values in [*steps, (GRAVITY, states.gravity), (SHOULDER, states.shoulder)]:
-        out[:, rows] = -np.diff(values, axis=0)
-    return out
 
 
 def white_noise(
@@ -220,16 +213,11 @@ def rts(scene: Scene) -> Path:
             camera = with_noise_of(camera, states, scene)
         elif np.abs(error.mean[:, P, 0]).max() < SETTLED_M:
             break
-    answered = States(states.R, states.p, states.v)
-    solution = SegmentSolution(FOREARM.name, states.t, answered, states.bias, states.gravity)
+    x, nodes = states.x, States(states.R, states.x[:, P], states.x[:, V])
+    solution = SegmentSolution(FOREARM.name, states.t, nodes, x[:, BIAS], x[:, GRAVITY])
     answer = at_times(solution, signal, scene.t)
-    return Path(
-        position=answer.p,
-        velocity=answer.v,
-        covariance=interpolate(states.t, error.covariance[:, P, P], scene.t),
-        R_K_A=answer.R,
-        attitude_covariance=interpolate(states.t, error.covariance[:, TURN, TURN], scene.t),
-    )
+    place, turn = (interpolate(states.t, error.covariance[:, rows, rows], scene.t) for rows in (P, TURN))
+    return Path(answer.p, answer.v, place, answer.R, turn)
 
 
 def start(scene: Scene, levers: dict[str, FloatArray]) -> tuple[InertialTrajectory, CameraAtNodes]:
@@ -241,29 +229,17 @@ def start(scene: Scene, levers: dict[str, FloatArray]) -> tuple[InertialTrajecto
     node = np.clip(np.searchsorted(t, scene.frame_t[frames] - 1e-9), 0, len(t) - 1)
     on = np.abs(t[node] - scene.frame_t[frames]) < 1e-9
     joints[node[on]] = scene.joints[frames[on]]
-    R = orientation_at(scene, t)
-    first = states_from_camera(t, R, *scene.visible_points)
-    shoulder = interpolate(scene.t, scene.shoulder, t)
+    R, x = orientation_at(scene, t), np.zeros((len(t), SIZE))
+    first, shoulder = states_from_camera(t, R, *scene.visible_points), interpolate(scene.t, scene.shoulder, t)
     has_shoulder = bool(np.isfinite(shoulder).all())
-    states = InertialTrajectory(
-        t,
-        first.p,
-        first.v,
-        R,
-        np.zeros((len(t), 6)),
-        np.tile(scene.gravity, (len(t), 1)),
-        shoulder if has_shoulder else np.zeros((len(t), 3)),
-    )
-    length = scene.calibration.upper_arm
-    known = has_shoulder and length is not None and "elbow" in levers
-    sigmas = np.full(len(JOINTS), max(joint_sigma(scene), LEAST_SIGMA_M))
-    return states, CameraAtNodes(
-        joints,
-        sigmas,
-        levers,
-        length.value_m if known and length is not None else float("nan"),
-        _flex(joints, float(sigmas[0])) if known else float("nan"),
-    )
+    x[:, P], x[:, V], x[:, GRAVITY] = first.p, first.v, scene.gravity
+    x[:, SHOULDER] = shoulder if has_shoulder else 0.0
+    length, sigma_m = scene.calibration.upper_arm, max(joint_sigma(scene), LEAST_SIGMA_M)
+    known_m = flex_m = float("nan")
+    if has_shoulder and length is not None and "elbow" in levers:
+        known_m, flex_m = length.value_m, _flex(joints, sigma_m)
+    camera = CameraAtNodes(joints, np.full(len(JOINTS), sigma_m), levers, known_m, flex_m)
+    return InertialTrajectory(t, R, x), camera
 
 
 def _flex(joints: FloatArray, sigma_m: float) -> float:
@@ -282,8 +258,8 @@ def residuals(states: InertialTrajectory, camera: CameraAtNodes) -> FloatArray:
     out = np.full_like(camera.joints, np.nan)
     for joint, lever in camera.levers.items():
         column = JOINTS.index(joint)
-        out[:, column] = camera.joints[:, column] - states.p - states.R @ lever
-    out[:, SHOULDER_JOINT] = camera.joints[:, SHOULDER_JOINT] - states.shoulder
+        out[:, column] = camera.joints[:, column] - states.x[:, P] - states.R @ lever
+    out[:, SHOULDER_JOINT] = camera.joints[:, SHOULDER_JOINT] - states.x[:, SHOULDER]
     return out
 
 
@@ -306,22 +282,22 @@ def linearised(
     states: InertialTrajectory, camera: CameraAtNodes, signal: InertialSignal, scene: Scene
 ) -> Chain:
     """The chain of the errors of the states: transitions, what the IMU and the camera state of them."""
-    motion = integrate(signal, states.t, states.bias[:-1])
+    motion = integrated(signal, states)
     information, vector = _measured(states, camera)
     mean, covariance = _prior(states, scene)
     Q = process_noise(signal, states.t, motion, IMU_NOISE, ARM_PRIOR.shoulder_walk)
-    drift = defects(states, motion)[..., None]
+    after = InertialTrajectory(states.t[1:], states.R[1:], states.x[1:])
+    drift = less(predict(states, motion), after)[..., None]  # what the IMU predicts less what is there
     F = transition(states, motion)
     return Chain(F, Q, information, vector[..., None], mean[:, None], covariance, drift)
 
 
 def _prior(states: InertialTrajectory, scene: Scene) -> tuple[FloatArray, FloatArray]:
     """Error of the first node before anything is measured: prior minus the current states."""
-    R = orientation_at(scene, states.t[:1])[0]
-    mean = np.zeros(SIZE)
-    mean[TURN] = turned(R, states.R[0])
-    mean[ACC_BIAS], mean[GYRO_BIAS] = -states.bias[0, :3], -states.bias[0, 3:]
-    mean[GRAVITY] = scene.gravity - states.gravity[0]
+    x = states.x[0].copy()
+    x[BIAS], x[GRAVITY] = 0.0, scene.gravity
+    first = InertialTrajectory(states.t[:1], orientation_at(scene, states.t[:1]), x[None])
+    mean = less(first, InertialTrajectory(states.t[:1], states.R[:1], states.x[:1]))[0]
     down = scene.gravity / np.linalg.norm(scene.gravity)
     across = (GRAVITY_SIGMA_RAD * np.linalg.norm(scene.gravity)) ** 2
     covariance = np.zeros((SIZE, SIZE))
@@ -367,7 +343,7 @@ def _measured(states: InertialTrajectory, camera: CameraAtNodes) -> tuple[FloatA
         add(H, np.where(seen[:, None], z, 0.0), np.where(seen, weight, 0.0))
     if np.isfinite(camera.upper_arm_m):
         arm = states.R @ camera.levers["elbow"]
-        upper = states.p + arm - states.shoulder
+        upper = states.x[:, P] + arm - states.x[:, SHOULDER]
         length = np.linalg.norm(upper, axis=1)
         along = upper / length[:, None]
         H = np.zeros((n, 1, SIZE))

@@ -111,9 +111,9 @@ class LiveMessages:
         """An estimate or none as a recovery of one sample or none."""
         joints = [joint for joint in JOINTS if all(joint in each.joints for each in estimates)]
 
-        def column(of: str | Callable[[LiveEstimate], object], *shape: int) -> FloatArray:
-            values = [getattr(each, of) if isinstance(of, str) else of(each) for each in estimates]
-            return np.array(values, float).reshape(len(estimates), *shape)
+        def column(name: str, *shape: int, joint: str = "") -> FloatArray:
+            values = [getattr(each, name) for each in estimates]
+            return np.array([each[joint] if joint else each for each in values], float).reshape(-1, *shape)
 
         return Recovery(
             method="live",
@@ -124,10 +124,8 @@ class LiveMessages:
             velocity=column("velocity", 3),
             pose_covariance=column("pose_covariance", 6, 6),
             velocity_covariance=np.full((len(estimates), 3, 3), np.nan),
-            joints={name: column(lambda each, j=name: each.joints[j], 3) for name in joints},
-            joint_covariance={
-                name: column(lambda each, j=name: each.joint_covariance[j], 3, 3) for name in joints
-            },
+            joints={joint: column("joints", 3, joint=joint) for joint in joints},
+            joint_covariance={joint: column("joint_covariance", 3, 3, joint=joint) for joint in joints},
             gaps=(),
             calibration=None,
             gravity_direction=np.full(3, np.nan),

@@ -80,9 +80,9 @@ class _Arm:
     """One arm of a session: its smoother, its clocks and its figures."""
 
     def __init__(self, info: SourceInfo, engine: LiveSmoother, calibration: SessionCalibration) -> None:
-        self.engine, self.figures, self._calibration = engine, SessionFigures(info), calibration
-        self._frame_steps: StampSteps[FrameRows] = StampSteps(info.skeleton)
-        self._imu_steps = {
+        self.engine, self.calibration, self.figures = engine, calibration, SessionFigures(info)
+        self.frame_steps: StampSteps[FrameRows] = StampSteps(info.skeleton)
+        self.imu_steps = {
             segment: StampSteps[ImuRows](name, STEP_OF_IMU_S, STEP_OF_IMU_S)
             for segment, name in info.imus.items()
         }
@@ -90,17 +90,11 @@ class _Arm:
     def mended(self, came: Arrivals) -> Arrivals:
         """What arrived, with steps of the clocks taken out; as its events state."""
         imus, events = {}, list(came.events)
-        frames, said_frames = self._frame_steps.corrected(came.frames)
+        frames, said_frames = self.frame_steps.corrected(came.frames)
         for segment, rows in came.imus.items():
-            imus[segment], said = self._imu_steps[segment].corrected(rows)
-            events += said
-            if segment == FOREARM.name:
-                events += said_frames
+            imus[segment], said = self.imu_steps[segment].corrected(rows)
+            events += said + (said_frames if segment == FOREARM.name else ())
         return Arrivals(imus, frames, tuple(events))
-
-    def of_camera(self, frames: FrameRows) -> FrameRows:
-        """Frames on the camera's clock, which the smoother follows by itself, with its uncertainty."""
-        return frames.stamped(frames.t_s - self._frame_steps.stepped_s)
 
     def counted(self, arrivals: Arrivals, now_s: float) -> list[str]:
         """Count what arrived; sentences on streams that are back or gone."""
@@ -113,15 +107,6 @@ class _Arm:
                 back += said[0]
                 gone += said[1]
         return back + gone
-
-    def feed(self, arrivals: Arrivals, frames: FrameRows) -> None:
-        """Give the smoother what came."""
-        for segment, came in arrivals.imus.items():
-            if len(came):
-                self.engine.add_imu(self._calibration.corrected(came, segment), segment)
-        rows = zip(frames.t_s.tolist(), frames.arrival_s.tolist(), frames.position, frames.state, strict=True)
-        for stamp_s, arrival_s, position, state in rows:
-            self.engine.add_frame(SkeletonFrame(stamp_s, arrival_s, position, state))
 
 
 class LiveSession:
@@ -159,9 +144,15 @@ class LiveSession:
     def _advance(self, number: int, came: Arrivals) -> None:
         """Take in what arrived of an arm, and answer."""
         arm = self._arms[number]
-        arrivals = arm.mended(came)
-        frames, now_s = arm.of_camera(arrivals.frames), self.source.now_s()
-        arm.feed(arrivals, frames)
+        arrivals, now_s = arm.mended(came), self.source.now_s()
+        for segment, rows in arrivals.imus.items():
+            if len(rows):
+                arm.engine.add_imu(arm.calibration.corrected(rows, segment), segment)
+        # on the camera's own clock, which the smoother follows by itself, with its uncertainty
+        frames = arrivals.frames.stamped(arrivals.frames.t_s - arm.frame_steps.stepped_s)
+        columns = frames.t_s.tolist(), frames.arrival_s.tolist(), frames.position, frames.state
+        for row in zip(*columns, strict=True):
+            arm.engine.add_frame(SkeletonFrame(*row))
         events = [*arrivals.events, *arm.counted(arrivals, now_s)]
         output = arm.engine.step(now_s)
         if self._recording is not None:
@@ -172,5 +163,5 @@ class LiveSession:
         for receiver in self._receivers:
             receiver.send(step)
         if self.source.speed:
-            delays_s = (self.source.now_s() - arrivals.frames.arrival_s) / self.source.speed
+            delays_s = (self.source.now_s() - frames.arrival_s) / self.source.speed
             arm.figures.frame_delays_s.extend(delays_s.tolist())

@@ -22,7 +22,7 @@ from ..io.recording.streams import ARRIVAL, ORDER, ArmFrames, ImuSamples
 from ..io.recording.write import CAMERA, arm_messages, imu_messages, imu_topic
 from ..recording import JOINTS
 from ..runtime.outputs import check_output, umask
-from .arrivals import LiveStep, SourceInfo, drained
+from .arrivals import LiveStep, SourceInfo, StreamRows, drained
 from .foxglove import LiveMessages
 
 #: What came is written after this long, s: a killed program loses no more.
@@ -107,12 +107,8 @@ class SessionRecording:
             self._steps.task_done()
 
     def _write(self, step: LiveStep) -> None:
-        info, topics, origin, outgoing = (
-            self._infos[step.arm],
-            self._topics[step.arm],
-            self._infos[0].origin_ns,
-            [],
-        )
+        info, topics, origin = self._infos[step.arm], self._topics[step.arm], self._infos[0].origin_ns
+        outgoing: list[tuple[StreamRows, OutputStream]] = []
         self._notes += step.arrivals.events
         for segment, rows in step.arrivals.imus.items():
             if len(rows):

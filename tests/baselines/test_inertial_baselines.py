@@ -12,7 +12,7 @@ from smoother.baselines import rts as es
 from smoother.baselines.rts import linearised, residuals, rts, start
 from smoother.baselines.scene import Baseline
 from smoother.baselines.ukf import ukf
-from smoother.measurements.inertial import InertialSignal, integrate
+from smoother.measurements.inertial import InertialSignal
 from smoother.recording import JOINTS
 
 
@@ -21,9 +21,7 @@ def states_of_an_arm(seed: int, rng: np.random.Generator) -> tuple[es.InertialTr
     scene = scene_of(arm("white", seed, occlusion_lengths_s=NO_GAPS, duration_s=5.0))
     states, _ = start(scene, es.levers_of(scene))
     part = slice(60, 70)
-    near = es.InertialTrajectory(
-        *(getattr(states, name)[part] for name in ("t", "p", "v", "R", "bias", "gravity", "shoulder"))
-    )
+    near = es.InertialTrajectory(states.t[part], states.R[part], states.x[part])
     return near.moved(0.02 * rng.normal(size=(10, es.SIZE))), InertialSignal(scene.imu)
 
 
@@ -34,15 +32,14 @@ def test_transition_is_the_derivative_of_the_prediction(column: int):
 
     def ahead(at: es.InertialTrajectory) -> np.ndarray:
         """Error of the predicted next state against the unchanged one."""
-        p, v, R = es.predict(at, integrate(signal, at.t, at.bias[:-1]))
-        p0, v0, R0 = es.predict(states, integrate(signal, states.t, states.bias[:-1]))
-        return np.hstack([p - p0, v - v0, es.turned(R, R0)])
+        after, before = (es.predict(each, es.integrated(signal, each)) for each in (at, states))
+        return es.less(after, before)[:, :9]
 
     step = 1e-5
     error = np.zeros((len(states.t), es.SIZE))
     error[:, column] = step
     numeric = (ahead(states.moved(error)) - ahead(states.moved(-error))) / (2 * step)
-    F = es.transition(states, integrate(signal, states.t, states.bias[:-1]))
+    F = es.transition(states, es.integrated(signal, states))
     # biases hold the rotation inside a interval of 33 ms to first order
     np.testing.assert_allclose(F[:, :9, column], numeric, rtol=0.02, atol=2e-4)
 
@@ -61,8 +58,8 @@ def test_measurements_are_the_derivative_of_the_residuals():
         size = np.linalg.norm(first, axis=2) / camera.sigma_m
         weight = 1.0 / (1.0 + (size / 2.8) ** 2) / camera.sigma_m**2
         total = 0.5 * np.nansum(weight[:, :, None] * left**2, axis=(1, 2))
-        elbow = at.p + at.R @ camera.levers["elbow"]
-        off = np.linalg.norm(elbow - at.shoulder, axis=1) - camera.upper_arm_m
+        elbow = at.x[:, es.P] + at.R @ camera.levers["elbow"]
+        off = np.linalg.norm(elbow - at.x[:, es.SHOULDER], axis=1) - camera.upper_arm_m
         share = np.minimum(np.gradient(at.t) / 0.09, 1.0)
         return total + 0.5 * share * (off / camera.upper_arm_sigma_m) ** 2
 

@@ -2,24 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
-from scipy.linalg import expm
 from scipy.spatial.transform import Rotation
 
 from smoother.array_types import FloatArray
 from smoother.baselines.orientation import (
-    DIRECTION_SIGMA_RAD,
     FILTERS,
-    GATE,
-    GYROSCOPE_DENSITY,
-    START_SIGMA_RAD,
     EvenSamples,
     attitude_by,
     even_samples,
-    start_attitude,
 )
 from smoother.baselines.registry import ORIENTATIONS
 from smoother.measurements.inertial import InertialSignal
@@ -111,37 +103,6 @@ def test_a_magnetic_field_gives_the_heading(name: str):
     true = turning_attitude(rates := wandering(1500, seed=3), Rotation.from_euler("ZYX", [0.3, 0.2, 0.1]))
     samples = turning(rates, true[0], np.array([0.6, 0.0, -0.8]))
     assert apart(FILTERS[name](samples), true)[1300:].max() < 1.0  # it began 17 degrees off
-
-
-@pytest.mark.parametrize("with_field", [False, True])
-def test_comotti_is_a_kalman_filter_in_matrices(with_field: bool):
-    field = np.array([0.6, 0.0, -0.8]) if with_field else None
-    samples = turning(wandering(seed=4), Rotation.from_euler("ZYX", [0.3, 0.2, 0.1]), field)
-    rough = np.random.default_rng(0).normal(size=samples.acc.shape)
-    samples = replace(samples, acc=samples.acc + rough)
-    q = start_attitude(samples).as_quat(scalar_first=True)
-    P = np.eye(4) * START_SIGMA_RAD**2 / 4
-    Q, V = np.eye(4) * GYROSCOPE_DENSITY**2 * STEP / 4, np.eye(4) * DIRECTION_SIGMA_RAD**2 / 4
-    plain = [q]
-    for k in range(1, len(samples)):
-        wx, wy, wz = samples.gyro[k]
-        omega = np.array([[0, -wx, -wy, -wz], [wx, 0, wz, -wy], [wy, -wz, 0, wx], [wz, wy, -wx, 0]])
-        F = expm(0.5 * STEP * omega)
-        q, P = F @ q, F @ P @ F.T + Q
-        force = np.linalg.norm(samples.acc[k])
-        if abs(force / G - 1) < GATE:
-            g = samples.acc[k] / force
-            m = samples.mag[k] if with_field else Rotation.from_quat(q, scalar_first=True).as_matrix()[0]
-            axes = [np.cross(np.cross(g, m), g), np.cross(g, m), g]
-            rows = np.array([v / np.linalg.norm(v) for v in axes])
-            z = Rotation.from_matrix(rows).as_quat(scalar_first=True)
-            z = z if z @ q > 0 else -z
-            K = P @ np.linalg.inv(P + V)
-            q, P = q + K @ (z - q), (np.eye(4) - K) @ P
-            q = q / np.linalg.norm(q)
-        plain.append(q)
-    fast = FILTERS["comotti"](samples)
-    np.testing.assert_allclose(fast, np.array(plain), atol=1e-9)
 
 
 def turning_attitude(rates: FloatArray, start: Rotation) -> Rotation:

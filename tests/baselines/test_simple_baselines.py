@@ -6,12 +6,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy.interpolate import PchipInterpolator
 from solved_arms import solved_arm
 
-from smoother.array_types import FloatArray
 from smoother.baselines.scene import Scene, between, scenes_of
-from smoother.baselines.simple import autoregressive, camera_only, constant_velocity, hold, pchip
+from smoother.baselines.simple import autoregressive, camera_only, constant_velocity, hold
 from smoother.calibration import ArmCalibration
 from smoother.recording import JOINTS, ImuStream
 
@@ -77,21 +75,6 @@ def test_hold_stands_still_in_a_gap(behind: Scene):
     )
 
 
-def test_pchip_is_the_librarys_on_every_track(behind: Scene):
-    path = pchip(behind)
-
-    def filled(values: FloatArray) -> FloatArray:
-        seen = np.isfinite(values).all(axis=1)
-        t = behind.frame_t[seen]
-        return PchipInterpolator(t, values[seen])(np.clip(behind.t, t[0], t[-1]))
-
-    np.testing.assert_allclose(path.position, filled(behind.point))
-    for joint in ("shoulder", "elbow", "wrist", "hand"):
-        np.testing.assert_allclose(path.joints[joint], filled(behind.joints[:, JOINTS.index(joint)]))
-    # never beyond what was seen
-    assert path.position.max() <= np.nanmax(behind.point) and path.position.min() >= np.nanmin(behind.point)
-
-
 LATENCY_S = 0.1
 
 
@@ -99,13 +82,8 @@ def scene(hidden_from_s: float = np.inf, sigma_m: float = 0.003) -> Scene:
     """A point that swings along x, 6 s of it, seen at 30 Hz until it hides."""
     rng = np.random.default_rng(3)
     t, frame_t = np.arange(0.0, 6.0, 0.01), np.arange(0.0, 6.0, 1 / 30)
-    amplitude, rate = 0.15, 2.0
-
-    def at(time: np.ndarray) -> np.ndarray:
-        return np.outer(amplitude * np.sin(rate * time), [1.0, 0.0, 0.0])
-
-    acceleration = -(rate**2) * at(t)
-    point = at(frame_t) + sigma_m * rng.normal(size=(len(frame_t), 3))
+    acceleration = -(2.0**2) * truth(t)
+    point = truth(frame_t) + sigma_m * rng.normal(size=(len(frame_t), 3))
     point[frame_t >= hidden_from_s] = np.nan
     joints = np.full((len(frame_t), 5, 3), np.nan)
     return Scene(
