@@ -32,7 +32,7 @@ from ..selfcal.self_calibration import SelfCalibration
 from ..window.priors import with_measured_noise
 from .buffers import FrameBuffer, ImuBuffer
 from .camera_clock import USUAL_LATENCY_S, CameraClock
-from .further_imus import FurtherPlace, LiveFurtherImu
+from .further_imus import FurtherPlace, LiveImu
 
 #: Joints that fit no better than this to any mounting and clock are not calibrated, m per axis.
 LARGEST_SIGMA_M = 0.10
@@ -227,7 +227,7 @@ class Calibrations:
         imu: ImuBuffer,
         frames: FrameBuffer,
         camera: CameraClock,
-        worn: Mapping[str, LiveFurtherImu] | None = None,
+        worn: Mapping[str, LiveImu] | None = None,
     ) -> None:
         """Ask for the next one when it is time."""
         if self._calibrator.busy or not len(imu) or not len(frames):

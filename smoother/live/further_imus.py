@@ -9,7 +9,7 @@ from itertools import pairwise
 import numpy as np
 
 from ..array_types import FloatArray
-from ..body import BodySegment
+from ..body import FOREARM, BodySegment
 from ..graph.lag_window import LagWindow
 from ..measurements.inertial import ImuRun, imu_run
 from ..measurements.segment import Segment
@@ -48,40 +48,47 @@ class FurtherPlace:
     shift_s: float  # What is added to its stamps: to the clock of the forearm's IMU
 
 
-class LiveFurtherImu:
-    """An IMU beyond the forearm over a session."""
+class LiveImu:
+    """An IMU over a session: the forearm's, or one beyond it, which may be left out."""
 
     def __init__(self, segment: BodySegment, capacity_s: float) -> None:
         self.segment, self.buffer = segment, ImuBuffer(capacity_s)
         self.doubted_s = self.usable_s = -np.inf
-        self.changed_s: float | None = None
-        self._because: tuple[str, ...] = ()
+        self.changed_s: float | None = None  # From when on its samples are others than before
+        self.because: tuple[str, ...] = ()  # What is wrong with its samples
         self._has_stopped = False
         self._doubt_s, self._contradicted_s = DOUBT_S, -np.inf
 
     def add(self, batch: ImuStream) -> None:
         """Take samples in."""
-        self._changed(self.buffer.add(batch))
+        self.changed(self.buffer.add(batch))
+
+    def changed(self, since_s: float | None) -> None:
+        """Samples from some time on are others now."""
+        if since_s is not None:
+            self.changed_s = since_s if self.changed_s is None else min(self.changed_s, since_s)
 
     def check(self, now_s: float) -> list[str]:
-        """Look at what came; a sentence where it is left out from now on, or takes part again."""
+        """Look at what came; a sentence where something is wrong with it, or is right again."""
         if not len(self.buffer):
             return []
-        self._changed(self.buffer.check())
-        end_s, because = self.buffer.end_s, self.buffer.doubtful_because
-        if because:
+        self.changed(self.buffer.check())
+        end_s, before, self.because = self.buffer.end_s, self.because, self.buffer.doubtful_because
+        if self.segment is FOREARM:
+            new = [f"{why}; the camera is followed meanwhile" for why in self.because if why not in before]
+            return new + (["the IMU is plausible again"] if before and not self.because else [])
+        if self.because:
             self._leave_out(end_s - AGAIN_S, end_s)
         if end_s < self._contradicted_s + PROVED_S:
-            because = (*because, "it contradicts the rest of the arm")
+            self.because = (*self.because, "it contradicts the rest of the arm")
         name, notes = f"the IMU on the {self.segment.label}", []
-        if bool(because) != bool(self._because):
-            notes.append(
-                f"{name} is left out: {'; '.join(because)}" if because else f"{name} is plausible again"
-            )
-        has_stopped = now_s - self.buffer.end_s > STOPPED_S
+        if bool(self.because) != bool(before):
+            why = f"left out: {'; '.join(self.because)}" if self.because else "plausible again"
+            notes.append(f"{name} is {why}")
+        has_stopped = now_s - end_s > STOPPED_S
         if has_stopped != self._has_stopped:
             notes.append(f"{name} is left out: it has stopped" if has_stopped else f"{name} is back")
-        self._because, self._has_stopped = because, has_stopped
+        self._has_stopped = has_stopped
         return notes
 
     def contradicted(self, since_s: float) -> None:
@@ -110,9 +117,17 @@ class LiveFurtherImu:
         """From which stamp on its samples can be used without a pause, s."""
         return max(self.usable_s, self.buffer.since_pause_s(LONGEST_PAUSE_S, AROUND_S))
 
-    def _changed(self, since_s: float | None) -> None:
-        if since_s is not None:
-            self.changed_s = since_s if self.changed_s is None else min(self.changed_s, since_s)
+
+def integrate_again(window: LagWindow, signal: LiveSignal, segment: str, since_s: float) -> None:
+    """Integrate the intervals of an IMU anew that samples from a time on belong to."""
+    t, at = window.t, window.nodes_of(segment)
+    late = [(before, index) for before, index in pairwise(at) if t[index] >= since_s - BEFORE_S]
+    if late:
+        samples = signal.since(float(t[late[0][0]]))
+        for before, index in late:
+            bias = window.bias_of(segment)
+            increments = increments_between(samples, float(t[before]), float(t[index]), bias)
+            window.set_increments(index, increments, segment)
 
 
 class SegmentFollower:
@@ -120,7 +135,7 @@ class SegmentFollower:
 
     def __init__(
         self,
-        worn: LiveFurtherImu,
+        worn: LiveImu,
         place: FurtherPlace,
         model: SelfCalibration,
         frames: FrameBuffer,
@@ -167,14 +182,7 @@ class SegmentFollower:
 
     def integrate_again(self, window: LagWindow, since_s: float) -> None:
         """Integrate the intervals anew that samples from a stamp on belong to."""
-        name, t = self.worn.segment.name, window.t
-        at = window.nodes_of(name)
-        for before, index in pairwise(at):
-            if t[index] >= since_s + self._place.shift_s - BEFORE_S:
-                start_s, end_s = float(t[before]), float(t[index])
-                signal = self._signal.since(float(t[at[0]]))
-                increments = increments_between(signal, start_s, end_s, window.bias_of(name))
-                window.set_increments(index, increments, name)
+        integrate_again(window, self._signal, self.worn.segment.name, since_s + self._place.shift_s)
 
     def _begin(self, window: LagWindow, since_s: float, before: Sequence[int]) -> list[int]:
         """Begin at a node with what camera and IMU say around it; its index, or none."""

@@ -15,11 +15,11 @@ from ..config import Config
 from ..errors import UnoccludeError
 from ..recording import CameraFrame, ImuStream
 from .answers import LiveEstimate, LiveOutput, LiveState
-from .buffers import FrameBuffer, ImuBuffer, SkeletonFrame
+from .buffers import FrameBuffer, SkeletonFrame
 from .calibrations import JUMP_SIGMA_S, BackgroundCalibrator, Calibrations, InlineCalibrator
 from .camera_clock import USUAL_LATENCY_S, CameraClock, Shift, ShiftCause
 from .display import Display, predicted
-from .further_imus import LiveFurtherImu, SegmentFollower
+from .further_imus import LiveImu, SegmentFollower
 from .monitor import Culprit
 from .tracker import AROUND_S, LENGTH_S, LONGEST_PAUSE_S, Tracker, first_state
 
@@ -59,24 +59,22 @@ class LiveSmoother:
         if not 0.0 <= lag_s <= 2.0:
             raise UnoccludeError(f"The lag is {lag_s:g} s; give one from 0 to 2 s.")
         self._lag_s, self._config = lag_s, config or Config()
-        self._imu, self._frames, self._camera = ImuBuffer(BUFFER_S), FrameBuffer(BUFFER_S), CameraClock()
-        given, self._calibrator = (
-            calibration or ArmCalibration(side=side),
-            calibrator or BackgroundCalibrator(),
-        )
+        self._frames, self._camera = FrameBuffer(BUFFER_S), CameraClock()
+        self._calibrator = calibrator or BackgroundCalibrator()
+        given = calibration or ArmCalibration(side=side)
         about = self._calibrator, side, given, self._config, gravity_hint, camera_frame
         self._calibrations = Calibrations(*about)
-        self._worn = {name: LiveFurtherImu(SEGMENTS[name], BUFFER_S) for name in further}
+        self._imus = {name: LiveImu(SEGMENTS[name], BUFFER_S) for name in (FOREARM.name, *further)}
+        self._forearm = self._imus[FOREARM.name]
+        self._imu = self._forearm.buffer
         self._display = Display(lag_s)
         # who follows the arm, and who catches up beside with a newer calibration and takes its place
         self._tracker: Tracker | None = None
         self._successor: Tracker | None = None
         self._waits_for_sight = self._has_followed = False
         self._not_before_s = -np.inf
-        self._changed_s: float | None = None
         self._late: list[SkeletonFrame] = []
         self._backlog = 0
-        self._because: tuple[str, ...] = ()
         self._state = LiveState.CALIBRATING
         self._notes: list[str] = []
 
@@ -90,15 +88,7 @@ class LiveSmoother:
 
     def add_imu(self, samples: ImuStream, segment: str = FOREARM.name) -> None:
         """Take samples in, in any order; those older than half a second before the newest are dropped."""
-        if segment == FOREARM.name:
-            self._imu_changed(self._imu.add(samples))
-        else:
-            self._worn[segment].add(samples)
-
-    def _imu_changed(self, since_s: float | None) -> None:
-        """Samples from some time on are others now."""
-        if since_s is not None:
-            self._changed_s = since_s if self._changed_s is None else min(self._changed_s, since_s)
+        self._imus[segment].add(samples)
 
     def add_frame(self, frame: SkeletonFrame) -> None:
         """Take a frame in, in any order; one older than half a second before the newest is dropped."""
@@ -122,15 +112,15 @@ class LiveSmoother:
     def step(self, now_s: float) -> LiveOutput:
         """Work in what has arrived, and answer for the present."""
         began = time.thread_time()
-        self._check_imu()
-        for worn in self._worn.values():
-            self._notes += worn.check(now_s)
+        for imu in self._imus.values():
+            self._notes += imu.check(now_s)
         # 1. The calibration, in the background; who follows with it catches up, and takes over.
         if self._calibrations.fetch():
             self._waits_for_sight = self._tracker is not None
             self._successor = None if self._waits_for_sight else self._fresh()
             self._notes += self._calibrations.left_out()
-        self._calibrations.ask(self._imu, self._frames, self._camera, self._worn)
+        further = {name: each for name, each in self._imus.items() if each is not self._forearm}
+        self._calibrations.ask(self._imu, self._frames, self._camera, further)
         self._hand_over(now_s)
         # 2. What has arrived, into the window; the past is corrected.
         self._follow(now_s)
@@ -158,17 +148,6 @@ class LiveSmoother:
             calibration=self._reason,
             doubt=self._doubt,
         )
-
-    def _check_imu(self) -> None:
-        """Look at what came of the IMU; say once what is wrong with it, and when it is plausible again."""
-        self._imu_changed(self._imu.check() if len(self._imu) else None)
-        because = self._imu.doubtful_because
-        self._notes += [
-            f"{why}; the camera is followed meanwhile" for why in because if why not in self._because
-        ]
-        if self._because and not because:
-            self._notes.append("the IMU is plausible again")
-        self._because = because
 
     # 1. Who follows the arm
 
@@ -254,7 +233,7 @@ class LiveSmoother:
             return None
         model, offset_s = calibration.model, self._calibrations.offset_s
         further = [
-            SegmentFollower(self._worn[place.segment], place, model, self._frames, offset_s)
+            SegmentFollower(self._imus[place.segment], place, model, self._frames, offset_s)
             for place in calibration.further
         ]
         length_s = max(LENGTH_S, self._lag_s + 0.3)
@@ -267,7 +246,7 @@ class LiveSmoother:
         """Feed the window with what has arrived, and solve it."""
         tracker = self._tracker
         if tracker is None:
-            self._late, self._changed_s = [], None
+            self._late, self._forearm.changed_s = [], None
             return
         if tracker.pause_s() > LONGEST_PAUSE_S:
             self._lose("the IMU's samples paused: the smoother restarts")
@@ -303,7 +282,7 @@ class LiveSmoother:
                 return False
             self._notes += [finding.sentence] if finding.sentence else []
             if finding.cause is Culprit.IMU:
-                self._imu_changed(self._imu.contradicted(*finding.doubt_s))
+                self._forearm.changed(self._imu.contradicted(*finding.doubt_s))
                 if finding.again:
                     self._calibrations.clock_doubted()
             elif finding.cause is Culprit.CAMERA:
@@ -314,14 +293,14 @@ class LiveSmoother:
 
     def _mend(self, tracker: Tracker) -> bool:
         """Work in what came late; whether anything did."""
-        changed = self._changed_s is not None
+        changed = self._forearm.changed_s is not None
         for follower in tracker.further:
             if follower.worn.changed_s is not None:
                 follower.integrate_again(tracker.window, follower.worn.changed_s)
                 follower.worn.changed_s = None
-        if self._changed_s is not None:
-            tracker.integrate_again(self._changed_s)
-            self._changed_s = None
+        if self._forearm.changed_s is not None:
+            tracker.integrate_again(self._forearm.changed_s)
+            self._forearm.changed_s = None
         for frame in self._late:
             if tracker.feed_late(frame):
                 changed = True
@@ -353,7 +332,7 @@ class LiveSmoother:
         if self._tracker.monitor.since_s is not None:
             return "the camera is left out: it contradicts the IMU"
         if self._imu.is_doubted:
-            return "; ".join(self._because) or "the IMU contradicts the camera"
+            return "; ".join(self._forearm.because) or "the IMU contradicts the camera"
         return "the first calibration, of some seconds" if self._calibrations.sigma_factor != 1.0 else ""
 
     @property

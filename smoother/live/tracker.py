@@ -10,6 +10,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from ..array_types import BoolArray, FloatArray
+from ..body import FOREARM
 from ..config import Config
 from ..graph.lag_window import LagWindow
 from ..linalg import interpolate
@@ -28,9 +29,9 @@ from ..window.shared import Gaussian
 from ..window.solution import LagSolution, NodeState
 from .answers import LiveState
 from .buffers import ImuBuffer, SkeletonFrame
-from .further_imus import SegmentFollower
+from .further_imus import SegmentFollower, integrate_again
 from .monitor import CameraMonitor, Culprit, FrameFinding
-from .signal import BEFORE_S, DoubtfulSignal, LiveSignal, increments_between, propagated
+from .signal import DoubtfulSignal, LiveSignal, increments_between, propagated
 
 #: A first state is read from this much around it, s.
 AROUND_S = 3.0
@@ -227,14 +228,7 @@ class Tracker:
 
     def integrate_again(self, since_s: float) -> None:
         """Integrate the intervals anew that late samples belong to."""
-        t = self.window.t
-        first = max(int(np.searchsorted(t, since_s - BEFORE_S)), 1)
-        if first >= len(t):
-            return
-        signal = self.signal.since(float(t[first - 1]))
-        for index in range(first, len(t)):
-            start_s, end_s = float(t[index - 1]), float(t[index])
-            self.window.set_increments(index, increments_between(signal, start_s, end_s, self.window.bias))
+        integrate_again(self.window, self.signal, FOREARM.name, since_s)
 
     def solve(self, settled_s: float) -> LagSolution:
         """Solve the window, with what the IMUs beyond the forearm reach."""

@@ -12,7 +12,7 @@ from smoother.array_types import BoolArray, FloatArray
 from smoother.body import SEGMENTS
 from smoother.live.answers import LiveOutput, LiveState
 from smoother.live.calibrations import InlineCalibrator
-from smoother.live.further_imus import LiveFurtherImu
+from smoother.live.further_imus import LiveImu
 from smoother.live.smoother import LiveSmoother
 from smoother.recording import ImuStream
 from smoother.simulation import SimulatedArm
@@ -99,7 +99,7 @@ def test_where_it_is_wrong_it_is_left_out_and_the_forearm_goes_on_alone(one: lis
 
 
 def test_a_pause_is_said_once_and_a_contradiction_lasts_longer_each_time() -> None:
-    worn, step_s = LiveFurtherImu(SEGMENTS["upper_arm"], 10.0), 0.01
+    worn, step_s = LiveImu(SEGMENTS["upper_arm"], 10.0), 0.01
 
     def sends(start_s: float, end_s: float) -> None:
         t = np.arange(start_s, end_s, step_s)
