@@ -15,7 +15,6 @@ from dataclasses import asdict, dataclass, replace
 from functools import partial
 
 import numpy as np
-from scipy.stats import chi2
 
 from smoother.array_types import BoolArray, FloatArray
 from smoother.calibration import ArmCalibration, SigmaFactor, SigmaFactors
@@ -60,6 +59,8 @@ def needed_factors(
     noise: FloatArray,  # (3, 3) m^2
 ) -> FloatArray:  # (n, 2)
     """The factor of sigma with which each error would lie just inside the region of each of `LEVELS`."""
+    from scipy.stats import chi2  # slow to load
+
     factors = np.full((len(error_m), len(LEVELS)), np.nan)
     rows = np.flatnonzero(np.isfinite(error_m).all(axis=1) & np.isfinite(stated).all(axis=(1, 2)))
     if len(rows):

@@ -6,6 +6,7 @@ checked before it begins.
 
 from __future__ import annotations
 
+import os
 import shlex
 from collections.abc import Mapping
 from functools import partial
@@ -14,7 +15,7 @@ from typing import Annotated, Any, Literal
 
 import typer
 
-from ..errors import UnoccludeError
+from ..errors import RecordingError, UnoccludeError
 
 #: Of a path: it is written, replaced with --force alone; it is added to; the command itself checks it.
 WRITTEN, ADDED_TO, UNCHECKED = "written", "added to", "unchecked"
@@ -24,9 +25,9 @@ ARM, SET_UP, ADVANCED = "Which arm", "Correct a wrong set-up", "Advanced"
 PANELS = ("Arguments", "Options", ARM, SET_UP, ADVANCED)
 
 
-def argument(metavar: str, help: str) -> Any:
+def argument(metavar: str, help: str, **more: Any) -> Any:
     """An argument; it has no default that would be shown."""
-    return typer.Argument(metavar=metavar, help=help, show_default=False)
+    return typer.Argument(metavar=metavar, help=help, show_default=False, **more)
 
 
 def option(help: str, *flags: str, panel: str | None = None, **more: Any) -> Any:
@@ -50,8 +51,6 @@ Texts = list[str] | None
 Number = float | None
 Count = int | None
 
-RecordingPath = Annotated[Path, argument("REC.mcap", "The recording.")]
-Result = Annotated[Path, argument("OUT.mcap", "What `smooth` wrote.")]
 CalibrationOutput = Annotated[
     Path, value("CAL.toml", "File to write or to add to.", "-o", "--output"), ADDED_TO
 ]
@@ -153,6 +152,15 @@ def as_result(path: Path) -> Path | None:
     return as_mcap(path)
 
 
+def _there(path: Path) -> Path:
+    """Refuse a name that nothing has, before anything is loaded for it."""
+    if not os.path.lexists(path):
+        raise RecordingError(f"{path} does not exist; check the name.")
+    return path
+
+
+RecordingPath = Annotated[Path, argument("REC.mcap", "The recording.", callback=_there)]
+Result = Annotated[Path, argument("OUT.mcap", "What `smooth` wrote.", callback=_there)]
 _out = partial(value, "FILE", "Output file.", "-o", "--output")
 Output = Annotated[Path, _out(callback=as_mcap), WRITTEN]
 ResultOutput = Annotated[Path, _out(callback=as_result), WRITTEN]

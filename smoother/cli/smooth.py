@@ -98,7 +98,9 @@ def smooth(
         for recording, recovery in results:
             say_arm(recovery, len(results))
             print_recovery(recording, recovery, verbose)
-        out.end(arms_figures(answers, [smooth_figures(*each) for each in results]), output, report)
+        wanted = results if out.json_file is not None else []
+        figures = [smooth_figures(*each) for each in wanted]
+        out.end(arms_figures(answers, figures) if wanted else {}, output, report)
     if strict:
         end_strictly(recovery.estimates.trusted for recovery in answers)
 

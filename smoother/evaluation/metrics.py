@@ -13,7 +13,6 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation, Slerp
 
 from ..array_types import BoolArray, FloatArray
@@ -207,6 +206,8 @@ def _read(
 
 def _cubic(t: FloatArray, v: FloatArray, at: FloatArray) -> FloatArray:
     if len(t) >= 4:
+        from scipy.interpolate import CubicSpline  # slow to load, and few need it
+
         return np.asarray(CubicSpline(t, v)(at))
     return _linear(t, v, at)
 

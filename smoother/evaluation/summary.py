@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from scipy.special import chdtr
 
 from ..angles import ForearmMounting, angles_by_joints
 from ..angles.definitions import ELBOW_FLEXION
@@ -199,6 +198,8 @@ def consistency(error_m: FloatArray, covariance: FloatArray) -> dict[str, Any]:
     """
     squared = squared_sigmas(error_m, covariance)
     good = np.isfinite(squared)
+    from scipy.special import chdtr  # slow to load
+
     level = chdtr(3.0, squared[good])
     stated = np.sqrt(np.trace(covariance[good], axis1=1, axis2=2) / 3.0)
     return {

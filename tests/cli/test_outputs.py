@@ -16,7 +16,9 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from rich.console import Console
 
+from smoother.cli import output
 from smoother.cli.run import run
 
 SESSIONS = sorted((Path(__file__).parent / "outputs").glob("*.txt"))
@@ -28,7 +30,7 @@ def keys(value: Any, path: str = "", depth: int = 0) -> Iterator[str]:
     if isinstance(value, list) and value:
         yield from keys(value[0], f"{path}[]", depth)
     elif isinstance(value, dict) and value and depth < 2:
-        for key in list(value)[: 1 if depth and len(value) > 40 else None]:
+        for key in sorted(value)[: 1 if depth and len(value) > 40 else None]:
             yield from keys(value[key], f"{path}.{key}".lstrip("."), depth + 1)
     else:
         yield path
@@ -45,6 +47,9 @@ def without_numbers(text: str) -> str:
 @pytest.mark.parametrize("session", SESSIONS, ids=lambda file: file.stem)
 def test_what_a_session_prints(session: Path, tmp_path: Path, monkeypatch: Any, capsys: Any):
     monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(
+        output, "console", lambda: Console(width=400)
+    )  # a cell on a line, whatever its numbers
     shutil.copy(DATA / "demo.mcap", "rec.mcap")
     shutil.copy(DATA / "demo_calibration.toml", "cal.toml")
     content = Path("rec.mcap").read_bytes()
@@ -54,7 +59,7 @@ def test_what_a_session_prints(session: Path, tmp_path: Path, monkeypatch: Any, 
     for line in (line for line in written.splitlines() if line.startswith("$ ")):
         words = shlex.split(line)[2:]
         code = run([*words, *(["--json", "figures.json"] if "--json" not in words else [])])
-        said, errors = capsys.readouterr()
+        said, errors = (text.replace(str(tmp_path), "HERE") for text in capsys.readouterr())
         parts = [f"{line}\n[{code}]", without_numbers(said), without_numbers(errors)]
         if Path("figures.json").exists():
             parts.append("json: " + " ".join(keys(json.loads(Path("figures.json").read_text()))))
