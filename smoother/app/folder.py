@@ -12,6 +12,7 @@ Everything is a file that is written whole, so that a program that is killed los
 
 from __future__ import annotations
 
+import hashlib
 import json
 import os
 import re
@@ -92,6 +93,9 @@ class AppFolder:
 
     def __init__(self, path: Path) -> None:
         self.path = path.resolve()
+        self.hidden = self.path / HIDDEN  # What is not for the user's eyes
+        self.templates = self.hidden / "templates"  # Of tables, a file each
+        self.models = self.hidden / "models"  # Of MediaPipe's pose landmarker that were dropped, for all
         try:
             self.path.mkdir(parents=True, exist_ok=True)
             for each in (self.hidden, self.templates, self.models):
@@ -99,28 +103,9 @@ class AppFolder:
         except OSError as error:
             raise UnoccludeError(f"{path}: {error.strerror or error}; name another folder") from error
 
-    @property
-    def hidden(self) -> Path:
-        """What is not for the user's eyes."""
-        return self.path / HIDDEN
-
-    @property
-    def templates(self) -> Path:
-        """Templates of tables, a file each."""
-        return self.hidden / "templates"
-
-    @property
-    def models(self) -> Path:
-        """Models of MediaPipe's pose landmarker that were dropped, for all recordings."""
-        return self.hidden / "models"
-
     def model_files(self) -> list[Path]:
         """All models, the newest first."""
         return sorted(self.models.glob("*.task"), key=lambda each: (-each.stat().st_mtime_ns, each.name))
-
-    def keep_model(self, file: Path) -> None:
-        """Keep a dropped model for the other recordings too."""
-        link_file(file, self.models / file.name)
 
     def template_files(self) -> list[Path]:
         """All templates, by name."""
@@ -128,38 +113,38 @@ class AppFolder:
 
     def recordings(self) -> list[str]:
         """Names on disk of all recordings."""
-        return _names(self.path, "app.json")
+        return self._names("*/app.json")
 
     def comparisons(self) -> list[str]:
         """Names on disk of all comparisons."""
-        return _names(self.path / COMPARISONS, "comparison.json")
+        return self._names(f"{COMPARISONS}/*/comparison.json")
+
+    def _names(self, pattern: str) -> list[str]:
+        found = (path.parent.name for path in self.path.glob(pattern))
+        return sorted(name for name in found if _ID.fullmatch(name))
 
     def of(self, name: str) -> Path:
         """The folder of a recording."""
-        if not _ID.fullmatch(name) or not (self.path / name / "app.json").is_file():
-            raise AppError("There is no such recording in this folder; it may have been removed.", 404)
-        return self.path / name
+        return self._with(name, self.path / name / "app.json", "recording")
 
     def comparison(self, name: str) -> Path:
-        """The folder of a comparison; raises as `of`."""
-        path = self.path / COMPARISONS / name
-        if not _ID.fullmatch(name) or not (path / "comparison.json").is_file():
-            raise AppError("There is no such comparison in this folder.", 404)
-        return path
+        """The folder of a comparison."""
+        return self._with(name, self.path / COMPARISONS / name / "comparison.json", "comparison")
+
+    def _with(self, name: str, file: Path, what: str) -> Path:
+        if not _ID.fullmatch(name) or not file.is_file():
+            raise AppError(f"There is no such {what} in this folder; it may have been removed.", 404)
+        return file.parent
 
     def add(self, kept: KeptRecording) -> str:
         """Make the folder of a new recording; its name on disk."""
         name = f"{slug(kept.name) or 'recording'}-{secrets.token_hex(3)}"
-        folder = self.path / name
-        (folder / "files").mkdir(parents=True)
-        kept.created_s = time.time()
-        write_kept(folder, kept)
+        (self.path / name / "files").mkdir(parents=True)
+        write_kept(self.path / name, kept.model_copy(update={"created_s": time.time()}))
         return name
 
     def add_comparison(self, person: str) -> tuple[str, Path]:
         """The folder in which a person's sessions are compared, the same at each time."""
-        import hashlib
-
         mark = hashlib.sha256(person.encode("utf-8", "replace")).hexdigest()[:8]
         name = f"{slug(person) or 'person'}-{mark}"
         folder = self.path / COMPARISONS / name
@@ -168,18 +153,10 @@ class AppFolder:
 
     def remove(self, name: str) -> Path:
         """Move a recording out of the way; where to."""
-        folder = self.of(name)
-        removed = self.hidden / "removed"
+        folder, removed = self.of(name), self.hidden / "removed"
         removed.mkdir(exist_ok=True)
-        place = removed / f"{name}-{time.strftime('%Y%m%d-%H%M%S')}-{secrets.token_hex(2)}"
-        os.replace(folder, place)
-        return place
-
-
-def _names(folder: Path, mark: str) -> list[str]:
-    """Folders in a folder that hold a file, by name."""
-    found = (path.parent.name for path in folder.glob(f"*/{mark}"))
-    return sorted(name for name in found if _ID.fullmatch(name))
+        stamp = f"{time.strftime('%Y%m%d-%H%M%S')}-{secrets.token_hex(2)}"
+        return folder.rename(removed / f"{name}-{stamp}")
 
 
 def link_file(file: Path, target: Path) -> None:

@@ -10,7 +10,7 @@ import secrets
 import shutil
 import threading
 from collections.abc import AsyncIterator, Callable
-from contextlib import asynccontextmanager, suppress
+from contextlib import asynccontextmanager, nullcontext, suppress
 from pathlib import Path
 from typing import Any
 
@@ -33,6 +33,7 @@ from .folder import (
     KeptRecording,
     changed,
     file_name,
+    link_file,
     one_line,
     read_kept,
     slug,
@@ -121,14 +122,13 @@ def _asking(answer: Callable[[_Asked], Any]) -> Callable[[Request], Any]:
 
     async def handle(request: Request) -> Any:
         asked = _Asked(request, await _body(request) if request.method in ("POST", "PATCH") else {})
-        if request.method == "GET":
-            return await anyio.to_thread.run_sync(answer, asked)
+        changing = nullcontext() if request.method == "GET" else request.app.state.changing
 
-        def change() -> Any:
-            with request.app.state.changing:
+        def work() -> Any:
+            with changing:
                 return answer(asked)
 
-        return await anyio.to_thread.run_sync(change)
+        return await anyio.to_thread.run_sync(work)
 
     return handle
 
@@ -219,7 +219,7 @@ async def _upload(request: Request) -> Any:
             await file.write(block)
         await anyio.to_thread.run_sync(os.replace, beside, place / "files" / name)
         if name.endswith(".task") and is_model(place / "files" / name):
-            asked.folder.keep_model(place / "files" / name)
+            link_file(place / "files" / name, asked.folder.models / name)
     except ClientDisconnect:
         return Response(status_code=400)  # the client is gone
     finally:
@@ -243,17 +243,16 @@ def _begin(asked: _Asked) -> Any:
 
 def begin(asked: _Asked, place: Path, kind: str, anyway: bool = False, formats: object = ()) -> None:
     """Put a recording's job on the desk."""
-    if kind == "describe":
-        todo = steps.describe_steps(asked.folder, place)
-    elif kind == "check":
-        todo = steps.check_steps(asked.folder, place)
-    elif kind == "recover":
-        todo = steps.recover_steps(asked.folder, place, anyway)
-    elif kind == "export":
-        todo = steps.export_steps(place, [str(each) for each in formats] if isinstance(formats, list) else [])
-    else:
+    chosen = [str(each) for each in formats] if isinstance(formats, list) else []
+    kinds: dict[str, Callable[[], list[steps.Step]]] = {
+        "describe": lambda: steps.describe_steps(asked.folder, place),
+        "check": lambda: steps.check_steps(asked.folder, place),
+        "recover": lambda: steps.recover_steps(asked.folder, place, anyway),
+        "export": lambda: steps.export_steps(place, chosen),
+    }
+    if kind not in kinds:
         raise AppError("There is no such job.")
-    asked.desk.add(place, kind, todo, steps.stamp(asked.folder, place))
+    asked.desk.add(place, kind, kinds[kind](), steps.stamp(asked.folder, place))
 
 
 def _template(asked: _Asked) -> Any:

@@ -80,23 +80,35 @@ def describe_steps(folder: AppFolder, place: Path) -> list[Step]:
 def import_steps(folder: AppFolder, place: Path) -> list[Step]:
     """Make the recording of the files; several IMUs are matched with the limbs by their motion."""
     kept, target = read_kept(place), recording_of(place)
-    files = _used(place, kept.choices)
+    files = [each for each in described(place) if Path(each["file"]).name not in kept.choices.left_out]
     streams = [each for each in files if each["kind"] not in _NO_STREAM]
-    film = None if _is_described(files) else camera_video(files)
-    if not streams and not film and not _is_described(files):
+    is_described = any(each["kind"] == "description" for each in files)
+    film = None if is_described else camera_video(files)
+    if not streams and not film and not is_described:
         raise AppError("There is no camera or IMU file yet; drop them here.")
-    steps: list[Step] = []
-    if _is_described(files):
-        words = ["import", "csv", "files", *_templates(folder), "-o", target, "--force"]
-        steps.append({"name": "import", "argv": words})
+    is_whole = not film and [each["format"] for each in streams] == ["mcap"]
+    words = ["import"]
+    end = ["--one-session", "--json", IMPORTED, "-o", target, "--force"]
+    if kept.choices.imu_starts_at_s is not None:
+        end = ["--imu-starts-at", repr(float(kept.choices.imu_starts_at_s)), *end]
+    if is_described:
+        words += ["csv", "files", *_templates(folder), "-o", target, "--force"]
     elif film:
-        words = _video_words(folder, film, files, kept.choices)
-        words += _imu_words(files, kept.choices, every=True) + _end_words(folder, kept.choices, target)
-        steps.append({"name": "import", "argv": ["import", "video", *words]})
-    elif len(streams) == 1 and streams[0]["format"] == "mcap":
-        steps.append({"name": "import", "link": [_local(streams[0]), target]})
-    else:
-        steps.append({"name": "import", "argv": _import_words(folder, streams, kept.choices, target)})
+        model = model_of(folder, files)
+        if not model:
+            raise AppError(NO_MODEL)
+        words += ["video", _local(film), "--model", model]
+        words += ["--mirrored"] if kept.choices.video_mirrored else []
+        words += ["--turn", str(kept.choices.video_turn)] if kept.choices.video_turn else []
+        words += [*_imu_words(files, kept.choices, every=True), *_templates(folder), *end]
+    elif not is_whole:  # an unrecognised file is named too, so that the reason is shown
+        skeletons = [each for each in streams if any(s["kind"] == "skeleton" for s in each["streams"])]
+        words += ["files", *(_local(each) for each in streams if not each["streams"])]
+        words += [word for each in skeletons for word in ("--skeleton", _local(each))]
+        words += [*_imu_words(streams, kept.choices), *_templates(folder), *end]
+    steps: list[Step] = [{"name": "import", "argv": words}]
+    if is_whole and not is_described:
+        steps = [{"name": "import", "link": [_local(streams[0]), target]}]
     if _is_open(streams, kept.choices):
         words = ["match", target, "--json", MATCHES, "--force"]
         steps.append({"name": "match", "argv": words, "ok": [0, 1]})  # a proposal, no condition
@@ -135,46 +147,8 @@ def model_of(folder: AppFolder, files: Sequence[dict[str, Any]]) -> str:
     return next(iter([*mine, *map(str, folder.model_files())]), "")
 
 
-def _used(place: Path, choices: Choices) -> list[dict[str, Any]]:
-    return [each for each in described(place) if Path(each["file"]).name not in choices.left_out]
-
-
-def _is_described(files: Sequence[dict[str, Any]]) -> bool:
-    return any(each["kind"] == "description" for each in files)
-
-
 def _local(about: dict[str, Any]) -> str:
     return f"files/{Path(about['file']).name}"
-
-
-def _import_words(
-    folder: AppFolder, files: Sequence[dict[str, Any]], choices: Choices, target: str
-) -> list[str]:
-    """`import files` with what was chosen; an unrecognised file is named too, so that the reason is shown."""
-    skeletons = [each for each in files if any(s["kind"] == "skeleton" for s in each["streams"])]
-    words = [word for each in skeletons for word in ("--skeleton", _local(each))]
-    unnamed = [_local(each) for each in files if not each["streams"]]
-    words += _imu_words(files, choices) + _end_words(folder, choices, target)
-    return ["import", "files", *unnamed, *words]
-
-
-def _video_words(
-    folder: AppFolder, film: dict[str, Any], files: Sequence[dict[str, Any]], choices: Choices
-) -> list[str]:
-    """The video used as the camera, with the model and how its pictures are stored."""
-    model = model_of(folder, files)
-    if not model:
-        raise AppError(NO_MODEL)
-    words = [_local(film), "--model", model]
-    words += ["--mirrored"] if choices.video_mirrored else []
-    return words + (["--turn", str(choices.video_turn)] if choices.video_turn else [])
-
-
-def _end_words(folder: AppFolder, choices: Choices, target: str) -> list[str]:
-    words = []
-    if choices.imu_starts_at_s is not None:
-        words += ["--imu-starts-at", repr(float(choices.imu_starts_at_s))]
-    return [*words, *_templates(folder), "--one-session", "--json", IMPORTED, "-o", target, "--force"]
 
 
 def _imu_words(files: Sequence[dict[str, Any]], choices: Choices, every: bool = False) -> list[str]:
@@ -238,7 +212,9 @@ def _arm_words(place: Path, kept: KeptRecording) -> list[str]:
         words += ["--side", kept.choices.side]
     if kept.choices.body is not None:
         words += ["--body", str(kept.choices.body)]
-    given = [each for each in _used(place, kept.choices) if each["kind"] == "calibration"]
+    left_out = kept.choices.left_out
+    given = [each for each in described(place) if each["kind"] == "calibration"]
+    given = [each for each in given if Path(each["file"]).name not in left_out]
     return words + (["--calibration", _local(given[0])] if given else [])
 
 
