@@ -1,7 +1,7 @@
 """What commands print and which figures they write: each file of `outputs/` is a session, in order.
 
 Numbers are shown as #, so that wording and structure are compared alone. After a change, write the files
-again and review the diff: `UNOCCLUDE_WRITE_MESSAGES=1 python -m pytest tests/cli/test_outputs.py`.
+again and review the diff: `UNOCCLUDE_WRITE_MESSAGES=1 python -m pytest tests/cli/test_printed.py`.
 """
 
 from __future__ import annotations
