@@ -16,36 +16,31 @@ from .streams import ArmFrames, RecordingFile
 #: A body that comes back within this time and distance is treated as the same one.
 _AWAY_S = 30.0
 _APART_M = 0.4
-#: The shoulder moves least, so it is asked first.
-_ASKED = [JOINTS.index(joint) for joint in ("shoulder", "elbow", "wrist", "hand", "strap")]
+#: The shoulder moves least, so it is asked first; only the forearm's joints may have moved on while not seen.
+_REACH_M = {
+    JOINTS.index(joint): _APART_M + (0.4 if joint in FOREARM_JOINTS else 0.0)
+    for joint in ("shoulder", "elbow", "wrist", "hand", "strap")
+}
 
 
 def join_bodies(arms: list[ArmFrames]) -> tuple[list[ArmFrames], list[str]]:
     """Join arms of one topic and side that are never seen together and take over where the other was lost."""
-    joined: list[ArmFrames] = []
-    numbers: list[list[int]] = []  # that each of them had so far
+    joined: list[tuple[ArmFrames, list[int]]] = []  # with the numbers that each had so far
     notes = []
     for arm in sorted(arms, key=lambda arm: _first_and_last(arm)[0]):
-        place = next(
-            (
-                place
-                for place, earlier in enumerate(joined)
-                if _comes_after(earlier, arm, numbers[place]) and _continues(earlier, arm)
-            ),
-            None,
+        fits = (
+            k for k, (one, numbers) in enumerate(joined) if arm.body not in numbers and _goes_on(one, arm)
         )
-        if place is None:
-            joined.append(arm)
-            numbers.append([arm.body])
+        if (place := next(fits, None)) is None:
+            joined.append((arm, [arm.body]))
             continue
-        earlier = joined[place]
-        joined[place] = _merged(earlier, arm, arm.state != JointState.NOT_TRACKED)
-        numbers[place].append(arm.body)
+        earlier, numbers = joined[place]
+        joined[place] = _merged(earlier, arm, arm.state != JointState.NOT_TRACKED), [*numbers, arm.body]
         notes.append(
             f"{earlier.label} and body {arm.body} were joined: the camera lost the body and numbered it anew"
             " where it was; --body takes one alone."
         )
-    return joined, notes
+    return [arm for arm, _ in joined], notes
 
 
 def _merged(own: ArmFrames, other: ArmFrames, taken: BoolArray) -> ArmFrames:
@@ -64,25 +59,17 @@ def _first_and_last(arm: ArmFrames) -> tuple[int, int]:
     return (int(there[0]), int(there[-1])) if len(there) else (len(arm.stamp_ns), len(arm.stamp_ns))
 
 
-def _comes_after(earlier: ArmFrames, later: ArmFrames, numbers: list[int]) -> bool:
-    """Whether it is the same arm of a body that is first seen when the other was lost."""
-    if (earlier.topic, earlier.side) != (later.topic, later.side) or later.body in numbers:
-        return False
-    return _first_and_last(earlier)[1] < _first_and_last(later)[0] < len(later.stamp_ns)
-
-
-def _continues(earlier: ArmFrames, later: ArmFrames) -> bool:
-    """Whether it comes back soon and near."""
+def _goes_on(earlier: ArmFrames, later: ArmFrames) -> bool:
+    """Whether it is the same arm of a body that is first seen when the other was lost, soon and near."""
     lost, back = _first_and_last(earlier)[1], _first_and_last(later)[0]
-    away = abs(int(later.stamp_ns[back]) - int(earlier.stamp_ns[lost])) / 1e9
-    if away > _AWAY_S:
+    if (earlier.topic, earlier.side) != (later.topic, later.side) or not lost < back < len(later.stamp_ns):
         return False
-    for joint in _ASKED:
+    if abs(int(later.stamp_ns[back]) - int(earlier.stamp_ns[lost])) / 1e9 > _AWAY_S:
+        return False
+    for joint, reach_m in _REACH_M.items():
         if earlier.state[lost, joint] and later.state[back, joint]:
             step = np.linalg.norm(later.position[back, joint] - earlier.position[lost, joint])
-            # Only the forearm's joints may have moved on while not seen.
-            reach = _APART_M + (0.4 if JOINTS[joint] in FOREARM_JOINTS else 0.0)
-            return bool(step < reach)
+            return bool(step < reach_m)
     return False
 
 
@@ -121,24 +108,14 @@ def unswap_bodies(arms: list[ArmFrames]) -> tuple[list[ArmFrames], list[str]]:
     return arms, notes
 
 
-def _place(arms: list[ArmFrames]) -> tuple[FloatArray, BoolArray]:
-    """Where a body is in each frame (n, 3), by its shoulders, and whether all of them are there (n,)."""
-    there = np.all([arm.state[:, _SHOULDER] != JointState.NOT_TRACKED for arm in arms], axis=0)
-    return np.mean([arm.position[:, _SHOULDER] for arm in arms], axis=0), there
-
-
 def _swaps(first: list[ArmFrames], second: list[ArmFrames]) -> IntArray:
-    """Rows from which on the numbers are exchanged, or exchanged back."""
-    nothing = np.empty(0, np.int64)
+    """Rows from which on the numbers are exchanged, or exchanged back: by the places of the shoulders."""
     if len({len(arm.stamp_ns) for arm in (*first, *second)}) != 1:
-        return nothing
-    a, a_there = _place(first)
-    b, b_there = _place(second)
-    rows = np.flatnonzero(a_there & b_there)
-    if len(rows) < 2:
-        return nothing
+        return np.empty(0, np.int64)
+    there = np.all([arm.state[:, _SHOULDER] != JointState.NOT_TRACKED for arm in (*first, *second)], axis=0)
+    rows = np.flatnonzero(there)
     soon = np.diff(first[0].stamp_ns[rows]) <= _SOON_NS
-    a, b = a[rows], b[rows]
+    a, b = (np.mean([arm.position[rows, _SHOULDER] for arm in arms], axis=0) for arms in (first, second))
 
     def apart(now: FloatArray, before: FloatArray) -> FloatArray:
         return np.asarray(np.linalg.norm(now[1:] - before[:-1], axis=1))

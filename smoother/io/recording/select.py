@@ -199,8 +199,7 @@ def _span(stamp_ns: IntArray) -> str:
 
 
 def _imu_stream(stream: ImuSamples, origin: int) -> ImuStream:
-    t_s = seconds(stream.stamp_ns, origin)
-    return ImuStream(stream.topic, t_s, stream.acc, stream.gyro, stream.mag)
+    return ImuStream(stream.topic, seconds(stream.stamp_ns, origin), stream.acc, stream.gyro, stream.mag)
 
 
 def _truth(poses: PoseSamples, origin: int) -> Truth:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,10 +13,10 @@ from numpy.typing import NDArray
 
 from calib.intrinsics import Intrinsics
 
-from ...array_types import FloatArray, IntArray
+from ...array_types import FloatArray
 from ...body import SEGMENTS
 from ...linalg import runs
-from ...recording import JOINTS, CameraFrame, CameraPose, ImuStream, JointState, JointTracks, Recording
+from ...recording import JOINTS, Camera, CameraFrame, ImuStream, JointState, JointTracks, Recording
 from ...runtime.outputs import writing
 from ..mcap.merge import Output, OutputStream
 from ..mcap.messages import nanoseconds
@@ -94,45 +95,34 @@ def as_file(recording: Recording | Sequence[Recording]) -> RecordingFile:
     file.clocks_unrelated = any(one.clocks_unrelated for one in recordings)
     topics: set[str] = set()
     sides: set[tuple[int, str]] = set()
-    others: dict[tuple[int, str], tuple[JointTracks, int]] = {}
+    others: list[ArmFrames] = []
     for one in recordings:
         file.notes += [note for note in one.notes if note not in file.notes]
-        has_trunk = "/imu/trunk" in topics
-        worn = [(imu_topic(one.imu.name, one.side), one.imu)]
-        worn += [(imu_topic(imu.name, one.side, segment), imu) for segment, imu in one.further_imus.items()]
-        shared = {"/imu/base": one.base_imu, "/imu/trunk": None if one.trunk is None else one.trunk.imu}
-        worn += [(topic, imu) for topic, imu in shared.items() if imu is not None and topic not in topics]
-        file.imus += [_samples(_free(topic, topics), imu, one.origin_ns) for topic, imu in worn]
         body = one.body or 0
         while (body, one.side) in sides:
             body += 1
         sides.add((body, one.side))
-        if one.trunk is not None and one.trunk.other_arm is not None and one.side and not has_trunk:
-            others[body, OTHER_SIDE[one.side]] = (one.trunk.other_arm, one.origin_ns)
-        stamp = nanoseconds(one.arm.t_s, one.origin_ns)
-        file.arms.append(_frames(file, "/skeleton", TOPIC, CAMERA, body, one.side, stamp, one.arm))
+        trunk, has_trunk = one.trunk, "/imu/trunk" in topics
+        if trunk is not None and trunk.other_arm is not None and one.side and not has_trunk:
+            others.append(replace(_frames(file, one, trunk.other_arm, body), side=OTHER_SIDE[one.side]))
+        worn = [(imu_topic(one.imu.name, one.side), one.imu)]
+        worn += [(imu_topic(imu.name, one.side, segment), imu) for segment, imu in one.further_imus.items()]
+        shared = {"/imu/base": one.base_imu, "/imu/trunk": None if trunk is None else trunk.imu}
+        worn += [(topic, imu) for topic, imu in shared.items() if imu is not None and topic not in topics]
+        file.imus += [_samples(_free(topic, topics), imu, one.origin_ns) for topic, imu in worn]
+        file.arms.append(_frames(file, one, one.arm, body))
         for camera in one.cameras:
-            stamp = nanoseconds(camera.arm.t_s, one.origin_ns)
-            topics_of_camera = f"{CAMERA_TOPIC}{camera.name}", NAMED_TOPIC.format(camera.name)
-            frames = _frames(
-                file, *topics_of_camera, camera.name, body, one.side, stamp, camera.arm, camera.pose
-            )
-            file.cameras[frames.topic] = CameraStream(camera.name, camera.camera_frame, camera.gravity_hint)
-            file.arms.append(frames)
-        if one.truth is not None:
+            file.arms.append(_frames(file, one, camera.arm, body, camera))
+            stream = CameraStream(camera.name, camera.camera_frame, camera.gravity_hint)
+            file.cameras[file.arms[-1].topic] = stream
+        if (truth := one.truth) is not None:
             suffix = f"/{one.side or len(sides)}" if len(recordings) > 1 else ""
             suffix = suffix if one.body is None else f"/body_{one.body}{suffix}"
-            truth = one.truth
-            stamp = nanoseconds(truth.t_s, one.origin_ns)
+            named = _free(f"/truth{suffix}", topics), CAMERA, nanoseconds(truth.t_s, one.origin_ns)
             score = None if truth.score.all() else truth.score
-            topic = _free(f"/truth{suffix}", topics)
-            file.poses.append(
-                PoseSamples(topic, CAMERA, stamp, truth.position, truth.quaternion, score, truth.joints)
-            )
-    for (body, side), (arm, origin_ns) in others.items():
-        if (body, side) not in sides:  # else it is there as an arm of its own
-            stamp = nanoseconds(arm.t_s, origin_ns)
-            file.arms.append(ArmFrames("/skeleton", CAMERA, body, side, stamp, arm.position, arm.state))
+            file.poses.append(PoseSamples(*named, truth.position, truth.quaternion, score, truth.joints))
+    # one that is there as an arm of its own is not written twice
+    file.arms += [arm for arm in others if (arm.body, arm.side) not in sides]
     return file
 
 
@@ -142,30 +132,23 @@ def _samples(topic: str, imu: ImuStream, origin_ns: int) -> ImuSamples:
 
 
 def _frames(
-    file: RecordingFile,
-    skeleton: str,
-    keypoints: str,
-    frame_id: str,
-    body: int,
-    side: str,
-    stamp: IntArray,
-    arm: JointTracks,
-    pose: CameraPose | None = None,
+    file: RecordingFile, one: Recording, arm: JointTracks, body: int, camera: Camera | None = None
 ) -> ArmFrames:
-    """A camera's frames under one of two topics; rays of a camera without depth become pixels again."""
+    """A camera's frames under its topic; rays of a camera without depth become pixels again."""
+    name, topic = (CAMERA, "/skeleton") if camera is None else (camera.name, f"{CAMERA_TOPIC}{camera.name}")
+    named = (name, body, one.side, nanoseconds(arm.t_s, one.origin_ns))
     if arm.pixel_rad is None:
-        return ArmFrames(skeleton, frame_id, body, side, stamp, arm.position, arm.state)
-    if keypoints not in file.lenses:  # which lens it was does not matter to the rays: one that has the angle
+        return ArmFrames(topic, *named, arm.position, arm.state)
+    topic = TOPIC if camera is None else NAMED_TOPIC.format(name)
+    if topic not in file.lenses:  # which lens it was does not matter to the rays: one that has the angle
         focal, seen = 1.0 / arm.pixel_rad, np.asarray(arm.position)[np.asarray(arm.state) > 0][:, :2]
         reach = 2.0 * focal * np.abs(seen).max(axis=0) if len(seen) else np.zeros(2)
         width, height = np.maximum(IMAGE, np.ceil(np.nan_to_num(reach))).astype(int).tolist()
         share = arm.focal_share
         lens = Intrinsics(width, height, focal, focal, 0.5 * width, 0.5 * height, focal_share=share)
-        file.lenses[keypoints] = KnownLens(lens, pose)
-    lens = file.lenses[keypoints].lens
-    return ArmFrames(
-        keypoints, frame_id, body, side, stamp, pixels_of(arm, lens), arm.state, CameraFrame.OPTICAL, lens
-    )
+        file.lenses[topic] = KnownLens(lens, None if camera is None else camera.pose)
+    lens = file.lenses[topic].lens
+    return ArmFrames(topic, *named, pixels_of(arm, lens), arm.state, CameraFrame.OPTICAL, lens)
 
 
 def as_session(
