@@ -153,7 +153,7 @@ def print_recovery(recording: Recording, recovery: Recovery, verbose: bool = Fal
     """
     from calib.motion import found_in
 
-    from ..evaluation.summary import camera_sentences, gap_summaries
+    from ..evaluation.summary import cameras, gap_summaries
     from ..result.untrusted import untrusted_sentences
 
     gaps = list(enumerate(gap_summaries(recovery), start=1))
@@ -169,8 +169,7 @@ def print_recovery(recording: Recording, recovery: Recovery, verbose: bool = Fal
         f"{recovery.name}: {duration_s:.1f} s, {len(recovery)} samples, {len(gaps)}"
         f" {'gap' if len(gaps) == 1 else 'gaps'}, {sum(gap.length_s for gap in recovery.gaps):.1f} s occluded"
     )
-    for sentence in camera_sentences(recovery):
-        say(sentence)
+    show(cameras(recovery))
     most = MOST_ROWS if verbose else FEW_GAPS
     # of many the doubtful and the least certain; in the order of time
     shown = sorted(gaps, key=lambda gap: (gap[1].trusted is not False, -(gap[1].error_95_m or math.inf)))

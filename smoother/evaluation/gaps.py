@@ -443,13 +443,9 @@ def compare_real_gaps(recordings: Sequence[Recording], table: GapTable) -> dict[
     rows = [row for row in table.rows if not row.failure]
     rows = [row for row in rows if row.method == "graph"] or rows
     places = dict.fromkeys((row.recording, row.gap) for row in rows)
-    hidden = [found for name, gap in places if (found := _movement(by_name[name], gap)) is not None]
-    real = [
-        found
-        for recording in recordings
-        for gap in _real_gaps(recording)
-        if (found := _movement(recording, gap)) is not None
-    ]
+    felt = [_movement(by_name[name], gap) for name, gap in places]
+    lost = [_movement(recording, gap) for recording in recordings for gap in _real_gaps(recording)]
+    hidden, real = ([each for each in some if each is not None] for some in (felt, lost))
     start = "gaps were hidden where the camera saw the arm, which is easier than where it lost it"
     found: dict[str, Any] = {"count": len(real), "turning_ratio": None, "acceleration_ratio": None}
     if not real or not hidden:

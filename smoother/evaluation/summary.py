@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -17,6 +17,7 @@ from ..error_radius import error_radius, pooled_radius
 from ..measurements.visibility import Gap
 from ..recording import JOINTS
 from ..result import Estimates, GapVerdict, Recovery
+from ..table import Table, fixed, percent, tabulated
 from .metrics import rms, squared_sigmas
 
 #: About this many samples are pooled to one distance.
@@ -123,29 +124,36 @@ def recovery_figures(recovery: Recovery) -> dict[str, object]:
     }
 
 
-def camera_sentences(recovery: Recovery) -> list[str]:
-    """Where each camera of several stands, its clock, and how long it saw the forearm: a sentence each."""
-    cameras, sentences = recovery.estimates.cameras, []
-    length_s = float(recovery.t_s[-1] - recovery.t_s[0]) if len(recovery) else 0.0
-    for camera in cameras:
-        seen = f"saw the forearm for {sum(b - a for a, b in camera.seen_s):.1f} of {length_s:.1f} s"
-        if camera.reason:
-            continue  # the verdict gives the reason
-        if camera is cameras[0]:
-            sentences.append(f"{camera.name}: the first, whose frame the results are in; {seen}")
-            continue
-        assert camera.R_K_C is not None
-        assert camera.p_K_C_m is not None
-        cosine = 0.5 * (float(np.trace(np.array(camera.R_K_C))) - 1.0)
-        turned = np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0)))
-        away = float(np.linalg.norm(camera.p_K_C_m))
-        sentences.append(
-            f"{camera.name}: {away:.2f} m from {cameras[0].name}, turned by {turned:.0f} degrees"
-            f" (sigma {100 * (camera.sigma_m or 0.0):.1f} cm and {camera.sigma_deg or 0.0:.1f} degrees),"
-            f" clock {camera.offset_s or 0.0:+.3f} s (sigma {1000 * (camera.offset_sigma_s or 0.0):.0f} ms);"
-            f" {seen}"
-        )
-    return sentences
+def cameras(recovery: Recovery) -> Table:
+    """Where each camera of several stands, and what it saw, one per row."""
+    length_s = float(recovery.t_s[-1] - recovery.t_s[0]) if len(recovery) > 1 else float("nan")
+    return tabulated(
+        "Cameras",
+        recovery.estimates.cameras,
+        {
+            "camera": "name",
+            "place in the first one's frame, cm": lambda each: (
+                each.p_K_C_m and ", ".join(f"{100 * item:.0f}" for item in each.p_K_C_m)
+            ),
+            "turned by, degrees": lambda each: fixed(_turned_deg(each.R_K_C), 0),
+            "sigma, cm per axis": "sigma_m",
+            "sigma, degrees per axis": lambda each: fixed(each.sigma_deg),
+            "first clock less its own, ms": lambda each: fixed(each.offset_s and 1000 * each.offset_s, 1),
+            "saw the forearm": lambda each: (
+                percent(sum(b - a for a, b in each.seen_s) / length_s) if each.takes_part else None
+            ),
+            "remark": lambda each: f"left out: {each.reason}" if each.reason else "is used",
+        },
+        "Each camera was placed by the joints that it and the first one saw. A gap is a time in which none of"
+        " them saw the forearm.",
+    )
+
+
+def _turned_deg(R_K_C: Sequence[Sequence[float]] | None) -> float | None:
+    if R_K_C is None:
+        return None
+    cosine = 0.5 * (float(np.trace(np.array(R_K_C))) - 1.0)
+    return float(np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0))))
 
 
 def _by_part(

@@ -14,7 +14,7 @@ from calib.motion import found_in
 
 from ..angles import joint_angles
 from ..evaluation.advice import advice
-from ..evaluation.summary import trust_word
+from ..evaluation.summary import cameras, trust_word
 from ..evaluation.validate import Validation
 from ..recording import CameraFrame, Recording, Truth
 from ..result import Recovery, arm_tags
@@ -206,23 +206,14 @@ class _ArmReport:
             yield rendered(tables.camera(self.estimates))
             open_questions = self.estimates.not_determined
             yield PageSection("What the recording did not determine", sentences=open_questions)
-        yield rendered(tables.cameras(recovery))
+        yield rendered(cameras(recovery))
         yield rendered(tables.overview(recovery))
         yield notes([*(self.recording.notes if self.recording is not None else ()), *recovery.notes])
         yield rendered(tables.settings(recovery.config))
 
     def _against_reference(self, found: Validation) -> Iterator[PageSection]:
         heading = found.alignment.titled("Errors against the reference")
-        if (
-            found.joint_errors.rows
-            and found.all.position_rms_m is None
-            and found.all.orientation_rms_deg is None
-        ):
-            yield PageSection(
-                heading, tables.ERRORS, below="The reference has joints only.", sentences=found.notes
-            )
-        else:
-            yield PageSection(heading, tables.ERRORS, tables=[found.errors], sentences=found.notes)
+        yield PageSection(heading, tables.ERRORS, tables=[found.errors], sentences=found.notes)
         yield from map(rendered, (found.joint_errors, found.gap_errors))
         yield from map(rendered, tables.measured(found))
         if found.angles:

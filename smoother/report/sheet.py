@@ -199,11 +199,6 @@ def capitalised(text: str) -> str:
     return text[:1].upper() + text[1:]
 
 
-def listed(words: Sequence[str]) -> str:
-    """Words with commas between them, and `and` before the last."""
-    return words[0] if len(words) == 1 else f"{', '.join(words[:-1])} and {words[-1]}"
-
-
 def _sentence(text: str) -> str:
     text = capitalised(text)
     return text if text.endswith((".", "!", "?", ":")) else f"{text}."

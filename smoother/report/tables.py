@@ -128,28 +128,6 @@ def camera(estimates: ArmEstimates) -> Table:
     )
 
 
-def cameras(recovery: Recovery) -> Table:
-    """Where each camera of several stands, and what it saw, one per row."""
-    length_s = float(recovery.t_s[-1] - recovery.t_s[0]) if len(recovery) > 1 else float("nan")
-    return tabulated(
-        "Cameras",
-        recovery.estimates.cameras,
-        {
-            "camera": "name",
-            "place in the first one's frame, cm": lambda each: _vector(each.p_K_C_m, 0),
-            "sigma, cm per axis": "sigma_m",
-            "sigma, degrees per axis": lambda each: fixed(each.sigma_deg),
-            "first clock less its own, ms": lambda each: fixed(each.offset_s and 1000 * each.offset_s, 1),
-            "saw the forearm": lambda each: (
-                percent(sum(b - a for a, b in each.seen_s) / length_s) if each.takes_part else None
-            ),
-            "remark": lambda each: f"left out: {each.reason}" if each.reason else "is used",
-        },
-        "Each camera was placed by the joints that it and the first one saw. A gap is a time in which none of"
-        " them saw the forearm.",
-    )
-
-
 def gaps(recovery: Recovery, validation: Validation | None = None) -> Table:
     """The gaps, one per row; with the errors in them where there is a reference."""
     errors = {} if validation is None else {gap.start_s: figures for gap, figures in validation.gaps}
