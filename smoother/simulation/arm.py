@@ -31,7 +31,6 @@ from .inertial import (
 from .motion import (
     ArmMotion,
     BodyMeasures,
-    MotionModel,
     Performance,
     Stage,
     TrunkTurn,
@@ -57,7 +56,7 @@ class SimulatedArm:
     parameters: dict[str, Any]  # What was drawn, by name; SI units, vectors as arrays
     ideal_imu: ImuStream  # The IMU without its errors
     occluded: BoolArray  # (F,): frames in which the camera cannot see the forearm, whatever it states
-    motion: MotionModel  # The motion itself, for further sensors
+    motion: ArmMotion  # The motion itself, for further sensors
     # Of the IMUs on further segments, by the segment's name
     further_motions: dict[str, SegmentImuMotion] = field(default_factory=dict)
     trunk_motion: TrunkImuMotion | None = None  # Of the trunk's IMU, where there is one
@@ -68,7 +67,7 @@ def given(positions: dict[str, FloatArray]) -> dict[str, LeverArm]:
     return {joint: LeverArm(at, np.full(3, LEVER_ARM_SIGMA_M)) for joint, at in positions.items()}
 
 
-def true_motion(motion: MotionModel, t_s: FloatArray) -> Truth:
+def true_motion(motion: ArmMotion, t_s: FloatArray) -> Truth:
     """The motion at the given times (N,) as a reference to score against."""
     R, position = motion.imu_pose(t_s)
     quaternion = Rotation.from_matrix(R).as_quat(scalar_first=True)

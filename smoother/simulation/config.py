@@ -78,13 +78,10 @@ class SensorErrors(Settings):
     imu_misalignment_deg: float = size(0.0, "sigma of each cross-axis angle, degrees")
 
     @classmethod
-    def _changes(cls, name: Preset) -> dict[str, Any]:
-        return _PRESETS.get(name, {})
-
-    @classmethod
     def preset(cls, name: Preset | str, **changes: Any) -> Self:
         """The named preset ("clean", "white", "realistic", "azure") with these settings changed."""
-        return cls(**{**cls._changes(Preset(name)), **changes})
+        own = {key: each for key, each in _PRESETS.get(Preset(name), {}).items() if key in cls.model_fields}
+        return cls(**(own | changes))
 
 
 class ArmSimulation(SensorErrors):
@@ -170,11 +167,6 @@ class ArmSimulation(SensorErrors):
     rgb_noise_px: float = size(
         3.0, "their joints' noise, pixels per axis; half of its variance has the memory of the preset's noise"
     )
-
-    @classmethod
-    def _changes(cls, name: Preset) -> dict[str, Any]:
-        extra = _PRESETS["arm"] if name in (Preset.REALISTIC, Preset.AZURE) else {}
-        return {**super()._changes(name), **extra}
 
 
 class RestPoses(Settings):

@@ -190,7 +190,7 @@ class TrunkImuMotion:
         return self.R_K_T @ self.turn.at(t_s) @ R_ISB_T.T
 
     def imu_pose(self, t_s: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """See `MotionModel.imu_pose`."""
+        """Orientation (N, 3, 3) from {D} to {K}, and its position (N, 3) m in {K}."""
         place = self.turn.moved(np.tile(BREASTBONE, (len(t_s), 1)), t_s)
         return self.R_K_T @ self.turn.at(t_s) @ self.axes, place @ self.R_K_T.T + self.origin_K
 

@@ -106,7 +106,6 @@ class MarkerCapture:
 def capture(simulated: SimulatedArm, config: MocapSimulation | None = None, seed: int = 0) -> MarkerCapture:
     """Record a simulated arm with 15 markers: 8 on the IMU's plate, 7 on the skin over the joints."""
     config = config or MocapSimulation()
-    assert isinstance(simulated.motion, ArmMotion)
     recording = simulated.recording
     # Apart from the recording's own draws, which the same seed makes.
     rng, noise_rng, lost_rng = (

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cache, cached_property
-from typing import Protocol
 
 import numpy as np
 from scipy.interpolate import BSpline, make_interp_spline
@@ -366,18 +365,6 @@ LEVEL_FROM_KINECT = {
 }
 
 
-class MotionModel(Protocol):
-    """A body with an IMU on it, in {K}, at any time of the recording (and 0.4 s beyond its ends)."""
-
-    def imu_pose(self, t_s: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """`R_K_A` (N, 3, 3) and the IMU's position (N, 3) m in {K}."""
-        ...
-
-    def joints(self, t_s: FloatArray) -> dict[str, FloatArray]:
-        """Positions (N, 3) by joint, m in {K}."""
-        ...
-
-
 @dataclass(frozen=True)
 class Stage:
     """Where the person stands before the camera."""
@@ -437,7 +424,7 @@ def wrist_angles(performance: Performance, rms_deg: float, rng: np.random.Genera
 
 @dataclass(frozen=True, eq=False)
 class ArmMotion:
-    """An arm that performs a protocol before the camera."""
+    """An arm that performs a protocol before the camera, at any time (and 0.4 s beyond its ends)."""
 
     performance: Performance
     measures: BodyMeasures
@@ -511,7 +498,7 @@ class ArmMotion:
         return self.stage.R_K_T if self.trunk.is_still else self.stage.R_K_T @ self.trunk.at(t_s)
 
     def imu_pose(self, t_s: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """See `MotionModel.imu_pose`."""
+        """`R_K_A` (N, 3, 3) and the IMU's position (N, 3) m in {K}."""
         _, elbow, R_T_F, wobble = self._chain(t_s)
         strap = Rotation.from_rotvec(wobble).as_matrix()
         # The strap turns about the arm's core: the sensor moves with it.
@@ -522,7 +509,7 @@ class ArmMotion:
         return R_K_A, self._to_camera(position, t_s)
 
     def joints(self, t_s: FloatArray) -> dict[str, FloatArray]:
-        """See `MotionModel.joints`."""
+        """Positions (N, 3) by joint, m in {K}."""
         shoulder, elbow, R_T_F, _ = self._chain(t_s)
         along, direction = self.measures.along_forearm, R_T_F[:, :, 1]
         positions = {"shoulder": shoulder, "elbow": elbow}

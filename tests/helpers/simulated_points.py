@@ -46,12 +46,12 @@ class PointMotion:
         self._spline: BSpline = make_interp_spline(t_s, table, k=5)
 
     def imu_pose(self, t_s: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """See `MotionModel.imu_pose`."""
+        """See `ArmMotion.imu_pose`."""
         table = self._spline(t_s)
         return (self._start * Rotation.from_rotvec(table[:, 3:])).as_matrix(), table[:, :3]
 
     def joints(self, t_s: FloatArray) -> dict[str, FloatArray]:
-        """See `MotionModel.joints`."""
+        """See `ArmMotion.joints`."""
         return {"strap": self._spline(t_s)[:, :3]}
 
 

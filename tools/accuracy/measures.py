@@ -97,7 +97,7 @@ def errors_of(recovery: Recovery, truth: Recovery) -> Iterator[dict[str, Any]]:
                 "measure": f"{name}_zones_percent" if in_zone else key,
                 "off": value - right,
                 "sigma": (high - low) / (2 * Z_95),
-                "inside": low - 1e-9 <= right <= high + 1e-9 if np.isfinite(low) else np.nan,
+                "inside": low - 1e-9 <= right <= high + 1e-9 if np.isfinite(low) else None,
                 "recovered": share,
             }
 
@@ -120,10 +120,10 @@ def accuracy_csv(found: dict[str, list[dict[str, Any]]]) -> str:
             columns.append(f"round(100 * avg(inside::double) {own})::int as {preset}_{scope}s_inside_percent")
             columns.append(f"count(*) {own} as {preset}_{scope}s")
         own = f"filter (where preset = '{preset}' and scope = 'session')"
-        columns.append(f"sqrt(avg(off * off) {own})::float as {preset}_sessions_rms")
+        columns.append(f"format('{{:.2g}}', sqrt(avg(off * off) {own})) as {preset}_sessions_rms")
     rows = [{"preset": preset} | each for preset, errors in found.items() for each in errors]
     lines = table(f"select measure, {', '.join(columns)} from found group by measure order by measure", rows)
-    head, *body = (line.partition("\n")[0].strip("| ").replace(" | ", ",") for line in lines)
+    head, *body = (line.partition("\n")[0][2:-2].replace(" | ", ",") for line in lines)
     return "\n".join([head, *body]) + "\n"
 
 

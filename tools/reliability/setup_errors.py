@@ -13,7 +13,7 @@ import textwrap
 from collections import Counter
 from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from typing import Any
 
 import numpy as np
@@ -23,7 +23,7 @@ from smoother.array_types import BoolArray, FloatArray
 from smoother.calibration import ArmCalibration
 from smoother.evaluation.validate import sample_errors
 from smoother.linalg import interpolate, unit
-from smoother.recording import JOINTS, CameraFrame, JointState, Recording
+from smoother.recording import JOINTS, CameraFrame, JointState, Recording, Truth
 from smoother.simulation import ArmSimulation, SimulatedArm, simulate_arm
 from smoother.simulation.arm import true_motion
 from smoother.simulation.camera import add_noise, film
@@ -55,6 +55,12 @@ class Setup:
         """The set-up with another recording."""
         return replace(self, recording=replace(self.recording, **changes))
 
+    @property
+    def truth(self) -> Truth:
+        """Of the recording."""
+        assert self.recording.truth is not None
+        return self.recording.truth
+
     def another(self) -> SimulatedArm:
         """Another person before another camera, as long and with the same errors."""
         return simulate_arm(self.config, int(self.rng.integers(2**31)))
@@ -75,9 +81,8 @@ def mirrored_skeleton(setup: Setup) -> Setup:
     """One of the camera's axes, most often left and right, points the other way."""
     mirror = np.ones(3)
     mirror[setup.rng.choice(3, p=[0.5, 0.25, 0.25])] = -1.0
-    truth = setup.recording.truth
-    assert truth is not None
-    setup = setup.with_recording(truth=replace(truth, position=truth.position * mirror, joints={}))
+    position = setup.truth.position * mirror
+    setup = setup.with_recording(truth=replace(setup.truth, position=position, joints={}))
     return setup.with_arm(position=setup.recording.arm.position * mirror)
 
 
@@ -115,7 +120,6 @@ def hand_given_as_wrist(setup: Setup) -> Setup:
 def joints_of_the_other_arm(setup: Setup) -> Setup:
     """The camera's left arm with the right arm's IMU."""
     arm, motion = setup.recording.arm, setup.simulated.motion
-    assert isinstance(motion, ArmMotion)
     t_s = arm.t_s + setup.simulated.parameters["clock_offset_s"]
     footage = film(t_s, motion.other_arm(t_s))
     add_noise(footage, setup.config, setup.rng)
@@ -130,32 +134,24 @@ def skeleton_of_another_recording(setup: Setup) -> Setup:
     return setup.with_recording(arm=other.recording.arm, truth=other.recording.truth)
 
 
-class OnUpperArm:
+class OnUpperArm(ArmMotion):
     """A simulated arm whose IMU sits on the upper arm, 8 cm above the elbow."""
 
-    def __init__(self, motion: ArmMotion) -> None:
-        self._motion = motion
-
     def imu_pose(self, t_s: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """See `MotionModel.imu_pose`."""
-        joints = self._motion.joints(t_s)
-        along, lateral = unit(joints["elbow"] - joints["shoulder"]), self._motion.bone_axes(t_s)[0]
+        """See `ArmMotion.imu_pose`."""
+        joints = self.joints(t_s)
+        along, lateral = unit(joints["elbow"] - joints["shoulder"]), self.bone_axes(t_s)[0]
         back = np.cross(along, lateral)
         R_K_U = np.stack([back, along, np.cross(back, along)], axis=2)
-        return R_K_U @ self._motion.measures.R_F_A, joints["elbow"] - 0.08 * along + 0.045 * back
-
-    def joints(self, t_s: FloatArray) -> dict[str, FloatArray]:
-        """See `MotionModel.joints`."""
-        return self._motion.joints(t_s)
+        return R_K_U @ self.measures.R_F_A, joints["elbow"] - 0.08 * along + 0.045 * back
 
 
 def sensor_on_the_upper_arm(setup: Setup) -> Setup:
     """The IMU strapped above the elbow."""
-    assert isinstance(setup.simulated.motion, ArmMotion)
-    motion, config = OnUpperArm(setup.simulated.motion), setup.config
-    ideal = ideal_imu(
-        motion.imu_pose, config.duration_s, config.imu_rate_hz, setup.simulated.parameters["gravity"]
-    )
+    made, config = setup.simulated, setup.config
+    motion = OnUpperArm(*(getattr(made.motion, each.name) for each in fields(made.motion)))
+    gravity = made.parameters["gravity"]
+    ideal = ideal_imu(motion.imu_pose, config.duration_s, config.imu_rate_hz, gravity)
     imu, _ = measure(ideal, config, setup.rng)
     return setup.with_recording(imu=imu, truth=true_motion(motion, imu.t_s))
 
@@ -182,8 +178,8 @@ def clipped_sensor(setup: Setup) -> Setup:
 
 def strap_turned_half_way(setup: Setup) -> Setup:
     """The strap slips round the forearm by 15 degrees."""
-    imu, truth, R_F_A = setup.recording.imu, setup.recording.truth, setup.simulated.calibration.R_F_A
-    assert truth is not None and R_F_A is not None
+    imu, truth, R_F_A = setup.recording.imu, setup.truth, setup.simulated.calibration.R_F_A
+    assert R_F_A is not None
     turn = Rotation.from_rotvec(setup.rng.choice([-15.0, 15.0]) * R_F_A[1], degrees=True)
     late = _late(imu.t_s)
     acc, gyro, quaternion = imu.acc.copy(), imu.gyro.copy(), truth.quaternion.copy()
@@ -195,8 +191,7 @@ def strap_turned_half_way(setup: Setup) -> Setup:
 
 def camera_bumped_half_way(setup: Setup) -> Setup:
     """Somebody turns the camera by 5 degrees; the truth is what the camera then calls it."""
-    arm, truth = setup.recording.arm, setup.recording.truth
-    assert truth is not None
+    arm, truth = setup.recording.arm, setup.truth
     turn = Rotation.from_rotvec(5.0 * unit(setup.rng.normal(size=3)), degrees=True)
     late, seen, true = _late(arm.t_s), arm.position.copy(), truth.position.copy()
     seen[late] = seen[late] @ turn.as_matrix().T
@@ -353,13 +348,11 @@ class Outcome:
 def run(job: Job) -> Outcome:
     """Smooth a job's recording and judge the answer."""
     setup = job.setup()
-    truth = setup.recording.truth
-    assert truth is not None
     try:
         recovery = smooth(replace(setup.recording, truth=None), setup.calibration, ONE_PROCESS)
     except Exception as error:  # a mistake that ends in a traceback is what this program looks for
         return Outcome(sentence=str(error), counts=ended(error))
-    errors, estimates = sample_errors(recovery, truth), recovery.estimates
+    errors, estimates = sample_errors(recovery, setup.truth), recovery.estimates
     answered = setup.occluded(recovery.t_s) & np.isfinite(errors.distance_m)
     reasons = estimates.reasons or estimates.cautions
     if not answered.any():
