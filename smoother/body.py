@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from .recording.joint_tracks import FOREARM_JOINTS, JOINTS, JointTracks
+from .recording import FOREARM_JOINTS, JOINTS, JointTracks
 
 
 @dataclass(frozen=True)

@@ -7,18 +7,21 @@ IMU's stamps keep their own clocks (t_imu = t_camera + offset). Frames: `{K}` is
 
 from __future__ import annotations
 
-from .camera import FIRST_CAMERA, Camera, CameraFrame, CameraPose
-from .imu_stream import ImuStream
-from .joint_tracks import (
+from .recording import ImportNote, Recording, TrunkSensors, arm_words
+from .streams import (
+    FIRST_CAMERA,
     FOCAL_CALIBRATED,
     FOCAL_DATA_SHEET,
     FOREARM_JOINTS,
     JOINTS,
+    Camera,
+    CameraFrame,
+    CameraPose,
+    ImuStream,
     JointState,
     JointTracks,
+    Truth,
 )
-from .recording import ImportNote, Recording, TrunkSensors, arm_words
-from .truth import Truth
 
 __all__ = [
     "FIRST_CAMERA",

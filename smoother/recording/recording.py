@@ -11,11 +11,7 @@ from numpy.typing import NDArray
 
 from ..array_types import FloatArray
 from ..errors import RecordingError
-from .camera import Camera, CameraFrame
-from .given_arrays import checked_imu, direction_of, joints_of, times_of
-from .imu_stream import ImuStream
-from .joint_tracks import JointTracks
-from .truth import Truth
+from .streams import JOINTS, Camera, CameraFrame, ImuStream, JointState, JointTracks, Truth
 
 #: What `Recording.crop` cuts.
 Cropped = TypeVar("Cropped", ImuStream, JointTracks, Truth)
@@ -251,19 +247,69 @@ class Recording:
         RecordingError
             A shape does not fit, a joint has another name, times do not increase, or samples are not finite.
         """
-        imu = checked_imu(ImuStream("imu", imu_t_s, acc, gyro, mag), "", name)
-        frame_t = times_of(frame_t_s, "frame_t_s", name)
+        imu = _checked_imu(ImuStream("imu", imu_t_s, acc, gyro, mag), "", name)
         if side not in ("", "left", "right"):
             raise RecordingError(f"{name}: the side is left or right, not {side}")
         if camera_frame not in (None, *CameraFrame):
             names = ", ".join(CameraFrame)
             raise RecordingError(f"{name}: the camera's frame is one of {names}, not {camera_frame}")
         frame = None if camera_frame is None else CameraFrame(camera_frame)
-        arm = joints_of(frame_t, joints, states or {}, name)
-        hint = None if gravity_hint is None else direction_of(gravity_hint, name)
+        arm = _joints_of(_times_of(frame_t_s, "frame_t_s", name), joints, states or {}, name)
+        hint = None if gravity_hint is None else _rows(gravity_hint, (3,), "gravity_hint", name, finite=True)
+        if hint is not None and not 1e-6 < np.linalg.norm(hint) < 1e6:
+            raise RecordingError(f"{name}: gravity_hint is not a direction; give the direction of down")
         further = {
-            segment: checked_imu(stream, f"the {segment.replace('_', ' ')}'s ", name)
+            segment: _checked_imu(stream, f"the {segment.replace('_', ' ')}'s ", name)
             for segment, stream in (("upper_arm", upper_imu), ("hand", hand_imu))
             if stream is not None
         }
         return cls(imu, arm, side, frame, hint, truth=truth, name=name, further_imus=further)
+
+
+def _times_of(values: FloatArray, what: str, name: str) -> FloatArray:
+    """Times (n,), at least two, that increase; `what` they are for the message."""
+    t = _rows(values, np.shape(values)[:1] or (0,), what, name, finite=True)
+    if len(t) < 2 or not (np.diff(t) > 0).all():
+        raise RecordingError(f"{name}: {what} must contain at least two times that increase")
+    return t
+
+
+def _checked_imu(imu: ImuStream, whose: str, name: str) -> ImuStream:
+    """An IMU with arrays that fit each other; `whose` it is for the message."""
+    t = _times_of(imu.t_s, f"{whose or 'imu_'}t_s", name)
+    acc, gyro = (
+        _rows(values, (len(t), 3), f"{whose}{what}", name, finite=True)
+        for what, values in (("acc", imu.acc), ("gyro", imu.gyro))
+    )
+    mag = None if imu.mag is None else _rows(imu.mag, (len(t), 3), f"{whose}mag", name)
+    return replace(imu, t_s=t, acc=acc, gyro=gyro, mag=mag)
+
+
+def _joints_of(
+    t: FloatArray, joints: Mapping[str, FloatArray], states: Mapping[str, NDArray], name: str
+) -> JointTracks:
+    """Joints by name at checked times (n,); tracked where they are finite, if states are not given."""
+    unknown = sorted({*joints, *states} - set(JOINTS))
+    if unknown:
+        raise RecordingError(f"{name}: {unknown[0]} is not a joint; joints are {', '.join(JOINTS)}")
+    position = np.full((len(t), len(JOINTS), 3), np.nan)
+    state = np.zeros((len(t), len(JOINTS)), np.int8)
+    for joint, values in joints.items():
+        column = JOINTS.index(joint)
+        position[:, column] = _rows(values, (len(t), 3), joint, name)
+        state[np.isfinite(position[:, column]).all(axis=1), column] = JointState.TRACKED
+    for joint, values in states.items():
+        state[:, JOINTS.index(joint)] = _rows(values, (len(t),), f"the state of {joint}", name)
+    state[~np.isfinite(position).all(axis=2)] = JointState.NOT_TRACKED
+    return JointTracks("camera", t, position, state)
+
+
+def _rows(
+    values: FloatArray, shape: tuple[int, ...], what: str, name: str, finite: bool = False
+) -> FloatArray:
+    array = np.array(values, dtype=np.float64)
+    if array.shape != shape:
+        raise RecordingError(f"{name}: {what} has the shape {array.shape}; it must be {shape}")
+    if finite and not np.isfinite(array).all():
+        raise RecordingError(f"{name}: {what} contains values that are not finite; take those samples out")
+    return array

@@ -1,9 +1,10 @@
-"""The joints of an arm as a depth camera saw them."""
+"""What a recording is made of: an IMU's samples, a camera's joints and its place, reference motion."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from enum import IntEnum
+from dataclasses import dataclass, field, replace
+from enum import IntEnum, StrEnum
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -118,3 +119,129 @@ class JointTracks:
             position[hidden, index] = np.nan
             state[hidden, index] = JointState.NOT_TRACKED
         return replace(self, position=position, state=state)
+
+
+@dataclass(frozen=True)
+class ImuStream:
+    """Samples of one inertial sensor, on its own clock, in its own axes.
+
+    Attributes
+    ----------
+    name : str
+        Where it came from (a topic, a file's section).
+    t_s : ndarray, shape (N,), s
+        Centre of the interval that a sample averages, after the recording's origin.
+    acc : ndarray, shape (N, 3), m/s^2
+        Specific force: at rest about +9.81 upwards.
+    gyro : ndarray, shape (N, 3), rad/s
+        Angular velocity.
+    mag : ndarray, shape (N, 3), optional
+        Magnetic field in the sensor's unit.
+    mag_calibrated : bool
+        `mag` is corrected, of length 1 in the field where it was calibrated.
+    accelerometer_density, gyroscope_density : float, m/s^2/sqrt(Hz) and rad/s/sqrt(Hz), optional
+        White noise measured of this sensor.
+    """
+
+    name: str
+    t_s: FloatArray
+    acc: FloatArray
+    gyro: FloatArray
+    mag: FloatArray | None = None
+    mag_calibrated: bool = False
+    accelerometer_density: float | None = None
+    gyroscope_density: float | None = None
+
+    def __len__(self) -> int:
+        return len(self.t_s)
+
+    @cached_property
+    def rate_hz(self) -> float:
+        """Median sample rate, Hz (nan for fewer than two samples)."""
+        return median_rate_hz(self.t_s)
+
+    def select(self, rows: BoolArray | slice) -> ImuStream:
+        """The same stream with some of the samples only."""
+        return rows_of(self, rows, "t_s", "acc", "gyro", "mag")
+
+
+#: What the recording's own camera is called beside others.
+FIRST_CAMERA = "camera"
+
+
+class CameraFrame(StrEnum):
+    """Conventions for the camera's axes."""
+
+    KINECT = "kinect"  # x left, y up, z forward
+    OPTICAL = "optical"  # x right, y down, z forward
+    ZUP = "zup"  # any frame with z up
+
+    @property
+    def down(self) -> FloatArray:
+        """Direction of gravity in a level camera, unit vector (3,)."""
+        return {
+            CameraFrame.KINECT: np.array([0.0, -1.0, 0.0]),
+            CameraFrame.OPTICAL: np.array([0.0, 1.0, 0.0]),
+            CameraFrame.ZUP: np.array([0.0, 0.0, -1.0]),
+        }[self]
+
+
+@dataclass(frozen=True)
+class CameraPose:
+    """Where a camera {C} is in the frame {K} of the recording's first one."""
+
+    R_K_C: FloatArray  # (3, 3): maps a vector from {C} to {K}
+    p_K_C_m: FloatArray  # (3,) m: its origin in {K}
+    sigma_rad: float  # One standard deviation per axis
+    sigma_m: float  # One standard deviation per axis, of the place at which it sees the arm
+
+    def to_first(self, points_C: FloatArray) -> FloatArray:
+        """Points (..., 3) m of {C} in {K}."""
+        return np.asarray(points_C @ self.R_K_C.T + self.p_K_C_m)
+
+
+@dataclass(frozen=True)
+class Camera:
+    """A further camera's joints of the recording's arm, as it saw them."""
+
+    name: str  # In messages and results
+    arm: JointTracks  # On its own clock, in its own frame {C}
+    camera_frame: CameraFrame | None = None  # The convention of its axes
+    gravity_hint: FloatArray | None = None  # (3,): direction of down in {C}, good to some degrees
+    pose: CameraPose | None = None  # If that was measured beforehand
+
+    def with_arm(self, arm: JointTracks) -> Camera:
+        """The same with other frames."""
+        return replace(self, arm=arm)
+
+
+@dataclass(frozen=True)
+class Truth:
+    """Reference motion of the forearm IMU, on the IMU's clock and in the camera frame.
+
+    Attributes
+    ----------
+    t_s : ndarray, shape (M,), s
+        After the recording's origin.
+    position : ndarray, shape (M, 3), m
+        In {K}; nan where the reference has none.
+    quaternion : ndarray, shape (M, 4)
+        qw, qx, qy, qz of `R_K_A`; nan where there is none.
+    score : ndarray of bool, shape (M,)
+        Samples to score on (BROAD scores while the sensor is in motion).
+    joints : dict of str to ndarray, shape (M, 3), m
+        Further reference positions by joint name, in {K}.
+    """
+
+    t_s: FloatArray
+    position: FloatArray
+    quaternion: FloatArray
+    score: BoolArray
+    joints: dict[str, FloatArray] = field(default_factory=dict)
+
+    def __len__(self) -> int:
+        return len(self.t_s)
+
+    def select(self, rows: BoolArray | slice) -> Truth:
+        """The same reference with some of the samples only."""
+        return rows_of(self, rows, "t_s", "position", "quaternion", "score", "joints")
