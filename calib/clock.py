@@ -168,6 +168,8 @@ ROUNDS = 40
 LARGEST_SKEW = 3.0 * SKEW_SIGMA
 #: Agreement better than this part of the stamps' own noise means that all rounds share one rounding.
 TOO_GOOD = 0.5
+#: So few times of a node say little of its noise: a skew makes up for a late one.
+FEW_TIMES = 5
 #: Weight of a row that was rejected, where none of its event was not.
 NO_WEIGHT = 1e-12
 
@@ -347,21 +349,28 @@ class _System:
             nodes=self.nodes,
             group=self.group,
             value=np.concatenate([self.offset + x[:n] * (1 + b), b]),
-            covariance=covariance + np.diag(self._doubts(left, used, b, np.ptp(spans, axis=1))),
+            covariance=covariance + np.diag(self._doubts(left, used, scale, b, np.ptp(spans, axis=1))),
             tau0_s=self.tau0[self.group],
             span_s=self.tau0[self.group][:, None] + spans,
             leftovers=tuple(leftovers),
         )
 
-    def _doubts(self, left: FloatArray, used: BoolArray, skew: FloatArray, span_s: FloatArray) -> FloatArray:
+    def _doubts(
+        self, left: FloatArray, used: BoolArray, scale: FloatArray, skew: FloatArray, span_s: FloatArray
+    ) -> FloatArray:
         """Variance (2 n,) to add where the times contradict each other, or agree too well."""
         n = self.count
-        offset = np.zeros(n)
-        for node in range(n):  # no more times of it agree than were rejected
+        offset, turn = np.zeros(n), np.zeros(n)
+        for node in np.setdiff1d(np.arange(n), self.references).tolist():
             mine = self.node == node
-            rejected = np.abs(left[mine & ~used])
-            if node not in self.references and len(rejected) and np.sum(mine & used) <= len(rejected):
-                offset[node] = float(np.median(rejected)) ** 2
+            # of a few times none agrees whose noise seems many times what is stated
+            agree = used & ((scale < OUTLIER) | (np.sum(mine) > FEW_TIMES) | self.is_link)
+            rejected = np.abs(left[mine & ~agree])
+            # no more times agree than were rejected; where a skew may hide a late one, one more is needed
+            hides = 2.0 * rejected.max(initial=0.0) < LARGEST_SKEW * span_s[node]
+            if len(rejected) and np.sum(mine & agree) - hides <= len(rejected):
+                offset[node] = (2.0 * rejected.max() if hides else float(np.median(rejected))) ** 2
+                turn[node] = offset[node] / span_s[node] ** 2 if hides else 0.0
         shared = np.zeros(n)
         for k, each in enumerate(self.sources):  # all rounds agree too well: they share one rounding error
             mine = (self.source == k) & used & each.is_rounded
@@ -372,7 +381,7 @@ class _System:
                 shared[nodes] = np.maximum(shared[nodes], float(np.max(self.sigma[mine]) ** 2))
         # a skew larger than any crystal's: times contradict each other and few rounds hide it
         wrong = np.where(np.abs(skew) > LARGEST_SKEW, skew, 0.0)
-        return np.concatenate([offset + shared + (wrong * span_s) ** 2, wrong**2])
+        return np.concatenate([offset + shared + (wrong * span_s) ** 2, turn + wrong**2])
 
 
 #: Beyond this the offset is looked for coarsely first, s: the self-calibration's reach, with room.
