@@ -148,28 +148,26 @@ def _mark(line: str) -> str:
 
 def _times(path: Path, table: FloatArray, rate: float) -> tuple[FloatArray, list[str]]:
     """Times (N,), s, and what is to be said of them."""
-    t_s = table[:, 1]
-    if not np.isfinite(t_s).all() or (len(t_s) > 1 and not np.ptp(t_s) > 0):
-        if not (np.isfinite(rate) and rate > 0):
+    t_s, count = table[:, 1], len(table)
+    if not np.isfinite(t_s).all() or (count > 1 and not np.ptp(t_s) > 0):
+        if not 0 < rate < np.inf:
             raise RecordingError(f"{path}: neither the column Time nor DataRate gives the frames' times")
         first = table[0, 0] if np.isfinite(table[0, 0]) else 1.0
-        even = np.asarray((first - 1.0 + np.arange(len(table))) / rate, dtype=np.float64)
+        even = np.asarray((first - 1.0 + np.arange(count)) / rate, np.float64)
         return even, [f"{path.name}: times are made of DataRate."]
     back = np.flatnonzero(np.diff(t_s) <= 0)
     if len(back):
         raise RecordingError(
             f"{path}: time does not increase after {t_s[back[0]]:g} s (frame {back[0] + 1}); export it again"
         )
-    if len(t_s) < 2 or not rate > 0:
+    if count < 2 or not rate > 0:
         return t_s, []
-    regular = (np.arange(len(t_s)) - 0.5 * (len(t_s) - 1)) / rate + t_s.mean()
-    off = np.abs(regular - t_s).max()
-    if off <= ROUNDED_S:
-        return t_s if off < 1e-9 else regular, []  # times written with three decimals jitter
-    real = (len(t_s) - 1) / np.ptp(t_s)
-    if abs(real / rate - 1) < 0.01:
-        return t_s, []
-    return t_s, [f"{path.name}: DataRate states {rate:g} Hz and the times make {real:g} Hz; the times count."]
+    regular = (np.arange(count) - 0.5 * (count - 1)) / rate + t_s.mean()
+    off, real = np.abs(regular - t_s).max(), (count - 1) / np.ptp(t_s)
+    if 1e-9 <= off <= ROUNDED_S:
+        return regular, []  # times written with three decimals jitter
+    said = f"{path.name}: DataRate states {rate:g} Hz and the times make {real:g} Hz; the times count."
+    return t_s, [] if off < 1e-9 or abs(real / rate - 1) < 0.01 else [said]
 
 
 # ------------------------------------------------------------------------------------------------------ C3D
@@ -276,9 +274,6 @@ def read_positions(path: str | os.PathLike[str]) -> dict[str, FloatArray]:
     path = Path(path)
     if path.suffix.lower() in MARKER_FORMATS:
         return _still(read_markers(path))
-    check_input(path, RecordingError)
-    if not path.is_file():
-        raise RecordingError(f"{path}: there is no such file")
     numbers, words = read_exact(path, ["marker", *"xyz"], words=["marker"], empty=[*"xyz"])
     rows = stacked(numbers, *"xyz")
     names, _ = _told_apart(words["marker"], path)

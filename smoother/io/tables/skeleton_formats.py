@@ -30,7 +30,7 @@ from .joints import (
     program_of,
 )
 from .skeletons import Conventions, RawSkeleton, SkeletonTable, gathered, unit_by_arm
-from .table import FileHead, Format, Table, begins, read_table, table_of
+from .table import FileHead, Format, Table, begins, read_table
 from .times import stated_time_unit, time_among
 from .units import CAMERA_RATES, time_unit
 
@@ -412,7 +412,7 @@ def _are_kinect_numbers(head: FileHead) -> bool:
     if not head.text:
         return False
     try:
-        table = table_of(head.path, "\n".join(head.lines[:40]) + "\n")
+        table = read_table(head.path, text="\n".join(head.lines[:40]) + "\n")
         return bool(not table.names and len(table) and _numbers_of(table) is not None)
     except RecordingError:
         return False

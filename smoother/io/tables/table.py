@@ -359,26 +359,15 @@ def read_table(
     quote: bool = True,
     strict: bool = False,
     separator: str | None = None,
-    skip: int | None = None,
+    skip: int | None = None,  # Lines above the header, where they are stated
+    text: str | None = None,  # Of the file, where it is there already
 ) -> Table:
     """Read a delimited text file, or an Excel workbook; its layout is looked for."""
-    text = file_text(path)
-    if not text.strip():
-        what = "is not text" if path.stat().st_size else "is empty"
-        raise RecordingError(f"{path} {what}, but should be {expected}; export it again.")
-    return table_of(path, text, expected, quote, strict, separator, skip)
-
-
-def table_of(
-    path: Path,
-    text: str,
-    expected: str = "a table",
-    quote: bool = True,
-    strict: bool = False,
-    separator: str | None = None,
-    skip: int | None = None,  # Lines above the header, where they are stated
-) -> Table:
-    """The table in a text."""
+    if text is None:
+        text = file_text(path)
+        if not text.strip():
+            what = "is not text" if path.stat().st_size else "is empty"
+            raise RecordingError(f"{path} {what}, but should be {expected}; export it again.")
     lines = text.replace("\r\n", "\n").replace("\r", "\n").split("\n")
     _check_lines(path, lines)
     if skip and not any(line.strip() for line in lines[skip:]):

@@ -17,7 +17,7 @@ from smoother.errors import RecordingError
 from smoother.io.registry import FileReader, recognise
 from smoother.io.tables.columns import read_exact as read_strict
 from smoother.io.tables.imu import ImuTable
-from smoother.io.tables.table import read_head, read_table, seconds_of_dates, table_of
+from smoother.io.tables.table import read_head, read_table, seconds_of_dates
 from smoother.io.tables.units import ACCELERATION, ANGULAR_VELOCITY, plain_unit, split_unit
 
 NAMES = ("Time", "Acc X", "Acc Y", "Acc Z")
@@ -36,7 +36,7 @@ def table(
 
 
 def read(text: str):
-    return table_of(Path("file.csv"), text)
+    return read_table(Path("file.csv"), text=text)
 
 
 def values(sheet) -> np.ndarray:
