@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import random
 import re
 from importlib.util import find_spec
 from pathlib import Path
@@ -178,33 +177,3 @@ def test_damaged_files(tmp_path: Path):
             raise AssertionError(f"mutant {number} of {key} has a wrong unit") from error
         recordings += 1
     assert recordings > 0.2 * MUTANTS and refused > 0.05 * MUTANTS
-
-
-#: Tables of an IMU whose rows are as wide as their header.
-TABLES = ("xsens-dot", "xsens-mt", "shimmer", "x-imu", "phyphox", "nilspod", "android", "metamotion")
-
-
-@pytest.mark.parametrize("key", TABLES)
-def test_columns_in_any_order_and_any_separator(tmp_path: Path, key: str):
-    rng, path = random.Random(key), tmp_path / "a.csv"
-    made.IMUS[key](path)
-    expected = tables(path, key)[0]
-    own = "\t" if key == "xsens-mt" else ","
-    lines = [line.removesuffix(own).split(own) for line in path.read_text().splitlines()]
-    width = len(lines[-1])
-    for separator, comma in ((",", False), (";", False), (";", True), ("\t", True), ("|", True)):
-        order = rng.sample(range(width), width)
-        rows = []
-        for cells in lines:
-            if len(cells) < 6:  # above the header
-                rows.append(own.join(cells))
-                continue
-            rows.append(separator.join(cells[at].replace(".", ",") if comma else cells[at] for at in order))
-        path.write_text("\n".join(rows) + "\n", encoding="utf-16" if comma else "utf-8")
-        table = tables(path, key)[0]
-        for part in ("acc", "gyro", "t_s"):
-            values = getattr(expected, part)
-            if values is None:
-                assert getattr(table, part) is None
-            else:
-                np.testing.assert_array_equal(getattr(table, part), values)
