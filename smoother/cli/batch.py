@@ -11,9 +11,18 @@ import typer
 
 from ..table import tabulated
 from . import options as o
-from .arm_output import end_strictly
 from .load import Which, camera_frame_of, usual_draws
-from .output import check_outputs, print_notes, progress_bar, say, say_more, say_written, show, write_json
+from .output import (
+    check_outputs,
+    end_strictly,
+    print_notes,
+    progress_bar,
+    say,
+    say_more,
+    say_written,
+    show,
+    write_json,
+)
 
 if TYPE_CHECKING:
     import pyarrow as pa

@@ -12,9 +12,8 @@ import typer
 
 from ..errors import CalibrationError
 from . import options as o
-from .arm_output import arms_figures, say_arm
 from .load import ConfigInput, Which, load_arm, load_arms, refuse_twice
-from .output import Out, print_notes, say, say_written, show
+from .output import Out, arms_figures, print_notes, say, say_arm, say_written, show
 
 if TYPE_CHECKING:
     from calib.file import CalibrationFile

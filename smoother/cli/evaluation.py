@@ -15,7 +15,6 @@ from ..errors import CalibrationError, UnoccludeError
 from ..evaluation.methods import GRAPH, LIVE_METHODS, METHODS, make_methods
 from ..table import tabulated
 from . import options as o
-from .arm_output import arms_figures, each_arm, say_arm, warn
 from .load import (
     ArmInput,
     ConfigInput,
@@ -29,13 +28,17 @@ from .load import (
 )
 from .output import (
     Out,
+    arms_figures,
+    each_arm,
     part_of,
     print_notes,
     progress_bar,
     say,
+    say_arm,
     say_more,
     say_written,
     show,
+    warn,
     write_csv,
     write_json,
     write_text,

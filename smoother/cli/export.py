@@ -14,9 +14,8 @@ import typer
 
 from ..errors import UnoccludeError
 from . import options as o
-from .arm_output import warn
 from .load import ResultInput, camera_frame_of, damage
-from .output import Out, print_notes, say, say_written, write_text
+from .output import Out, print_notes, say, say_written, warn, write_text
 
 if TYPE_CHECKING:
     from ..array_types import FloatArray

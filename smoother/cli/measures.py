@@ -10,9 +10,8 @@ from typing import TYPE_CHECKING, Annotated
 from ..errors import UnoccludeError
 from ..table import Table, percent
 from . import options as o
-from .arm_output import arms_figures, say_arm
 from .load import ResultInput, damage
-from .output import Out, part_of, print_notes, progress_bar, say, show, write_csv
+from .output import Out, arms_figures, part_of, print_notes, progress_bar, say, say_arm, show, write_csv
 
 if TYPE_CHECKING:
     from ..evaluation.progress import PersonProgress

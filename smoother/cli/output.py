@@ -1,4 +1,4 @@
-"""What commands print and write: tables, notes, figures as JSON, outputs checked beforehand, progress."""
+"""What commands print and write: tables, notes, figures as JSON, of several arms too; outputs; progress."""
 
 from __future__ import annotations
 
@@ -10,18 +10,23 @@ import shutil
 import sys
 import textwrap
 import time
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
+
+import typer
 
 from ..errors import UnoccludeError
 from ..runtime.printable import plain, printable
 from ..table import cell_text
 from . import options as o
+from .run import NOT_TRUSTED
 
 if TYPE_CHECKING:
+    from ..recording import Recording
+    from ..result import Recovery
     from ..runtime.pool import Progress
     from ..table import Table
 
@@ -277,3 +282,72 @@ def say_written(*paths: Path | None) -> None:
     """Print what was written, if anything."""
     if files := [str(path) for path in paths if path is not None]:
         say(f"written: {', '.join(files)}")
+
+
+Answer = TypeVar("Answer")
+
+
+def arms_figures(arms: Sequence[Any], figures: Sequence[dict[str, Any]]) -> dict[str, Any]:
+    """The figures of one arm as they are; of several those of the first, and `arms` with all of them.
+
+    With several, `trusted`, `verdict` and `reasons` at the top are those of all arms together, and `pairing`
+    is that of the arm whose is proved least.
+    """
+    if len(figures) == 1:
+        return figures[0]
+    each = [{"side": arm.side, "body": arm.body, **mine} for arm, mine in zip(arms, figures, strict=True)]
+    together = {**each[0], "arms": each}
+    if "trusted" not in together:
+        return together
+    trusted = [mine["trusted"] for mine in each]
+    together["trusted"] = False if False in trusted else None if None in trusted else True
+    labelled = [(arm.arm_label, mine) for arm, mine in zip(arms, each, strict=True)]
+    reasons = ((label, reason) for label, mine in labelled for reason in mine.get("reasons", ()))
+    together["reasons"] = [f"{label}: {reason}" for label, reason in reasons]
+    if "verdict" in together:
+        verdicts = (f"{label.capitalize()}: {mine['verdict']}" for label, mine in labelled)
+        together["verdict"] = " ".join(verdicts)
+    if pairings := [mine["pairing"] for mine in each if mine.get("pairing")]:
+        together["pairing"] = max(pairings, key=lambda one: (not one["proved"], one["chance"] or 0.0))
+    return together
+
+
+def each_arm(
+    recordings: Sequence[Recording], work: Callable[[int], Answer]
+) -> tuple[list[tuple[Recording, Answer]], list[str]]:
+    """Some work on every arm; one of several that cannot be worked on is left out, and said."""
+    answers, left_out, errors = [], [], []
+    for number, recording in enumerate(recordings):
+        try:
+            answers.append((recording, work(number)))
+        except UnoccludeError as error:
+            errors.append(error)
+            left_out.append(f"The {recording.arm_label} was left out: {str(error).rstrip('.')}.")
+    if not answers:
+        raise errors[0]
+    return answers, left_out
+
+
+def say_arm(arm: Any, count: int) -> None:
+    """Say whose tables follow, where there are several arms."""
+    if count > 1:
+        say(f"--- {arm.arm_label} ---")
+
+
+def warn(recoveries: Sequence[Recovery]) -> None:
+    """A line on stderr for each result that is not to be trusted, or not everywhere; of several it names the
+    arm.
+    """
+    from ..result.untrusted import standing
+
+    for recovery in recoveries:
+        if recovery.has_verdict and not recovery.trusted.all():
+            of = f"{recovery.arm_label}: " if len(recoveries) > 1 else ""
+            line = printable(" ".join(f"{of}{standing(recovery)}".split()))
+            print(f"unocclude: warning: {line}", file=sys.stderr)
+
+
+def end_strictly(verdicts: Iterable[bool | None]) -> None:
+    """End with the exit code of results that are not to be trusted, where one is not, or was not judged."""
+    if not all(trusted is True for trusted in verdicts):
+        raise typer.Exit(NOT_TRUSTED)

@@ -13,9 +13,8 @@ import typer
 
 from ..table import Table, tabulated
 from . import options as o
-from .arm_output import arms_figures, say_arm
 from .load import ArmInput, PersonConfigInput, Which
-from .output import Out, part_of, print_notes, progress_bar, say, show
+from .output import Out, arms_figures, part_of, print_notes, progress_bar, say, say_arm, show
 from .run import NOT_TRUSTED
 
 if TYPE_CHECKING:

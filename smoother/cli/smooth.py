@@ -16,9 +16,8 @@ from ..errors import UnoccludeError
 from ..evaluation.methods import GRAPH, METHODS
 from ..table import tabulated
 from . import options as o
-from .arm_output import arms_figures, end_strictly, say_arm
 from .load import ArmInput, PersonConfigInput, baseline_settings, choose, damage, usual_draws
-from .output import Out, is_imported, progress_bar, say, say_more, show
+from .output import Out, arms_figures, end_strictly, is_imported, progress_bar, say, say_arm, say_more, show
 
 if TYPE_CHECKING:
     from ..calibration import ArmCalibration

@@ -140,26 +140,27 @@ def figures_of(recording: Recording, recovery: Recovery) -> Row:
     gaps, sigma = figures["gaps"], figures["sigma_m"]
     notes = list(dict.fromkeys([*recording.notes, *recovery.notes]))
     taken = ("method", "side", "duration_s", "rate_hz", "samples", "answered", "occluded_s")
-    return {name: figures[name] for name in taken} | {
+    own: Row = {name: figures[name] for name in taken} | {
         "gaps": len(gaps),
         "gap_longest_s": max((gap["length_s"] for gap in gaps), default=0.0),
         "sigma_max_m": sigma["occluded"]["max"],
         "sigma_median_m": sigma["occluded"]["median"],
         "sigma_visible_m": sigma["visible"]["median"],
         "sigma_max_deg": max((v for gap in gaps if (v := gap["sigma_max_deg"]) is not None), default=None),
-        "clock_offset_s": _number(recovery.clock_offset_s),
-        "clock_offset_sigma_s": _number(recovery.clock_offset_sigma_s),
+        "clock_offset_s": recovery.clock_offset_s,
+        "clock_offset_sigma_s": recovery.clock_offset_sigma_s,
         "trusted": recovery.estimates.trusted,
         "verdict": recovery.estimates.verdict,
         "self_check": "" if (check := recovery.estimates.self_check) is None else check.sentence,
-        "self_check_95_m": None if check is None else _number(check.error_95_m),
-        "self_check_stated_95_m": None if check is None else _number(check.stated_95_m),
+        "self_check_95_m": None if check is None else check.error_95_m,
+        "self_check_stated_95_m": None if check is None else check.stated_95_m,
         "error_95_m": figures["error_95_m"]["occluded"]["all"],
         "gaps_untrusted": sum(gap["trusted"] is False for gap in gaps),
         "notes": len(notes),
         "note_texts": notes,
         "damage": damage(notes),
     }
+    return {name: plain(value) for name, value in own.items()}
 
 
 #: How the figures of several arms become those of their recording; others are the largest.
@@ -206,10 +207,6 @@ def arms_of(row: Row) -> list[Row]:
 def least_trusted(row: Row) -> tuple[bool, bool, float]:
     """By which rows are sorted: not to be trusted first, then some of their gaps, then the largest sigma."""
     return row["trusted"] is not False, not row["gaps_untrusted"], -(row["sigma_max_m"] or 0.0)
-
-
-def _number(value: float) -> float | None:
-    return float(value) if np.isfinite(value) else None
 
 
 def measure_rows(measured: Sequence[Measures]) -> list[dict[str, Any]]:

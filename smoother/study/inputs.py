@@ -189,8 +189,8 @@ class SessionEntry:
     """A recording as one of a person's sessions."""
 
     recording: str  # Its name in the study
-    person: str  # Whose, and what the session is called
-    session: str  # Whose, and what the session is called
+    person: str
+    session: str  # What it is called
     task: str = ""  # What was done in it, where a session has several recordings; "" otherwise
     day: float = math.nan  # When, from a day that is the same for all of a person
 
@@ -208,7 +208,7 @@ def read_sessions(path: Path, recordings: Iterable[str]) -> dict[str, SessionEnt
     names, sessions = set(recordings), dict[str, SessionEntry]()
     for line, row in _rows(path):
         where = f"{path}, line {line}"
-        file, person, session, date, task = (row.get(name, "") for name in _HEADINGS)
+        file, person, session, date, task = (row[name] for name in _HEADINGS)
         file = file if file.endswith(ENDING) or not file else f"{file}{ENDING}"
         wrong = {
             f"there is no {'person' if file else 'file'}; {_EXPECTED}": not file or not person,

@@ -14,7 +14,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from .. import __version__
-from ..errors import UnoccludeError
 from .folder import FAILED, Row, StudyFolder, text_hash
 from .inputs import Entry, config_hash, file_hash
 from .job import Job, StudySettings
@@ -31,8 +30,8 @@ class Tally:
 
     total: int  # Recordings of the study
     before: int = 0  # Those that an earlier run has done, or tried
-    computed: int = 0  # Those that this run has done, and those that failed in it
-    failed: int = 0  # Those that this run has done, and those that failed in it
+    computed: int = 0  # Those that this run has done
+    failed: int = 0  # Those that failed in it
     recorded_s: float = 0.0  # Length of the recordings that this run has done, s
     began: float = field(default_factory=time.monotonic)  # s: `time.monotonic` at the start of the run
     notes: list[str] = field(default_factory=list)  # Notes for the user on the study itself
@@ -119,10 +118,7 @@ def _checked(path: str) -> str:
     from calib.file import read_calibration
 
     read_calibration(path)
-    try:
-        return file_hash(path)
-    except OSError as error:
-        raise UnoccludeError(f"{path}: {error.strerror or error}") from error
+    return file_hash(path)
 
 
 def study_folder(path: Path) -> StudyFolder:
