@@ -129,15 +129,6 @@ def test_all_persons_and_a_cell_that_is_no_formula(study: Path, tmp_path: Path, 
     assert persons == {"p1", "'=p2"}
 
 
-def test_only_some_measures(study: Path, tmp_path: Path):
-    done(
-        *("progress", study, "--person", "p1", "--measure", FLEXION, "--measure", "sparc", "--json"),
-        tmp_path / "p.json",
-    )
-    (person,) = json.loads((tmp_path / "p.json").read_text())["persons"]
-    assert {each["key"] for each in person["measures"]} == {FLEXION, "sparc"}
-
-
 def test_a_minimal_detectable_change_of_the_user(study: Path, tmp_path: Path, capsys: Capture):
     (tmp_path / "mdc.toml").write_text(f"[mdc95]\n{FLEXION} = 60\n")
     done("progress", study, "--person", "p1", "--measure", FLEXION, "--mdc", tmp_path / "mdc.toml")

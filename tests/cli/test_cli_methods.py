@@ -17,7 +17,7 @@ from smoother.cli.load import choose
 from smoother.errors import SolveError
 from smoother.evaluation.compare import compare
 from smoother.evaluation.gaps import evaluate_gaps
-from smoother.evaluation.methods import METHODS, make_methods, shared_graph
+from smoother.evaluation.methods import METHODS, make_methods
 from smoother.io import read_recovery
 from smoother.recording import Recording
 from smoother.runtime import pool
@@ -120,15 +120,6 @@ def test_what_the_graph_cannot_solve_fails_once_for_all(solved: list[Recording])
         with pytest.raises(SolveError, match="never tracked the forearm"):
             method(blind)
     assert len(solved) == 1
-
-
-def test_a_new_recording_is_solved_anew(solved: list[Recording]):
-    made = simulate_arm(ArmSimulation.preset("white", protocol="random", duration_s=5.0), seed=7)
-    graph = shared_graph(made.calibration, ALONE)
-    first = graph(made.recording)
-    assert graph(made.recording) is first
-    assert graph(replace(made.recording)) is not first
-    assert len(solved) == 2
 
 
 @pytest.mark.slow
