@@ -89,19 +89,15 @@ def import_files(
     file = RecordingFile(first, notes=sentences)
     file.clocks_unrelated = imu_starts_at_s is None and bool(sentences)
     for number, (tables, report) in enumerate(bodies):
-        name = cameras[number] if number < len(cameras) else ""
+        name, is_flat = cameras[number] if number < len(cameras) else "", tables[0].units == PIXELS
+        known = _known_lens(report.path, number, cameras, lenses or {}) if is_flat else None
         if number and name:
-            topic = f"{CAMERA_TOPIC}{name}"
+            topic = NAMED_TOPIC.format(name) if is_flat else f"{CAMERA_TOPIC}{name}"
             file.cameras[topic] = CameraStream(name, tables[0].frame, tables[0].gravity_hint)
         else:
-            topic, name = "/skeleton" if number == 0 else f"/skeleton_{number + 1}", "camera"
-        known = None
-        if tables[0].units == PIXELS:
-            known = _known_lens(report.path, number, cameras, lenses or {})
-            stream = file.cameras.pop(topic, None)
-            topic = TOPIC if stream is None else NAMED_TOPIC.format(name)
-            if stream is not None:
-                file.cameras[topic] = stream
+            name = "camera"
+            topic = TOPIC if is_flat else "/skeleton" if number == 0 else f"/skeleton_{number + 1}"
+        if known is not None:
             file.lenses[topic] = known
         report.topics.append(topic)
         add_skeleton(file, tables, report.path, topic, shift[number], name, known)
@@ -116,12 +112,8 @@ def _known_lens(
     source: str, number: int, cameras: Sequence[str], lenses: Mapping[str, CameraFile]
 ) -> KnownLens:
     """The lens of the camera whose file has that number, and its place in the first camera's frame."""
-
-    def of(name: str) -> CameraFile | None:
-        return lenses.get(name) or (next(iter(lenses.values())) if len(lenses) == 1 else None)
-
     name = cameras[number] if number < len(cameras) else ""
-    camera = of(name)
+    camera = lenses.get(name) or (next(iter(lenses.values())) if len(lenses) == 1 else None)
     if camera is None:
         named = f", {name}" if name else ""
         held = f" (it contains {', '.join(map(repr, lenses))})" if lenses else ""

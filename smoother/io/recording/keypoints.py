@@ -77,24 +77,25 @@ def pixels_of(tracks: JointTracks, lens: Intrinsics) -> FloatArray:
     return position
 
 
+#: Keys of a lens as metadata and recording.toml hold it.
+_SIZE, _NUMBERS, _TERMS = ("width", "height"), ("fx", "fy", "cx", "cy"), ("k1", "k2", "p1", "p2", "k3")
+
+
 def lens_plain(lens: Intrinsics) -> dict[str, Any]:
     """A lens as metadata and recording.toml hold it."""
-    names = ("k1", "k2", "p1", "p2", "k3")
-    terms = {name: float(value) for name, value in zip(names, lens.distortion, strict=False) if value}
-    numbers = {name: float(getattr(lens, name)) for name in ("fx", "fy", "cx", "cy")}
-    size = {"width": lens.width, "height": lens.height}
+    terms = {name: float(value) for name, value in zip(_TERMS, lens.distortion, strict=False) if value}
+    numbers = {name: float(getattr(lens, name)) for name in _NUMBERS}
+    size = {name: getattr(lens, name) for name in _SIZE}
     return {**size, **numbers, **terms, "focal_share": lens.focal_share}
 
 
 def lens_from_plain(values: Mapping[str, Any]) -> Intrinsics:
     """From plain values; raises `ValueError`, `TypeError` or `KeyError` where they are none."""
-    numbers = {"width", "height", "fx", "fy", "cx", "cy", "focal_share"}
-    unknown = set(values) - numbers - {"k1", "k2", "p1", "p2", "k3"}
-    if unknown:
+    if unknown := set(values) - {*_SIZE, *_NUMBERS, *_TERMS, "focal_share"}:
         raise ValueError(f"{sorted(unknown)[0]} is not a key of a lens")
-    fx, fy, cx, cy = (float(values[name]) for name in ("fx", "fy", "cx", "cy"))
-    terms = tuple(float(values.get(name, 0.0)) for name in ("k1", "k2", "p1", "p2", "k3"))
-    width, height = int(values["width"]), int(values["height"])
+    width, height = (int(values[name]) for name in _SIZE)
+    fx, fy, cx, cy = (float(values[name]) for name in _NUMBERS)
+    terms = tuple(float(values.get(name, 0.0)) for name in _TERMS)
     if not (np.isfinite([fx, fy, cx, cy, *terms]).all() and min(fx, fy, width, height) > 0):
         raise ValueError("focal lengths and sizes are above zero")
     share = float(values.get("focal_share", 0.0))
