@@ -9,9 +9,8 @@ import numpy as np
 import pytest
 from arms import make_recording, make_recovery
 from private_memory import program_output
-from scipy.spatial.transform import Rotation
 
-from calib.motion import AXIAL_S, found_in, gather_from
+from calib.motion import found_in
 from smoother.evaluation.advice import advice, rejected
 from smoother.evaluation.summary import gap_summaries, recovery_figures
 from smoother.measurements.visibility import REASONS, Gap, Reason
@@ -94,36 +93,6 @@ def test_rejected(recovery: Recovery) -> None:
         assert row["share"] == len(at) / tracked
         totals.append(int((kept.reason == code).sum()))
     assert totals == sorted(totals, reverse=True)
-
-
-def test_evidence(recovery: Recovery) -> None:
-    assert recovery.calibration is not None
-    found = gather_from(recovery)
-    t, q = recovery.t_s, recovery.quaternion
-    good = np.isfinite(q).all(axis=1)
-    both = good[1:] & good[:-1]
-    turn = np.zeros((len(t) - 1, 3))
-    first, second = (Rotation.from_quat(each[both], scalar_first=True) for each in (q[:-1], q[1:]))
-    turn[both] = (first.inv() * second).as_rotvec()
-    seen = both & ~recovery.occluded[1:] & ~recovery.occluded[:-1]
-    dt = np.diff(t)
-    assert found.visible_s == pytest.approx(dt[seen].sum(), rel=1e-12)
-    rate = np.sqrt(np.sum(np.sum(turn[seen] ** 2, axis=1) / dt[seen]) / dt[seen].sum())
-    assert found.turning_rad_s == pytest.approx(rate, rel=1e-12)
-    angle = np.append(0.0, np.cumsum(turn @ recovery.calibration.forearm_direction))
-    middle, when = 0.5 * (angle[1:] + angle[:-1]), 0.5 * (t[1:] + t[:-1])
-    ranges = [
-        np.ptp(middle[part])
-        for start in np.arange(t[0], t[-1], AXIAL_S / 2)
-        if (part := seen & (when >= start) & (when < start + AXIAL_S)).any()
-    ]
-    assert found.axial_rad == pytest.approx(max(ranges), rel=1e-9)
-    assert recovery.residuals is not None
-    used = recovery.residuals.used
-    assert found.frames == {
-        **{joint: used[:, column].sum() for column, joint in enumerate(JOINTS)},
-        "upper_arm": used[:, [0, 1]].all(axis=1).sum(),
-    }
 
 
 @pytest.mark.parametrize("kept", [True, False])
