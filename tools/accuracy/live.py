@@ -101,7 +101,7 @@ def live(options: argparse.Namespace) -> Iterator[str]:
         yield f"seed {seed} done"
     yield "errors, cm, by the time since the last frame (-1: visible), and of the first seconds"
     yield from error_table(found, "answer, since_s")
-    yield from error_table(found, "answer, first")
+    yield from error_table(found, "answer, since_s < 0, first")
     ms = np.array(step_ms)
     yield f"lag left while visible, by arm: {np.round(1e3 * np.array(lags_s), 1)} ms"
     yield (
