@@ -11,8 +11,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from functools import lru_cache
-from statistics import NormalDist
 
 import numpy as np
 
@@ -41,6 +39,8 @@ def pooled_radius(covariance: FloatArray, probability: float = SHARE) -> float |
 
 def _radii(covariance: FloatArray, probabilities: Sequence[float]) -> FloatArray:
     """The distance for each of k probabilities, (k, ...)."""
+    from scipy.special import gammaincinv
+
     covariance = np.asarray(covariance, float)
     square = covariance @ covariance
     first, second = (np.trace(each, axis1=-2, axis2=-1) for each in (covariance, square))
@@ -53,7 +53,8 @@ def _radii(covariance: FloatArray, probabilities: Sequence[float]) -> FloatArray
             (freedom - 1) * (3 - freedom),
             (freedom - 1) * (freedom - 2) / 2,
         )
-        quantiles = np.array([_chi_squares(each) for each in probabilities])
+        # of chi-square with one, two and three degrees of freedom
+        quantiles = 2.0 * gammaincinv([0.5, 1.0, 1.5], np.array(probabilities)[:, None])
         quantile = np.tensordot(quantiles, np.stack(weights), axes=1)
         return np.asarray(np.sqrt(np.maximum(first + (quantile - freedom) * np.sqrt(second / freedom), 0.0)))
 
@@ -66,16 +67,3 @@ def in_cm(metres: float) -> str:
 def within_words(radius_m: float) -> str:
     """The distance of 95 of 100 errors as written in sentences: "within 2.1 cm in 95 of 100 cases"."""
     return f"within {in_cm(radius_m)} in 95 of 100 cases"
-
-
-@lru_cache(maxsize=256)
-def _chi_squares(probability: float) -> tuple[float, float, float]:
-    """Quantiles of chi-square with one, two and three degrees of freedom."""
-    one = NormalDist().inv_cdf(0.5 * (1.0 + probability)) ** 2
-    two = -2.0 * math.log1p(-probability)
-    low, high = 0.0, 40.0
-    for _ in range(60):
-        x = 0.5 * (low + high)
-        below = math.erf(x / math.sqrt(2)) - math.sqrt(2 / math.pi) * x * math.exp(-0.5 * x * x)
-        low, high = (x, high) if below < probability else (low, x)
-    return one, two, (0.5 * (low + high)) ** 2
