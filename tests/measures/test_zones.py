@@ -86,12 +86,6 @@ def test_without_shoulder_nothing_is_said_of_zones():
     )
 
 
-def ball(radius: float, count: int, seed: int = 0) -> np.ndarray:
-    rng = np.random.default_rng(seed)
-    way = rng.normal(size=(count, 3))
-    return radius * rng.uniform(size=(count, 1)) ** (1 / 3) * way / np.linalg.norm(way, axis=1, keepdims=True)
-
-
 def test_a_cube():
     corners = np.array(list(np.ndindex(2, 2, 2)), float)
     figures = reach_figures(corners, np.arange(8) < 2, 1.0, 0.02, 10.0)
@@ -99,18 +93,6 @@ def test_a_cube():
     assert figures["hand_reach_alpha_l"].value == pytest.approx(1000.0)
     # the ball through a cube's corners has half its diagonal as radius
     assert alpha_volume(corners, 0.99 * np.sqrt(3) / 2) == 0.0
-
-
-def test_alpha_shape_is_open3d_s():
-    """Open3D closes its alpha shape's surface; a ball filled evenly has no holes in it."""
-    from smoother.runtime.packages import load_open3d
-
-    o3d = load_open3d()
-    points = ball(0.5, 3000, 2)
-    cloud = o3d.geometry.PointCloud(o3d.utility.Vector3dVector(points))
-    mesh = o3d.geometry.TriangleMesh.create_from_point_cloud_alpha_shape(cloud, 0.25)
-    assert mesh.is_watertight()
-    assert alpha_volume(points, 0.25) == pytest.approx(mesh.get_volume(), rel=1e-6)
 
 
 def test_what_has_no_volume():
