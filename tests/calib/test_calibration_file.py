@@ -18,7 +18,6 @@ from calib.clock import ClockSession, clock_answer
 from calib.file import to_toml
 from calib.imu import calibrate_imu, calibrate_magnetometer, imu_answer, magnetometer_answer
 from calib.protocol import Answer, tables_of
-from calib.sound import beep_receptions, buzzer_node
 from smoother.calibration import ArmCalibration, Length, LeverArm
 from smoother.errors import CalibrationError
 from smoother.runtime.printable import plain
@@ -117,20 +116,6 @@ def test_comments_and_unknown_tables_survive(tmp_path: Path):
             "sigma_m = [0.002, 0.002, 0.002]\n",
         )
     )
-
-
-def test_writing_the_same_again_changes_nothing(tmp_path: Path):
-    """The text is as files were written before comments were kept."""
-    path = tmp_path / "cal.toml"
-    text = (
-        HEAD + "\n[arm.left]\nupper_arm_m = 0.28\nupper_arm_sigma_m = 0.01\n"
-        "\n[arm.left.lever_arm.wrist]\nposition_m = [0.0, 0.05, -1e-05]\nsigma_m = [0.1, 0.1, 0.1]\n"
-        '\n[world]\nposes = 2\nresiduals = [{pose = "1", down = [0.0, 1.0]}, {pose = "2", down = []}]\n'
-        "\n[imu.left.gyroscope]\noffset = [0.1, 0.2, 0.3]\n"
-    )
-    path.write_text(text)
-    write_calibration(path, read_calibration(path))
-    assert path.read_text() == text
 
 
 @pytest.mark.parametrize(
@@ -312,13 +297,3 @@ def test_figures_are_written_to_two_digits_of_their_sigma():
     assert single.rows == [("place", "123.5 +- 4.2, 1000", "mm"), ("tilt", "5.7296", "deg")]
     assert rows.title == "Of joints" and rows.columns == ["of", "offset, s"]
     assert rows.rows == [["elbow", "0.500 +- 0.012"]] and noise.rows == [("wrist", "10", "mm")]
-
-
-def test_as_many_beeps_as_event_times():
-    with pytest.raises(CalibrationError, match=r"beeps that end in it: 0 \(\), event times given: 1"):
-        beep_receptions([], [1.0])
-
-
-def test_the_buzzer_is_the_one_node_called_base():
-    assert buzzer_node(["arm", "Base-2", "arm"]) == "Base-2"
-    assert buzzer_node(["base1", "base2"]) == "base"
