@@ -32,9 +32,7 @@ from ..runtime.pool import prepare_worker, starting_processes
 from .arrivals import LiveStep, SourceInfo
 
 #: Where liblsl looks for settings of the user's own.
-_SETTINGS = (
-    *("lsl_api.cfg", "~/lsl_api/lsl_api.cfg", "/etc/lsl_api/lsl_api.cfg"),
-)  # fmt: skip
+_SETTINGS = "lsl_api.cfg", "~/lsl_api/lsl_api.cfg", "/etc/lsl_api/lsl_api.cfg"
 #: The library writes lines of its log to the terminal; -3 is the least.
 _NO_LOG = "[log]\nlevel = -3\n"
 
