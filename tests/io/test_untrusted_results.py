@@ -136,6 +136,8 @@ def test_the_drawn_arm_is_dark_red_where_it_is_not_trusted(tmp_path: Path, kind:
     wanted = np.where(recovery.trusted, recovery.occluded, 2)
     assert drawn == wanted[:: round(len(wanted) / len(drawn))].tolist()
     assert (2 in drawn) == (kind in ("partly", "wrong"))
+    beads = {cloud.data[12:16] for cloud in found["/unocclude/beads"]}
+    assert len(beads) == len(set(drawn))
 
 
 def test_in_words() -> None:

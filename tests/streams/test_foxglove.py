@@ -25,7 +25,7 @@ from smoother.streams.session import LiveSession
 
 LAYOUT = Path(__file__).parents[2] / "docs" / "unocclude.foxglove-layout.json"
 SETTLED = ("skeleton", "forearm")
-NAMES = ("skeleton", "forearm", "arm", "tf", "joints", "camera", "arm_camera", "gaps", "log")
+NAMES = ("skeleton", "forearm", "arm", "beads", "tf", "joints", "camera", "arm_camera", "gaps", "log")
 TOPICS = {f"/unocclude/{name}" for name in NAMES} | {f"/unocclude/{name}/settled" for name in SETTLED}
 
 

@@ -1,8 +1,10 @@
-"""The arm drawn for Foxglove and Rerun, and the level frame that it is in."""
+"""The arm drawn for Foxglove and Rerun, its cloud of points, and the level frame that it is in."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from functools import lru_cache
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -84,6 +86,57 @@ def _scene(
     }
     drawn = {"frame_id": frame_id, "id": entity, "spheres": spheres, "lines": [line] if chain else []}
     return {"entities": [drawn]}
+
+
+#: Beads between two joints: 5 cm apart on an adult's arm.
+BETWEEN = 5
+#: Its fields: offset, and foxglove.PackedElementField.NumericType (FLOAT32, UINT8).
+_FIELDS = {
+    "x": (0, 7),
+    "y": (4, 7),
+    "z": (8, 7),
+    "red": (12, 1),
+    "green": (13, 1),
+    "blue": (14, 1),
+    "alpha": (15, 1),
+}
+#: Bytes of a bead: three single precision coordinates and a colour.
+_STRIDE = 16
+
+
+def arm_point_clouds(
+    position: FloatArray,  # (F, 5, 3) m
+    kind: IntArray,  # int (F,)
+    frame_id: str,
+    stamp: IntArray,  # (F,) ns
+) -> Iterator[AlikeRows]:
+    """Rows that have the same joints, and the foxglove.PointCloud that draws them."""
+    fields = [{"name": name, "offset": at, "type": kind} for name, (at, kind) in _FIELDS.items()]
+    constants = {"frame_id": frame_id, "pose": _IDENTITY, "point_stride": _STRIDE, "fields": fields}
+    for pattern, rows in alike(np.asarray(np.isfinite(position).all(axis=2))):
+        weights = _weights(tuple(np.flatnonzero(pattern).tolist()))
+
+        def columns(chosen: IntArray, weights: FloatArray = weights) -> dict[str, NDArray]:
+            beads = np.empty((len(chosen), len(weights), _STRIDE), np.uint8)
+            places = weights @ np.nan_to_num(position[chosen])
+            beads[:, :, :12] = np.ascontiguousarray(places, "<f4").view(np.uint8)
+            beads[:, :, 12:] = np.round(255 * np.array(ANSWER)).astype(np.uint8)[kind[chosen]][:, None]
+            data = {"data": beads.reshape(len(chosen), -1)} if len(weights) else {}
+            return {"timestamp": stamp[chosen]} | data
+
+        yield rows, constants, columns
+
+
+@lru_cache(32)
+def _weights(present: tuple[int, ...]) -> FloatArray:
+    """Beads (B, 5) as sums of joints: one on every joint, and some between joints that a bone links."""
+    joints = np.eye(len(JOINTS))
+    chain = [i for i in CHAIN if i in present]
+    beads = [joints[i] for i in present]
+    for one, other in pairwise(chain):
+        shares = np.arange(1, BETWEEN + 1)[:, None] / (BETWEEN + 1)
+        beads += list((1 - shares) * joints[one] + shares * joints[other])
+    return np.array(beads).reshape(-1, len(JOINTS))
 
 
 #: Name of the level frame: x towards the camera, z up, the origin in the camera.

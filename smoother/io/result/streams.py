@@ -64,7 +64,12 @@ def recovery_streams(
             body.replace("forearm_imu", "thorax") if topic == "trunk" else body.replace("forearm", topic)
         )
         outgoing += streams(topic, "foxglove.Odometry", _odometry(*poses, frame_id, of_body, stamp), stamp)
-    outgoing += streams("arm", "foxglove.SceneUpdate", _drawn(some, frame_id, name, stamp), stamp)
+    position, kind = _shown(some)
+    shade = np.repeat(kind[:, None], len(JOINTS), axis=1)
+    drawn = scene.drawings(position, shade, scene.ANSWER, frame_id, name, stamp)
+    outgoing += streams("arm", "foxglove.SceneUpdate", drawn, stamp)
+    clouds = scene.arm_point_clouds(position, kind, frame_id, stamp)  # of viewers that draw no scenes
+    outgoing += streams("beads", "foxglove.PointCloud", clouds, stamp)
     world = world_transform(down, frame_id)
     outgoing += streams(
         "tf", "foxglove.FrameTransforms", _transforms(some, frame_id, body, world, stamp), stamp
@@ -158,14 +163,12 @@ def _skeleton(r: Recovery, frame_id: str, stamp: IntArray) -> Iterator[AlikeRows
     yield np.arange(len(r)), constants, columns
 
 
-def _drawn(r: Recovery, frame_id: str, name: str, stamp: IntArray) -> Iterator[AlikeRows]:
-    """The arm."""
+def _shown(r: Recovery) -> tuple[FloatArray, IntArray]:
+    """The arm's joints (n, 5, 3) m, and how each moment is drawn (n,): seen, recovered or not trusted."""
     position = np.full((len(r), len(JOINTS), 3), np.nan)
     for joint, places in {"strap": r.position, **r.joints}.items():
         position[:, JOINTS.index(joint)] = places
-    kind = np.where(r.trusted, r.occluded.astype(np.int64), scene.DISTRUST)
-    shade = np.repeat(kind[:, None], len(JOINTS), axis=1)
-    yield from scene.drawings(position, shade, scene.ANSWER, frame_id, name, stamp)
+    return position, np.where(r.trusted, r.occluded.astype(np.int64), scene.DISTRUST)
 
 
 def _transforms(

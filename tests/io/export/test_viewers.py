@@ -1,4 +1,4 @@
-"""What programs find that draw a result: a log of the gaps, the level frame, the layout."""
+"""What programs find that draw a result: beads, a log of the gaps, the level frame, the layout."""
 
 from __future__ import annotations
 
@@ -17,6 +17,43 @@ from scipy.spatial.transform import Rotation
 
 from smoother.io import write_recording, write_recovery
 from smoother.recording import CameraFrame
+
+
+def beads_of(cloud: Any) -> tuple[np.ndarray, np.ndarray]:
+    """Places (B, 3) and colours (B, 4) by the cloud's own description of its fields."""
+    kinds = {7: "<f4", 1: "u1"}
+    layout = np.dtype(
+        {
+            "names": [field.name for field in cloud.fields],
+            "formats": [kinds[field.type] for field in cloud.fields],
+            "offsets": [field.offset for field in cloud.fields],
+            "itemsize": cloud.point_stride,
+        }
+    )
+    rows = np.frombuffer(cloud.data, layout)
+    places = np.stack([rows[axis] for axis in "xyz"], axis=1)
+    return places, np.stack([rows[name] for name in ("red", "green", "blue", "alpha")], axis=1)
+
+
+def test_beads_lie_on_the_bones(tmp_path):
+    recovery = made("right")
+    write_recovery(recovery, tmp_path / "out.mcap")
+    clouds = decoded(tmp_path / "out.mcap")["/unocclude/beads"]
+    assert abs(len(clouds) - len(recovery.arm.t_s)) <= 0.15 * len(clouds)  # about the camera's rate
+    for cloud in clouds[:: len(clouds) // 20]:
+        k = int(np.abs(recovery.t_s - cloud.timestamp.ToNanoseconds() * 1e-9).argmin())
+        places, colors = beads_of(cloud)
+        shoulder, elbow, wrist = (recovery.joints[name][k] for name in ("shoulder", "elbow", "wrist"))
+        for joint in (shoulder, elbow, wrist):
+            assert np.abs(places - joint).max(axis=1).min() < 1e-6  # single precision at 2 m
+        for one, other in ((shoulder, elbow), (elbow, wrist)):
+            along = (places - one) @ (other - one) / ((other - one) @ (other - one))
+            off = np.linalg.norm(places - one - along[:, None] * (other - one), axis=1)
+            assert ((off < 1e-6) & (along > 0.01) & (along < 0.99)).sum() >= 5
+        orange = (colors[:, 0] > colors[:, 2]).all()
+        assert orange == recovery.occluded[k]
+        assert orange or (colors[:, 2] > colors[:, 0]).all()
+    assert len({beads_of(cloud)[1].tobytes() for cloud in clouds}) == 2
 
 
 def test_a_level_frame_in_every_transform(tmp_path):
