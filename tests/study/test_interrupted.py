@@ -182,7 +182,11 @@ def test_a_full_disk_is_tried_again(in_here, job, made, monkeypatch, capsys):
     write = smoother.io.write_recovery
     monkeypatch.setattr(smoother.io, "write_recovery", full)
     row = run_job(job)
-    assert row["status"] == FAILED and row["retry"] and row["error"] == "out.mcap: No space left on device"
+    assert (
+        row["status"] == FAILED
+        and row["retry"]
+        and row["error"] == "out.mcap: no space left on the disk; make room and run again"
+    )
     assert batch(made / NAMES[0], "-o", job.folder, "--processes", 1) == 1
     monkeypatch.setattr(smoother.io, "write_recovery", write)
     assert batch(made / NAMES[0], "-o", job.folder, "--processes", 1) == 0
