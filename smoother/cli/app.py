@@ -13,7 +13,7 @@ from typing import Annotated, Any, ClassVar, get_type_hints
 import typer
 from typer.core import TyperCommand, TyperGroup
 
-from .options import ADDED_TO, PANELS, UNCHECKED, WRITTEN
+from .options import ADDED_TO, PANELS, SHARED, UNCHECKED, WRITTEN
 
 
 class Command(TyperCommand):
@@ -64,7 +64,7 @@ def flat(function: Callable[..., None]) -> Callable[..., None]:
 
     @wraps(function)
     def command(**given: Any) -> None:
-        files: dict[str, list[Path]] = {WRITTEN: [], ADDED_TO: [], UNCHECKED: [], "read": []}
+        files: dict[str, list[Path]] = {WRITTEN: [], ADDED_TO: [], SHARED: [], UNCHECKED: [], "read": []}
         for each in shown:
             value = given[each.name]
             how = next(
@@ -75,7 +75,7 @@ def flat(function: Callable[..., None]) -> Callable[..., None]:
         for name, group in groups.items():
             given[name] = group(**{each.name: given.pop(each.name) for each in fields(group)})
             if hasattr(given[name], "check_files"):
-                given[name].check_files(files[WRITTEN], files[ADDED_TO], files["read"])
+                given[name].check_files(files[WRITTEN], files[ADDED_TO], files["read"], files[SHARED])
         function(**given)
 
     command.__signature__ = inspect.Signature(shown)  # type: ignore[attr-defined]

@@ -102,8 +102,8 @@ def _views(files: dict[str, list[Path] | None], lens: Intrinsics | None) -> tupl
         )
     if lens is None:
         raise typer.BadParameter("give --intrinsics with --depth")
-    for name, paths in zip(files, given, strict=True):
-        refuse_twice(paths, f"{name} ")
+    for name in ("--depth", "--infrared", "--markers"):
+        refuse_twice(files.get(name) or [], f"{name} ")
     return [read_view(d, i) for d, i in zip(*given[:2], strict=True)], lens
 
 
@@ -201,7 +201,7 @@ def clock(
     known: Annotated[
         o.File,
         o.option("With --motion: calibration with the IMU's mounting.", metavar="CAL.toml"),
-        o.UNCHECKED,
+        o.SHARED,
     ] = None,
     output: Annotated[
         o.File,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import asdict
 from difflib import get_close_matches
 from pathlib import Path
@@ -66,7 +66,13 @@ def csv(
     from ..io.tables.recording_toml import read_templates
 
     templates = read_templates(template or [])
+    out.check([output], _inside([folder]))
     write_imported(open_csv(folder, outside=outside, templates=templates), output, out)
+
+
+def _inside(paths: Iterable[Path]) -> list[Path]:
+    """The files of those that are folders."""
+    return [file for path in paths if path.is_dir() for file in path.glob("*") if file.is_file()]
 
 
 def broad(
@@ -153,7 +159,8 @@ def files(
     reader = FileReader(imu_format, skeleton_format, read_templates(template or []))
     named_skeletons = sorted((skeleton_file(text) for text in skeleton or []), key=lambda each: bool(each[0]))
     skeletons, imus = [path for _, path in named_skeletons], [imu_files(text) for text in imu or []]
-    out.check([output], [*skeletons, *(path for files in imus for path in files.paths)])
+    own = [*skeletons, *(path for files in imus for path in files.paths)]
+    out.check([output], [*own, *_inside(paths or [])])
     more_skeletons, more_imus, passed_over = sort_files(paths or [], reader, output)
     file, reports = import_files(
         skeletons + more_skeletons,

@@ -17,8 +17,9 @@ import typer
 
 from ..errors import RecordingError, UnoccludeError
 
-#: Of a path: it is written, replaced with --force alone; it is added to; the command itself checks it.
-WRITTEN, ADDED_TO, UNCHECKED = "written", "added to", "unchecked"
+#: Of a path: it is written, replaced with --force alone; it is added to; it is read, and may be the one that
+#: is added to; the command itself checks it.
+WRITTEN, ADDED_TO, SHARED, UNCHECKED = "written", "added to", "shared", "unchecked"
 
 ARM, SET_UP, ADVANCED = "Which arm", "Correct a wrong set-up", "Advanced"
 #: What a command's help has, in this order.
@@ -54,10 +55,10 @@ Count = int | None
 CalibrationOutput = Annotated[
     Path, value("CAL.toml", "File to write or to add to.", "-o", "--output"), ADDED_TO
 ]
-Calibration = Annotated[File, value("CAL.toml", "IMU mounting, lever arms, limb lengths.", "--calibration")]
-Known = Annotated[
-    File, value("CAL.toml", "Calibration file with values to use as given.", "--known"), UNCHECKED
+Calibration = Annotated[
+    File, value("CAL.toml", "IMU mounting, lever arms, limb lengths.", "--calibration"), SHARED
 ]
+Known = Annotated[File, value("CAL.toml", "Calibration file with values to use as given.", "--known"), SHARED]
 Json = Annotated[Path | None, value("FILE", "Also write the figures as JSON.", "--json"), WRITTEN]
 Force = Annotated[bool, option("Overwrite outputs that exist.", "--force")]
 Strict = Annotated[bool, option("Exit with 3 where a result is not to be trusted.", "--strict")]

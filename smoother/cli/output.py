@@ -99,18 +99,14 @@ Paths = Iterable[Path | None]
 
 
 def check_outputs(force: bool, outputs: Paths, inputs: Paths = ()) -> None:
-    """Refuse outputs that could not be written in the end, before any work is done for them.
-
-    Of a folder that is read its files are.
-    """
+    """Refuse outputs that could not be written in the end, before any work is done for them."""
     from ..runtime.inputs import check_input
     from ..runtime.outputs import check_output, is_stream, remove_stale_tempfiles
 
     read: set[object] = set()
     for path in (path for path in inputs if path is not None):
         check_input(path)
-        inside = path.glob("*") if path.is_dir() else ()
-        read |= {key for each in (path, *inside) for key in _identity(each)}
+        read |= _identity(path)
     written: set[object] = set()
     for path in (path for path in outputs if path is not None and not is_stream(path)):
         keys = _identity(path)
@@ -259,9 +255,9 @@ class Out:
     json_file: o.Json = None
     force: o.Force = False
 
-    def check_files(self, written: Paths, added_to: Paths, read: Paths) -> None:
+    def check_files(self, written: Paths, added_to: Paths, read: Paths, shared: Paths) -> None:
         """Refuse files that could not be read or written in the end; what is added to is read as well."""
-        check_outputs(self.force, written, [*read, *added_to])
+        check_outputs(self.force, written, [*read, *shared, *added_to])
         check_outputs(True, added_to, read)
 
     def check(self, outputs: Paths, inputs: Paths = ()) -> None:

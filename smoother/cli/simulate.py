@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from ..simulation import MarkerCapture, SimulatedArm
     from ..simulation.config import RestPoses, StrapImages, TurningMagnetometer
     from ..simulation.panel import SimulatedPanel
-    from ..simulation.rig import ClockSession
+    from ..simulation.rig import SimulatedClocks
 
 
 Preset = Annotated[
@@ -497,7 +497,7 @@ def clock(output: Folder, out: Out, seed: o.Seed = 0, settings: o.Settings = Non
     )
 
 
-def true_links(session: ClockSession) -> list[dict[str, Any]]:
+def true_links(session: SimulatedClocks) -> list[dict[str, Any]]:
     """Every clock against every other at time 0 of the first, as the calibration file states links."""
     from ..simulation.rig import BASE, CAMERA, IMU
 

@@ -131,7 +131,7 @@ def _motion(estimates: ArmEstimates | None) -> _Rows:
     rough = [joint for joint, sigma in sigmas.items() if sigma > LEVER_SIGMA_M]
     yield (
         bool(rough),
-        f"Move the arm about more than one axis in view, sideways too: where the {_listed(rough)}"
+        f"Move the arm about more than one axis in view, sideways too: where the {listed(rough)}"
         f" {'lies' if len(rough) == 1 else 'lie'} as seen from the sensor is known to"
         f" {100 * max(sigmas.values(), default=0.0):.1f} cm only.",
     )
@@ -169,7 +169,7 @@ def _times(gaps: list[GapSummary]) -> str:
     starts = [f"{each.gap.start_s:.1f} s" for each in gaps]
     if len(starts) > 4:
         starts = [*starts[:3], f"{len(starts) - 3} more"]
-    return f"{'s' if len(gaps) > 1 else ''} at {_listed(starts)}"
+    return f"{'s' if len(gaps) > 1 else ''} at {listed(starts)}"
 
 
 def _clock(estimates: ArmEstimates | None) -> _Rows:
@@ -257,7 +257,7 @@ def _camera(recovery: Recovery, estimates: ArmEstimates | None) -> _Rows:
     yield (
         bool(loud),
         "Move closer to the camera (1.5 to 3 m), with even light and without loose sleeves: the"
-        f" {_listed(loud)} jittered by {100 * max(noise.values(), default=0.0):.1f} cm.",
+        f" {listed(loud)} jittered by {100 * max(noise.values(), default=0.0):.1f} cm.",
     )
     yield (
         estimates.joint_bias_sigma_m > JOINT_BIAS_M,
@@ -282,6 +282,7 @@ def _rates(recovery: Recovery) -> _Rows:
     )
 
 
-def _listed(names: Iterable[str]) -> str:
+def listed(names: Iterable[str]) -> str:
+    """Names in a sentence, as "a, b and c"."""
     *first, last = list(names) or [""]
     return f"{', '.join(first)} and {last}" if first else last

@@ -1,4 +1,4 @@
-"""A person's measures over sessions, as the intervals support a change; how reliable they are; a group's."""
+"""Changes of a person's measures over sessions, their reliability, and the means of a group."""
 
 from __future__ import annotations
 
@@ -111,7 +111,7 @@ def change_between(first: SessionValue, last: SessionValue, mdc95: float = math.
 
 
 def _lacks(value: SessionValue) -> str:
-    """What a session's value has not, in words."""
+    """What is missing from a session's value, in words."""
     if not math.isfinite(value.value):
         return f"session {value.session} has no value" + (
             f" ({value.note.rstrip('.')})" if value.note else ""

@@ -139,6 +139,7 @@ def cameras(recovery: Recovery) -> Table:
             "sigma, cm per axis": "sigma_m",
             "sigma, degrees per axis": lambda each: fixed(each.sigma_deg),
             "first clock less its own, ms": lambda each: fixed(each.offset_s and 1000 * each.offset_s, 1),
+            "sigma, ms": lambda each: fixed(each.offset_sigma_s and 1000 * each.offset_sigma_s, 1),
             "saw the forearm": lambda each: (
                 percent(sum(b - a for a, b in each.seen_s) / length_s) if each.takes_part else None
             ),

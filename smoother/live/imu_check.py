@@ -122,7 +122,7 @@ def _held(values: FloatArray) -> BoolArray:
 
 
 def _long(rows: BoolArray, least: int) -> BoolArray:
-    """Rows in runs of so many at least."""
+    """The rows whose run is at least this long."""
     long = np.zeros(len(rows), bool)
     for run in runs(rows) if rows.any() else ():
         long[run] = run.stop - run.start >= least

@@ -1,4 +1,4 @@
-"""The table of measures: names, units, the values they can take, of what they are; their intervals."""
+"""All measures: names, units, possible values, scope, and intervals."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What is measured of some time of a motion: of its angles, the hand's path, smoothness, reach, and zones.
+"""Figures of one stretch of a motion: angles, and the hand's path, smoothness, reach and zones.
 
 A function gives the figures that it can; what it leaves out is not known.
 """

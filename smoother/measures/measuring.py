@@ -142,7 +142,7 @@ class Layout:
         return figures
 
     def _of_angles_and_way(self, motion: Motion, place: slice, angles: dict[str, FloatArray]) -> Figures:
-        """What everything has."""
+        """Figures common to sessions, movements and repetitions."""
         occluded, rate_hz = motion.occluded[place], motion.grid.rate_hz
         figures: Figures = {}
         for name, angle in angles.items():

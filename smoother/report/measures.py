@@ -80,9 +80,11 @@ def _verdict(arms: Sequence[Measures]) -> Iterator[str]:
             "The values have no intervals: their uncertainty is unknown. Recover the recording with"
             " draws (smooth --draws 64)"
         )
-    shares = [round(100 * each.recovered_share) for each in known if math.isfinite(each.recovered_share)]
-    if shares:
-        yield f"{min(shares)} % to {max(shares)} % of each value comes from recovered time"
+    main = (each.recovered_share for each in known if is_main(each.key))
+    if shares := [round(100 * share) for share in main if math.isfinite(share)]:
+        least, most = min(shares), max(shares)
+        part = f"{most} %" if least == most else f"Between {least} % and {most} %"
+        yield f"{part} of each value comes from recovered time"
     yield NO_DIAGNOSIS
 
 

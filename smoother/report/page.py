@@ -213,7 +213,10 @@ class _ArmReport:
 
     def _against_reference(self, found: Validation) -> Iterator[PageSection]:
         heading = found.alignment.titled("Errors against the reference")
-        yield PageSection(heading, tables.ERRORS, tables=[found.errors], sentences=found.notes)
+        of_sensor = found.all.position_rms_m is not None or found.all.orientation_rms_deg is not None
+        own = [found.errors] if of_sensor or not found.joint_errors.rows else []
+        said = "" if own else "The reference has joints only."
+        yield PageSection(heading, tables.ERRORS, tables=own, below=said, sentences=found.notes)
         yield from map(rendered, (found.joint_errors, found.gap_errors))
         yield from map(rendered, tables.measured(found))
         if found.angles:

@@ -104,15 +104,17 @@ def _verdict(
     if not len(recovered):
         return
     if distrusted := int((columns["trusted"] == 0).sum()):
-        yield f"Results not to be trusted: {distrusted}. Do not use their figures; the table begins with them"
+        which = "result is" if distrusted == 1 else "results are"
+        yield f"{distrusted} {which} not to be trusted: do not use these figures. The table begins with them"
     if partly := int(((columns["trusted"] == 1) & (columns["gaps_untrusted"] > 0)).sum()):
-        yield f"Results with gaps that are not to be trusted: {partly}"
+        which = "result has" if partly == 1 else "results have"
+        yield f"{partly} {which} gaps that are not to be trusted"
     recorded, occluded, spent = (
         float(columns[name].sum()) for name in ("duration_s", "occluded_s", "seconds")
     )
     yield (
-        f"{recorded / 3600:.2f} h of recordings, {100 * occluded / max(recorded, 1e-9):.1f} % of it occluded;"
-        f" one process needed {spent / 3600:.2f} h, {recorded / max(spent, 1e-9):.3g} times real time"
+        f"{_duration(recorded)} of recordings, {100 * occluded / max(recorded, 1e-9):.1f} % of it occluded;"
+        f" one process needed {_duration(spent)}, {recorded / max(spent, 1e-9):.3g} times real time"
     )
     error = 100 * columns["error_95_m"][np.isfinite(columns["error_95_m"])]
     if len(error):
@@ -121,6 +123,12 @@ def _verdict(
             f"in the gaps of a recording the sensor is within {half:.1f} cm in 95 of 100 cases (median of the"
             f" recordings; {most:.1f} cm at their 95th percentile, {error.max():.1f} cm in the worst one)"
         )
+
+
+def _duration(seconds: float) -> str:
+    if seconds < 90:
+        return f"{seconds:.0f} s"
+    return f"{seconds / 60:.0f} min" if seconds < 5400 else f"{seconds / 3600:.1f} h"
 
 
 def _worst(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from ..evaluation.advice import listed
 from ..evaluation.metrics import Figures
 from ..evaluation.summary import GapSummary, camera_consistency, error_figures, gap_summaries
 from ..evaluation.validate import Validation
@@ -83,6 +84,7 @@ def _parts(recovery: Recovery, validation: Validation | None) -> list[tuple[bool
             (not check, _how_well(recovery, which, trusted, consistent)),
             (False, reference),
             (True, doubt),
+            (False, _what_to_trust(trusted, consistent, which)),
         ]
     return [(is_first, text) for is_first, text in parts if text]
 
@@ -141,34 +143,47 @@ def _how_well(recovery: Recovery, which: str, trusted: list[GapSummary], consist
     return f"{text}.{tail}"
 
 
-def _compared(validation: Validation) -> tuple[str, Figures | None]:
-    """Where a reference is held against the answer, and the figures of the first point that they share."""
-    for part, where in (("occluded", "in the gaps"), ("all", "over the recording")):
-        found = validation.figures_of(validation.point, part)
-        if found is not None and found.samples:
-            return where, found
-    return "", None
-
-
 def _against_reference(validation: Validation) -> str:
-    where, found = _compared(validation)
-    if found is None or found.position_rms_m is None:
+    hidden = validation.occluded if validation.occluded.samples else validation.all
+    where = "in the gaps" if validation.occluded.samples else "over the recording"
+    if hidden.position_rms_m is not None:
+        text = (
+            f"Against the reference 95 % of the position's errors {where} are below"
+            f" {100 * (hidden.position_p95_m or 0):.1f} cm (root mean square"
+            f" {100 * hidden.position_rms_m:.1f} cm, {100 * (hidden.position_max_m or 0):.1f} cm at most)"
+        )
+        if hidden.orientation_rms_deg is not None:
+            text += f", the orientation is off by {hidden.orientation_rms_deg:.1f} degrees (root mean square)"
+        return text + _covered([] if hidden.nees is None else [hidden.nees])
+    part, figures = _joint_figures(validation)
+    errors = {joint: each.position_rms_m for joint, each in figures.items() if each.position_rms_m}
+    if not errors:
         return "The reference has neither the sensor's position nor a joint to compare there."
-    text = (
-        f"Against the reference 95 % of the errors of the {validation.point}'s position {where} are below"
-        f" {100 * (found.position_p95_m or 0):.1f} cm (root mean square {100 * found.position_rms_m:.1f} cm,"
-        f" {100 * (found.position_max_m or 0):.1f} cm at most)"
-    )
-    if found.orientation_rms_deg is not None:
-        text += f", the orientation is off by {found.orientation_rms_deg:.1f} degrees (root mean square)"
-    if found.nees is None:
-        return f"{text}."
-    if found.nees <= OVER_CONFIDENT:
-        return f"{text}. The stated uncertainty covers these errors."
+    where = "in the gaps" if part == "occluded" else "over the recording"
+    words = listed([f"{100 * error:.1f} cm at the {joint}" for joint, error in errors.items()])
+    text = f"Against the reference the error {where} is {words} (root mean square)"
+    return text + _covered([value for joint in errors if (value := figures[joint].nees) is not None])
+
+
+def _covered(nees: list[float]) -> str:
+    """Whether the stated uncertainty covers the errors, if that is known."""
+    if not nees:
+        return "."
+    if max(nees) <= OVER_CONFIDENT:
+        return ". The stated uncertainty covers these errors."
     return (
-        f"{text}. These errors are about {np.sqrt(found.nees):.1f} times as large as the stated uncertainty"
-        " allows: multiply every uncertainty on this page by that factor."
+        f". These errors are about {np.sqrt(max(nees)):.1f} times as large as the stated uncertainty allows:"
+        " multiply every uncertainty on this page by that factor."
     )
+
+
+def _joint_figures(validation: Validation) -> tuple[str, dict[str, Figures]]:
+    """Figures of each joint in gaps; over the whole recording where no joint has a reference in a gap."""
+    for part in ("occluded", "all"):
+        figures = {joint: parts[part] for joint, parts in validation.points.items() if part in parts}
+        if any(each.position_rms_m is not None for each in figures.values()):
+            return part, figures
+    return "", {}
 
 
 def _camera_doubts(recovery: Recovery) -> str:
@@ -185,5 +200,35 @@ def _camera_doubts(recovery: Recovery) -> str:
 
 def _consistent(validation: Validation | None) -> bool:
     """Whether no reference contradicts the stated uncertainty."""
-    found = None if validation is None else _compared(validation)[1]
-    return found is None or found.nees is None or found.nees <= OVER_CONFIDENT
+    if validation is None:
+        return True
+    own = validation.occluded.nees or validation.all.nees
+    joints = [each.nees for each in _joint_figures(validation)[1].values()]
+    stated = [value for value in ([own] if own is not None else joints) if value is not None]
+    return not stated or max(stated) <= OVER_CONFIDENT
+
+
+def _what_to_trust(gaps: list[GapSummary], consistent: bool, gap_word: str) -> str:
+    weak = [gap for gap in gaps if gap.is_wider_than(WIDE_M)]
+    one_sided = [gap for gap in gaps if gap.one_sided]
+    parts = []
+    if weak:
+        parts.append(
+            f"Take {_listed(weak)} with care: the position there is less certain than {100 * WIDE_M:.0f} cm"
+            " (95 of 100 cases)."
+        )
+    if one_sided:
+        parts.append(
+            f"{_listed(one_sided).capitalize()} could be recovered from one side only, because the camera"
+            " did not see the forearm before or after; the error grows with time there."
+        )
+    if consistent and not parts and any(gap.sigma_max_m is not None for gap in gaps):
+        parts.append(f"The uncertainty stays below {100 * WIDE_M:.0f} cm in every {gap_word}.")
+    return " ".join(parts)
+
+
+def _listed(gaps: list[GapSummary]) -> str:
+    starts = [f"{gap.gap.start_s:.1f} s" for gap in gaps]
+    if len(starts) > 6:
+        return f"{len(starts)} gaps (marked in the table of gaps)"
+    return f"the gap{'s' if len(starts) > 1 else ''} at {', '.join(starts)}"

@@ -18,12 +18,13 @@ from ..evaluation.summary import (
     GapSummary,
     camera_consistency,
     consistency,
+    error_figures,
     gap_summaries,
     recovery_figures,
 )
 from ..evaluation.validate import Validation, sample_errors
 from ..recording import Truth
-from ..result import Recovery
+from ..result import Estimates, Recovery
 from ..result.untrusted import certain
 from ..table import Table, centimetres, fixed, percent, tabulated
 from .sheet import NOT_TRUSTED, badge
@@ -31,32 +32,77 @@ from .summary import WIDE_M
 
 #: Figures of a recovery that another section of the page shows.
 _ELSEWHERE = (
-    *("gaps", "calibration", "config", "notes", "recording", "gravity_direction", "camera_sigma_m"),
-    *("camera_effective_sigma_m", "joint_bias_m", "joint_bias_sigma_m", "accelerometer_bias"),
-    *("gyroscope_bias", "given", "untrusted", "cameras", "findings", "reasons", "cautions", "remedies"),
+    *("camera_sigma_m", "camera_effective_sigma_m", "joint_bias_m", "joint_bias_sigma_m"),
+    *("accelerometer_bias", "gyroscope_bias", "given", "max_sigma_m"),
+    *("untrusted", "self_check", "pairing", "cameras"),
 )
-#: Valid only for a correct set-up.
-_STATED = ("sigma_m", "error_95_m")
 WITHDRAWN = "withdrawn: the result is not to be trusted"
 
 
 def overview(recovery: Recovery) -> Table:
-    """What was recovered, in the numbers that `--json` has."""
+    """What was recovered, in numbers."""
     figures = recovery_figures(recovery)
-    figures |= {"not_trusted": int(np.count_nonzero(~recovery.trusted))}
-    if recovery.estimates.max_sigma_m is not None:
-        figures["too_uncertain"] = int(recovery.answered.sum() - certain(recovery).sum())
-    further = figures.pop("figures")
-    assert isinstance(further, dict)
-    if recovery.estimates.trusted is False:
-        figures |= dict.fromkeys(_STATED, WITHDRAWN)
-    known = {
-        name: value
-        for name, value in (figures | further).items()
-        if name not in _ELSEWHERE and value is not None
-    }
-    rows = [(name.replace("_", " "), value) for name, value in _leaves(known, ", ")]
+    error = error_figures(recovery, recovery.trusted)
+    offset = None
+    if np.isfinite(recovery.clock_offset_s):
+        offset = f"{1000 * recovery.clock_offset_s:.1f} ms"
+        if np.isfinite(recovery.clock_offset_sigma_s):
+            offset += f" ± {1960 * recovery.clock_offset_sigma_s:.1f} ms (95 of 100 cases)"
+    withdrawn = WITHDRAWN if recovery.estimates.trusted is False else None
+    rows: list[tuple[str, object]] = [
+        ("method", recovery.method),
+        ("arm", recovery.side or "not stated"),
+        ("samples of the forearm sensor", len(recovery)),
+        ("sample rate, Hz", figures["rate_hz"]),
+        ("samples without the camera", recovery.occluded.sum()),
+        ("samples without an answer", len(recovery) - int(recovery.answered.sum())),
+        *(
+            (f"position, 95 of 100 errors below, {words}, cm", withdrawn or centimetres(error[part][which]))
+            for words, part, which in _ERRORS
+        ),
+        ("samples that are not to be trusted", int(np.count_nonzero(~recovery.trusted))),
+        *_proofs(recovery.estimates),
+        ("sensor's clock minus camera's clock", offset),
+    ]
+    if (unsure := _too_uncertain(recovery)) is not None:
+        rows.append(("samples marked as too uncertain to use", unsure))
+    further = {name: value for name, value in recovery.estimates.plain().items() if name not in _ELSEWHERE}
+    rows += [(name.replace("_", " "), value) for name, value in _leaves(further, ", ")]
     return Table("Figures", ("what", "value"), rows)
+
+
+_ERRORS = (
+    ("while seen", "visible", "all"),
+    ("in gaps", "occluded", "all"),
+    ("at the least certain moment of a gap", "occluded", "max"),
+)
+
+
+def _proofs(estimates: Estimates) -> list[tuple[str, object]]:
+    """Rows of the self-check and of the pairing; none where there is neither."""
+    rows: list[tuple[str, object]] = []
+    check, pairing = estimates.self_check, estimates.pairing
+    if check is not None and check.stretches:
+        lost = f", {check.unanswered} not recovered" if check.unanswered else ""
+        rows.append(("self-check: times that the arm was hidden", f"{check.stretches}{lost}"))
+        if np.isfinite(check.inside_95):
+            rows.append(
+                ("self-check: samples inside the stated 95 % region", f"{100 * check.inside_95:.0f} %")
+            )
+        rows.append(("self-check: sigma in gaps multiplied by", check.sigma_factor))
+    if pairing is not None:
+        chance = f" (chance agreement {100 * pairing.chance:.2g} %)" if np.isfinite(pairing.chance) else ""
+        words = "shown by the motion" if pairing.proved else f"not proved{chance}"
+        rows.append(("skeleton and sensor are of one motion", words))
+    return rows
+
+
+def _too_uncertain(recovery: Recovery) -> str | None:
+    limit = recovery.estimates.max_sigma_m
+    if limit is None:
+        return None
+    unsure = int(recovery.answered.sum() - certain(recovery).sum())
+    return f"{unsure} (above {100 * limit:g} cm)"
 
 
 def settings(config: dict[str, object]) -> Table:

@@ -106,7 +106,7 @@ BASE_AHEAD_S, IMU_AHEAD_S = (5.0, 15.0), (1.0, 4.0)
 
 
 @dataclass(frozen=True)
-class ClockSession:
+class SimulatedClocks:
     """What `calibrate clock` reads, and what it should find."""
 
     sound: FloatArray  # (n,): the camera's sound, from the camera's time zero on; largest sample 1
@@ -125,7 +125,7 @@ def simulate_clock_session(
     motion_s: float = 30.0,
     sound_rate_hz: int = 16000,
     noise_db: float = 25.0,
-) -> ClockSession:
+) -> SimulatedClocks:
     """Simulate the sources of a session's clocks."""
     rng = np.random.default_rng([seed, 3])
     ahead_s = [rng.uniform(*BASE_AHEAD_S), rng.uniform(*IMU_AHEAD_S)]
@@ -141,7 +141,7 @@ def simulate_clock_session(
     event_s = np.rint(clocks.read(0, end_s) / STEP_S) * STEP_S
     clocks = Clocks((CAMERA, BASE, IMU), np.append(0.0, clocks.offset_s), np.append(0.0, clocks.skew))
     sound /= np.abs(sound).max()
-    return ClockSession(sound, sound_rate_hz, float(event_s), receptions, recording, clocks)
+    return SimulatedClocks(sound, sound_rate_hz, float(event_s), receptions, recording, clocks)
 
 
 #: Six sides, twelve edges and eight corners: the poses in order.

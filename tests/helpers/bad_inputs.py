@@ -19,6 +19,7 @@ _TEXTS = {
     "unknown.toml": "[camera]\nfrob = 1\n",
     "range.toml": "[camera]\ncauchy = -1\n",
     "lever.toml": "[arm.right.lever_arm.elbow]\nposition_m = [30.0, -210.0, 0.0]\n",
+    "no_sigma.toml": "[arm.right.lever_arm.elbow]\nposition_m = [0.03, -0.21, 0.0]\n",
     "words.csv": "t_s,ax,ay,az,gx,gy,gz\n0,1,2,9.8,0,0,0\n0.01,1,two,9.8,0,0,0\n",
     "lacks_z.csv": "t_s,ax,ay,gx,gy\n" + "".join(f"{0.01 * i:.2f},0,9.8,0,0\n" for i in range(200)),
     "trials.csv": "name,start_s,end_s\nfirst,1,x\n",

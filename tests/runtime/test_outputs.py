@@ -15,7 +15,7 @@ from pathlib import Path
 import pytest
 from made_recordings import make
 
-from smoother.cli.output import check_outputs
+from smoother.cli.output import Out, check_outputs
 from smoother.errors import UnoccludeError
 from smoother.io import write_recording
 from smoother.runtime import outputs as outputs_module
@@ -155,6 +155,16 @@ def test_an_output_is_never_an_input(tmp_path: Path, how: str):
         check_outputs(True, [other], [source])
     with pytest.raises(UnoccludeError, match="two outputs"):
         check_outputs(True, [other, source])
+
+
+def test_a_calibration_that_is_used_may_be_added_to_and_is_not_replaced(tmp_path: Path):
+    """As `gaps --calibration arm.toml --keep-in arm.toml`."""
+    arm = tmp_path / "arm.toml"
+    arm.write_text("mine")
+    Out(force=True).check_files([], [arm], [], [arm])
+    for written, read in (([arm], []), ([], [arm])):
+        with pytest.raises(UnoccludeError, match="is read by this command"):
+            Out(force=True).check_files(written, [arm], read, [arm])
 
 
 @posix

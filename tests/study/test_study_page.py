@@ -65,8 +65,9 @@ def test_the_page_of_a_study_with_untrusted_results(tmp_path):
     ]
     write_study(pa.Table.from_pylist(rows, schema=schema()), tmp_path / "page.html", tmp_path)
     text = (tmp_path / "page.html").read_text(encoding="utf-8")
-    assert '<div class="summary alarm">' in text and "Results not to be trusted: 1." in text
-    assert "Results with gaps that are not to be trusted: 1" in text
+    assert '<div class="summary alarm">' in text
+    assert "1 result is not to be trusted: do not use these figures." in text
+    assert "1 result has gaps that are not to be trusted" in text
     table = text[text.index("<tbody>") : text.index("</tbody>")]
     links = [table.index(f'href="{name}.mcap"') for name in "bca"]
     assert links == sorted(links)

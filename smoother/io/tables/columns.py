@@ -20,7 +20,7 @@ from ..recording.keypoints import states_of_scores
 from .imu import ImuTable, usual_size
 from .joints import joint_name
 from .skeletons import PIXELS, RawSkeleton, SkeletonTable, gathered
-from .table import CUT, SEPARATORS, Table, plain_label, read_table, shown
+from .table import CUT, SEPARATORS, DeviceTable, plain_label, read_table, shown
 from .units import ACCELERATION, ANGULAR_VELOCITY, DATED_S, METRES, in_seconds
 
 Column = str | int
@@ -94,7 +94,7 @@ class CameraKeys(TableKeys):
         return self.keypoints is None and not self.model_fields_set & (LAYOUT_KEYS | {"states"})
 
 
-def _laid_out(path: Path, keys: TableKeys, strict: bool, expected: str = "") -> Table:
+def _laid_out(path: Path, keys: TableKeys, strict: bool, expected: str = "") -> DeviceTable:
     """The table of a file, laid out as said."""
     check_input(path, RecordingError)
     if not path.is_file():
@@ -109,7 +109,7 @@ def _laid_out(path: Path, keys: TableKeys, strict: bool, expected: str = "") -> 
 
 
 def _placed(
-    table: Table, columns: Mapping[str, Column | list[Column]], optional: Sequence[str] = ()
+    table: DeviceTable, columns: Mapping[str, Column | list[Column]], optional: Sequence[str] = ()
 ) -> dict[str, list[int]]:
     """Numbers (from 0) of the columns that are there, by their names or by their numbers from 1."""
     plain, at = list(map(plain_label, table.names)), {}
@@ -131,14 +131,14 @@ def _placed(
     return at
 
 
-def _no_column(table: Table, what: str, column: Column | list[Column]) -> RecordingError:
+def _no_column(table: DeviceTable, what: str, column: Column | list[Column]) -> RecordingError:
     return RecordingError(
         f"{table.path} has no column {column!r} ({what}); its columns are {_listed(table)}."
         f" `unocclude import describe {table.path}` prints a recording.toml for them."
     )
 
 
-def _listed(table: Table) -> str:
+def _listed(table: DeviceTable) -> str:
     return shown(", ".join(table.names)) if table.names else f"without names, 1 to {table.width}"
 
 
@@ -149,7 +149,7 @@ def _refuse_others(path: Path, columns: Mapping[str, object], known: Sequence[st
 
 
 def _times(
-    table: Table, at: Mapping[str, Sequence[int]], keys: TableKeys
+    table: DeviceTable, at: Mapping[str, Sequence[int]], keys: TableKeys
 ) -> tuple[FloatArray | None, NDArray[np.int64] | None]:
     """Times in s, or a counter."""
     column = at["t"][0] if "t" in at else None
@@ -199,7 +199,7 @@ def read_imu_columns(folder: Path, keys: ImuKeys) -> list[ImuTable]:
 
 
 def imu_by_columns(
-    table: Table, columns: Mapping[str, Column], keys: ImuKeys, is_part: bool = False
+    table: DeviceTable, columns: Mapping[str, Column], keys: ImuKeys, is_part: bool = False
 ) -> ImuTable:
     """An IMU of the columns that are stated, or of the product's own."""
     own = {"t": "t_s", **{name: name for name in IMU_COLUMNS[1:]}}
@@ -287,7 +287,7 @@ def read_keypoint_columns(path: Path, keys: CameraKeys) -> list[SkeletonTable]:
 
 
 def _wide_rows(
-    table: Table, keys: CameraKeys, at: dict[str, list[int]], t_s: FloatArray | None
+    table: DeviceTable, keys: CameraKeys, at: dict[str, list[int]], t_s: FloatArray | None
 ) -> RawSkeleton:
     """One row per frame and body: three columns per joint."""
     raw = RawSkeleton(table.path, time=np.arange(len(table), dtype=float) if t_s is None else t_s)
@@ -315,7 +315,7 @@ def _wide_rows(
 
 
 def _long_rows(
-    table: Table, keys: CameraKeys, at: dict[str, list[int]], t_s: FloatArray | None
+    table: DeviceTable, keys: CameraKeys, at: dict[str, list[int]], t_s: FloatArray | None
 ) -> RawSkeleton:
     """One row per joint: the rows of one time and body become one."""
     if t_s is None:
@@ -359,7 +359,7 @@ def _joint_of(name: str) -> str:
     return "" if meaning is None else meaning.joint
 
 
-def _states(table: Table, column: int, keys: CameraKeys) -> NDArray[np.int64]:
+def _states(table: DeviceTable, column: int, keys: CameraKeys) -> NDArray[np.int64]:
     """States (n,) of a joint by the words or numbers of a column."""
     words = STATES | {cell.strip().lower(): STATES[state] for cell, state in (keys.states or {}).items()}
     cells = [cell.lower() for cell in table.texts(column)]

@@ -23,9 +23,9 @@ from .imu import ImuTable
 from .skeletons import SkeletonTable
 from .table import (
     HEAD_BYTES,
+    DeviceTable,
     FileHead,
     Format,
-    Table,
     first_rows,
     is_workbook,
     part_sizes,
@@ -200,7 +200,7 @@ def _rounded(values: FloatArray) -> list[float | None]:
     return [float(f"{value:.4g}") if math.isfinite(value) else None for value in values]
 
 
-def guessed_table(path: Path, reader: FileReader) -> tuple[Format | None, Table | None, Guess | None]:
+def guessed_table(path: Path, reader: FileReader) -> tuple[Format | None, DeviceTable | None, Guess | None]:
     """The format of a file, and what it would be taken for as a plain table."""
     found = reader.recognised(path)
     try:
@@ -217,7 +217,7 @@ def guessed_table(path: Path, reader: FileReader) -> tuple[Format | None, Table 
     return found, table, guess
 
 
-def _guessed(path: Path) -> tuple[Table, Guess]:
+def _guessed(path: Path) -> tuple[DeviceTable, Guess]:
     """A file as a plain table, and what that seems to contain."""
     with _beginning(path, read_head(path)) as (short, notes):
         table = read_table(short)

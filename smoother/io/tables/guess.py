@@ -14,7 +14,7 @@ from ...errors import RecordingError
 from .imu import Columns, find_sensors, holds_gravity, kind_of_unit, unit_of, usual_size
 from .joints import JointColumns, find_joint_columns
 from .skeletons import unit_by_arm
-from .table import Table, shown
+from .table import DeviceTable, shown
 from .times import stated_time_unit, time_among, time_column
 from .units import ACCELERATION, SECONDS, SENSOR_RATES, gravity_unit, in_seconds, split_unit, time_unit
 
@@ -53,7 +53,7 @@ class Guess:
         self.keys[key], self.reasons[key] = value, reason
         self.unsure += [unsure] if unsure else []
 
-    def set_time(self, table: Table, column: int, unit: str, why: str) -> None:
+    def set_time(self, table: DeviceTable, column: int, unit: str, why: str) -> None:
         """Set the column of times and its unit."""
         self.columns["t"] = _named(table, column)
         self.set("time_unit", unit, why)
@@ -78,19 +78,19 @@ def toml_of(path: Path, guess: Guess, name: str) -> str:
     return "\n".join(lines) + "\n"
 
 
-def guess_of(table: Table) -> Guess:
+def guess_of(table: DeviceTable) -> Guess:
     """Guess what a table contains."""
     joints = find_joint_columns(table.names)
     return _guess_skeleton(table, joints) if joints.has_arm() else guess_sensor(table)
 
 
-def _named(table: Table, column: int) -> str | int:
+def _named(table: DeviceTable, column: int) -> str | int:
     """A column as recording.toml names it: by its name where it has one of its own, else by its number."""
     name = table.names[column] if table.names else ""
     return name if name and table.names.count(name) == 1 else column + 1
 
 
-def guess_sensor(table: Table, usual_gyro: str = "") -> Guess:
+def guess_sensor(table: DeviceTable, usual_gyro: str = "") -> Guess:
     """Guess at an inertial sensor's table; `usual_gyro` counts where the gyroscope states no unit."""
     guess = Guess("imu")
     axes = _sensor_axes(table, guess)
@@ -132,12 +132,12 @@ def guess_sensor(table: Table, usual_gyro: str = "") -> Guess:
 _BARE, _SIGNS = ("", "value", "values", "v", "axis"), ("xyz", "012", "123")
 
 
-def bare_vector(table: Table) -> Columns | None:
+def bare_vector(table: DeviceTable) -> Columns | None:
     """The one vector of a table whose names do not say of what; without names behind the times."""
     return table.axes(*_BARE, signs=_SIGNS) if table.labels else (1, 2, 3) if table.width == 4 else None
 
 
-def sensors_named(table: Table) -> dict[str, Columns]:
+def sensors_named(table: DeviceTable) -> dict[str, Columns]:
     """Columns of accelerometer, gyroscope and magnetometer by names and units; those of one sensor first."""
     names = [split_unit(name)[0] for name in table.names] or list(table.labels)
     names = ["" if name.lower().endswith("raw") else name for name in names]  # counts of a converter
@@ -148,7 +148,7 @@ def sensors_named(table: Table) -> dict[str, Columns]:
     return {kind: axes[kind] for kind in ("acc", "gyro", "mag") if kind in axes}
 
 
-def _sensor_axes(table: Table, guess: Guess) -> dict[str, Columns]:
+def _sensor_axes(table: DeviceTable, guess: Guess) -> dict[str, Columns]:
     axes = sensors_named(table)
     for kind, columns in axes.items():
         unit = table.unit(columns[0])
@@ -165,7 +165,7 @@ def _sensor_axes(table: Table, guess: Guess) -> dict[str, Columns]:
     return {kind: bare}
 
 
-def _is_of_numbers(table: Table) -> bool:
+def _is_of_numbers(table: DeviceTable) -> bool:
     """Whether a table has neither words nor a quaternion: its x, y, z may be a sensor's."""
     time = time_column(table)
     numeric = (
@@ -182,7 +182,7 @@ _ABOUT_1_G = (0.7, 1.3)
 _EXACT = 1e-4
 
 
-def _kind_by_size(table: Table, columns: Columns) -> str:
+def _kind_by_size(table: DeviceTable, columns: Columns) -> str:
     """Which sensor a vector that is named after none is, by the size of its values."""
     size = np.linalg.norm(table.vectors(columns), axis=1)
     size = size[np.isfinite(size)]
@@ -205,7 +205,7 @@ def _kind_by_size(table: Table, columns: Columns) -> str:
     return "gyro"
 
 
-def _by_magnitude(table: Table, guess: Guess) -> dict[str, Columns]:
+def _by_magnitude(table: DeviceTable, guess: Guess) -> dict[str, Columns]:
     """Accelerometer and gyroscope of a table without names: three columns whose length stays near one g."""
     columns = [column for column in range(table.width) if table.is_numeric(column)]
     best, share, least = None, 0.0, np.inf
@@ -239,7 +239,7 @@ _COUNTER = re.compile(
 )
 
 
-def _guess_times(table: Table, guess: Guess, used: set[int]) -> tuple[FloatArray | None, float | None]:
+def _guess_times(table: DeviceTable, guess: Guess, used: set[int]) -> tuple[FloatArray | None, float | None]:
     """Set the column of times or counts and its unit; the times in s, or the rate."""
     plain = [label.replace("_", " ") for label in table.labels] or [""] * table.width
     free = [column for column in range(table.width) if column not in used]
@@ -283,7 +283,7 @@ def _guess_times(table: Table, guess: Guess, used: set[int]) -> tuple[FloatArray
     return None, None
 
 
-def _time_unit(table: Table, column: int, least: float) -> tuple[str, str]:
+def _time_unit(table: DeviceTable, column: int, least: float) -> tuple[str, str]:
     """Unit of a column of times, and why; "" where it is none, or fewer than `least` of its steps rise."""
     try:
         values, dates = table.times(column)
@@ -306,7 +306,7 @@ def _time_unit(table: Table, column: int, least: float) -> tuple[str, str]:
 # ------------------------------------------------------------------------------------------------ a skeleton
 
 
-def _guess_skeleton(table: Table, joints: JointColumns) -> Guess:
+def _guess_skeleton(table: DeviceTable, joints: JointColumns) -> Guess:
     """Guess at a table with one row per frame, whose joints are known by their names."""
     guess = Guess("skeleton")
     for joint, columns in joints.axes.items():

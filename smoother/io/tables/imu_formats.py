@@ -18,19 +18,19 @@ from ...errors import RecordingError
 from .columns import ImuKeys, imu_by_columns
 from .guess import Guess, bare_vector, guess_sensor, sensors_named
 from .imu import UNUSED, Columns, ImuTable, unit_of, usual_size
-from .table import FileHead, Format, Table, read_table, shown
+from .table import DeviceTable, FileHead, Format, read_table, shown
 from .times import seconds, time_column
 from .units import ACCELERATION, ANGULAR_VELOCITY, plain_unit, time_unit
 
 
 @dataclass(frozen=True)
 class Device:
-    """How a device's table is read: labels are in lower case, of stems see `Table.axes`."""
+    """How a device's table is read: labels are in lower case, of stems see `DeviceTable.axes`."""
 
     key: str  # As in `Format`, up to `recognised_by`
     title: str
     recognised_by: str
-    fits: Callable[[Table], bool]  # Whether a table's columns are of this device
+    fits: Callable[[DeviceTable], bool]  # Whether a table's columns are of this device
     lacks: str = ""  # What a table without both sensors is, and what to do; "" where the columns speak
     acc: tuple[str, ...] = ("acc",)  # Stems of the vectors' columns, the preferred one first
     gyro: tuple[str, ...] = ("gyr",)
@@ -41,16 +41,16 @@ class Device:
     time: tuple[str, ...] = ("time",)  # Labels of the time's column, the preferred one first
     time_unit: str = "s"
     # Finds the times (n,), s, by what names the sensor and the stated rate, where `time` does not do
-    times: Callable[[Table, str, float | None], FloatArray | None] | None = None
+    times: Callable[[DeviceTable, str, float | None], FloatArray | None] | None = None
     name: tuple[str, ...] = ()  # Lines of the preamble that state the sensor's name and rate
     rate: tuple[str, ...] = ()
     counter: tuple[str, ...] = ()  # Labels of a packet counter, which starts anew at `counter_wraps`
     counter_wraps: int = 0
     sensor: re.Pattern[str] | None = None  # Of a table with several sensors: what is before their columns
-    notes: Callable[[Table, str], list[str]] | None = None  # Sentences on what was chosen
+    notes: Callable[[DeviceTable, str], list[str]] | None = None  # Sentences on what was chosen
     # Stem of columns of velocity over a sample and forms of a quaternion's, which stand in for rates
     increments: tuple[str, tuple[str, ...]] | None = None
-    read: Callable[[Table, Device], list[ImuTable]] | None = None  # Where the columns alone do not do
+    read: Callable[[DeviceTable, Device], list[ImuTable]] | None = None  # Where the columns alone do not do
 
 
 def imu_format(device: Device) -> Format:
@@ -85,7 +85,7 @@ def _read(path: Path, device: Device) -> list[ImuTable]:
     return found
 
 
-def _sensor(table: Table, device: Device, prefix: str) -> ImuTable | None:
+def _sensor(table: DeviceTable, device: Device, prefix: str) -> ImuTable | None:
     """One sensor; None where it lacks one of the two vectors."""
     acc, gyro, mag = (
         table.axes(*(stem.format(prefix, "{}") for stem in stems))
@@ -122,7 +122,7 @@ def _sensor(table: Table, device: Device, prefix: str) -> ImuTable | None:
     return imu
 
 
-def _in_si(table: Table, kind: str, columns: Columns, usual: str = "") -> tuple[FloatArray, str]:
+def _in_si(table: DeviceTable, kind: str, columns: Columns, usual: str = "") -> tuple[FloatArray, str]:
     """Three columns in SI units (n, 3), and their unit."""
     known = ACCELERATION if kind == "acc" else ANGULAR_VELOCITY
     values, stated = table.vectors(columns), table.unit(columns[0])
@@ -140,7 +140,7 @@ def _in_si(table: Table, kind: str, columns: Columns, usual: str = "") -> tuple[
     return values * known[unit], unit
 
 
-def _counter(table: Table, column: int | None) -> IntArray | None:
+def _counter(table: DeviceTable, column: int | None) -> IntArray | None:
     """Packet counter of a column, (n,); None where there is none, or some packet has none."""
     if column is None or not len(values := table.numbers(column)):
         return None
@@ -148,7 +148,7 @@ def _counter(table: Table, column: int | None) -> IntArray | None:
     return values.astype(np.int64) if usable else None
 
 
-def _fill_from_increments(table: Table, device: Device, imu: ImuTable) -> bool:
+def _fill_from_increments(table: DeviceTable, device: Device, imu: ImuTable) -> bool:
     """Set both vectors from velocity (m/s) and rotation over a sample, if they are there."""
     from scipy.spatial.transform import Rotation
 
@@ -187,11 +187,11 @@ _MT_ONLY = ("quat_q0", "mat[1][1]", "velinc_x", "oriinc_q0", "oriinc_w", "utc_na
 _TICK_S = 1e-4
 
 
-def _is_commented(table: Table) -> bool:
+def _is_commented(table: DeviceTable) -> bool:
     return any(line.lstrip().startswith("//") for line in table.preamble)
 
 
-def _is_mt(table: Table) -> bool:
+def _is_mt(table: DeviceTable) -> bool:
     if table.find("counter", "packetcounter", "sampletimefine") is None:
         return False
     plain = table.find("counter") is not None and table.find("acc_x") is not None
@@ -199,7 +199,7 @@ def _is_mt(table: Table) -> bool:
     return only or (table.find("quat_w", "roll", "acc_x") is not None and (_is_commented(table) or plain))
 
 
-def _mt_times(table: Table, _: str, rate: float | None) -> FloatArray | None:
+def _mt_times(table: DeviceTable, _: str, rate: float | None) -> FloatArray | None:
     """Where no rate is stated: the UTC columns, else SampleTimeFine, else a column Time."""
     if rate is not None:
         return None
@@ -214,7 +214,7 @@ def _mt_times(table: Table, _: str, rate: float | None) -> FloatArray | None:
     return ticks * _TICK_S if there.mean() > 0.5 else None
 
 
-def _is_dot(table: Table) -> bool:
+def _is_dot(table: DeviceTable) -> bool:
     """Whether the columns are a DOT's, and not those of MT Manager: `//` above them, or some of its own."""
     if table.find("sampletimefine", "packetcounter") is None or _is_commented(table):
         return False
@@ -230,7 +230,7 @@ _SHIMMER_TIMES = (
 )
 
 
-def _shimmer_times(table: Table, prefix: str, _: float | None) -> FloatArray | None:
+def _shimmer_times(table: DeviceTable, prefix: str, _: float | None) -> FloatArray | None:
     for name in _SHIMMER_TIMES:
         if (t_s := seconds(table, table.find(f"{prefix}{name}_cal"), "ms")) is not None:
             return t_s
@@ -238,7 +238,7 @@ def _shimmer_times(table: Table, prefix: str, _: float | None) -> FloatArray | N
     return None if column is None else table.numbers(column) / 32768  # ticks of the device's clock
 
 
-def _shimmer_notes(table: Table, prefix: str) -> list[str]:
+def _shimmer_notes(table: DeviceTable, prefix: str) -> list[str]:
     """Of the two accelerometers the wide-range one is taken, which fast arms do not clip."""
     wide, low = (table.axes(f"{prefix}accel_{kind}_{{}}_cal") is not None for kind in ("wr", "ln"))
     if wide and low:
@@ -246,14 +246,14 @@ def _shimmer_notes(table: Table, prefix: str) -> list[str]:
     return ["Its accelerometer is the low-noise one, which clips at 2 g; record the wide-range one."] * low
 
 
-def _is_shimmer(table: Table) -> bool:
+def _is_shimmer(table: DeviceTable) -> bool:
     return any(match and match[2] != "mag" for match in map(_SHIMMER.fullmatch, table.labels))
 
 
 _APDM = re.compile(r"(.+/)(acceleration|angular velocity|magnetic field|orientation)/(x|y|z|scalar)")
 
 
-def _is_ximu(table: Table) -> bool:
+def _is_ximu(table: DeviceTable) -> bool:
     """Whether the columns are x-io's: the words in full, in deg/s or g."""
     columns = [table.axes("gyroscope"), table.axes("accelerometer")]
     units = {plain_unit(table.units[c[0]]) for c in columns if c is not None}
@@ -263,7 +263,7 @@ def _is_ximu(table: Table) -> bool:
 _NILSPOD_TIMES = ("t", "utc", "utc_datetime", "local_datetime")
 
 
-def _is_nilspod(table: Table) -> bool:
+def _is_nilspod(table: DeviceTable) -> bool:
     """Whether the columns are NilsPodLib's; `time`, which others write too, counts beside own ones alone."""
     written = {"acc_x", "gyr_x"} & set(table.names)  # lower case in the file, unlike Xsens
     own = table.find("analog_0", "baro") is not None
@@ -280,11 +280,11 @@ _LOGGED = (((_RAW,), _GYRO), ((_USER, _GRAVITY), _RATE), ((_RAW,), _RATE), ((_US
 _LOGGED_TIMES = ("loggingtime", "timestamp", "time", "locationtimestamp_since1970")
 
 
-def _is_sensorlog(table: Table) -> bool:
+def _is_sensorlog(table: DeviceTable) -> bool:
     return any(table.axes(stem) is not None for stem in (_RAW, _USER, _GYRO, _RATE))
 
 
-def _read_sensorlog(table: Table, device: Device) -> list[ImuTable]:
+def _read_sensorlog(table: DeviceTable, device: Device) -> list[ImuTable]:
     """Raw accelerometer and gyroscope, else Core Motion's; the sign of gravity is turned to specific force.
 
     Source of the sign: Apple, "Getting raw accelerometer events" and `CMDeviceMotion.gravity` (-1 on z, lying
@@ -334,7 +334,7 @@ _SENSOR_LOGGER = (
 )
 
 
-def _is_metamotion(table: Table) -> bool:
+def _is_metamotion(table: DeviceTable) -> bool:
     """Whether the columns are MetaBase's, or without header its epochs and times."""
     if not table.names:
         marks = zip((_EPOCH_CELL, _TIME_CELL), (0, 1), strict=True)
@@ -349,7 +349,7 @@ _PHYPHOX = re.compile(
 )
 
 
-def _is_phyphox(table: Table) -> bool:
+def _is_phyphox(table: DeviceTable) -> bool:
     """Whether the columns are phyphox's, whose units are always in the header."""
     time = table.find("time", "zeit", "zeitstempel", "temps", "tiempo", "tempo", "t")
     labelled = zip(table.labels, table.units, strict=False)
@@ -358,7 +358,7 @@ def _is_phyphox(table: Table) -> bool:
     return in_si and time is not None and plain_unit(table.units[time]) == "s"
 
 
-def _is_log(table: Table) -> bool:
+def _is_log(table: DeviceTable) -> bool:
     """Whether there is a time and a vector; without header four columns whose times are no dates."""
     if table.names:
         return time_column(table) is not None and bool(sensors_named(table) or bare_vector(table))
@@ -368,16 +368,16 @@ def _is_log(table: Table) -> bool:
     return len(times) > 3 and times[0] > 1e6 and time_unit("", times) is not None
 
 
-def _names_sensors(table: Table) -> bool:
+def _names_sensors(table: DeviceTable) -> bool:
     """Whether both sensors are found; or one of them, and nothing about it is made up."""
     return {"acc", "gyro"} <= sensors_named(table).keys() or _guess(table).settled
 
 
-def _guess(table: Table, usual_gyro: str = "") -> Guess:
+def _guess(table: DeviceTable, usual_gyro: str = "") -> Guess:
     return guess_sensor(table, usual_gyro) if table.labels or table.width == 4 else Guess()
 
 
-def _read_named(table: Table, device: Device) -> list[ImuTable]:
+def _read_named(table: DeviceTable, device: Device) -> list[ImuTable]:
     """One sensor, or the half of one; `import describe` prints the same guess to be edited."""
     if not table.names and table.width >= 6:  # MetaMotion's
         table.labels = ("epoch", "", "", "x", "y", "z", *[""] * (table.width - 6))
@@ -408,7 +408,7 @@ def _read_named(table: Table, device: Device) -> list[ImuTable]:
     return [imu]
 
 
-def _by_sensor(table: Table, kinds: int, columns: Columns) -> list[ImuTable]:
+def _by_sensor(table: DeviceTable, kinds: int, columns: Columns) -> list[ImuTable]:
     """The halves of a log whose rows name their sensor; [] where the names are of no use."""
     names, values = [text.lower() for text in table.texts(kinds)], table.vectors(columns)
     t_s, halves = seconds(table, time_column(table)), []

@@ -22,7 +22,7 @@ from ...runtime.inputs import check_input, crashes_in_subprocess
 from .columns import read_exact, stacked
 from .joints import JointName, joint_name
 from .skeletons import Conventions, RawSkeleton, SkeletonTable, require_arm, without_origin
-from .table import FileHead, Format, Table, file_text, shown, split_line
+from .table import DeviceTable, FileHead, Format, file_text, shown, split_line
 from .units import METRES
 
 #: Files of marker trajectories that can be read.
@@ -111,7 +111,7 @@ def read_trc(path: Path) -> Markers:
     if first is None:
         raise RecordingError(f"{path}: the file names {len(names)} markers and has no frame")
     width = 2 + 3 * len(names)
-    cells = Table(path, mark, (), (), ("",) * width, (), -1, first, width, lines, strict=True)
+    cells = DeviceTable(path, mark, (), (), ("",) * width, (), -1, first, width, lines, strict=True)
     table = cells.vectors(range(width))
     unit = header.get("units", "")
     if not unit:

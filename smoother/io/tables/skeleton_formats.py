@@ -30,7 +30,7 @@ from .joints import (
     program_of,
 )
 from .skeletons import Conventions, RawSkeleton, SkeletonTable, gathered, unit_by_arm
-from .table import FileHead, Format, Table, begins, read_table
+from .table import DeviceTable, FileHead, Format, begins, read_table
 from .times import stated_time_unit, time_among
 from .units import CAMERA_RATES, time_unit
 
@@ -47,7 +47,7 @@ STATE_WORDS = {
 }
 
 
-def state_numbers(table: Table, column: int) -> FloatArray:
+def state_numbers(table: DeviceTable, column: int) -> FloatArray:
     """A column of confidences or states; words as `STATE_WORDS` has them, also behind a prefix."""
     cells = [cell.lower() for cell in table.texts(column)]
     sample = next((cell for cell in cells if cell), "")
@@ -59,7 +59,7 @@ def state_numbers(table: Table, column: int) -> FloatArray:
     return np.array([code[cell] for cell in cells])
 
 
-def body_numbers(table: Table, column: int) -> FloatArray:
+def body_numbers(table: DeviceTable, column: int) -> FloatArray:
     """A column of the bodies' numbers; names are numbered in their order, no body (-1, 2^32 - 1) is nan."""
     cells = table.texts(column)
     if any(character.isalpha() for cell in cells[:50] for character in cell if cell.lower() != "nan"):
@@ -335,7 +335,7 @@ JOINT_ROWS = Format(
 )
 
 
-def _joints(table: Table, column: int) -> tuple[list[str], str]:
+def _joints(table: DeviceTable, column: int) -> tuple[list[str], str]:
     """Name of the joint of every row, and whose joints they are."""
     cells = table.texts(column)
     different = set(cells)
@@ -388,7 +388,7 @@ class _Numbers:
         return min(lengths) > 0 and abs(lengths[0] - lengths[1]) < _SAME * max(lengths)
 
 
-def _numbers_of(table: Table) -> _Numbers | None:
+def _numbers_of(table: DeviceTable) -> _Numbers | None:
     """The joints that fit the width of a table, and make two arms of an arm's length."""
     rows = table.vectors(range(table.width))
     if not np.isfinite(rows[:, -1]).any():  # a separator at the end of the line makes an empty column

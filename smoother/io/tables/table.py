@@ -64,7 +64,7 @@ class FileHead:
     trouble: str = ""  # Why a workbook cannot be read; "" where it can
 
     @cached_property
-    def table(self) -> Table | None:
+    def table(self) -> DeviceTable | None:
         """The table at its beginning; None where there is none."""
         return layout_of(self.lines, self.path) if self.text else None
 
@@ -171,7 +171,7 @@ def first_rows(head: FileHead, characters: int = SHOWN_CHARACTERS) -> str:
 
 
 @dataclass(eq=False)
-class Table:
+class DeviceTable:
     """A table of a text: where it is, its columns, and their cells when they are asked for."""
 
     path: Path
@@ -361,7 +361,7 @@ def read_table(
     separator: str | None = None,
     skip: int | None = None,  # Lines above the header, where they are stated
     text: str | None = None,  # Of the file, where it is there already
-) -> Table:
+) -> DeviceTable:
     """Read a delimited text file, or an Excel workbook; its layout is looked for."""
     if text is None:
         text = file_text(path)
@@ -404,7 +404,7 @@ _QUOTED = re.compile(r'"[^"]*"')
 _FEWEST, _FEWEST_STRICT, _ROWS_BEFORE = 3, 20, 50
 
 
-def _even_rows(lines: list[str], table: Table) -> tuple[list[str], Sequence[int], list[str]]:
+def _even_rows(lines: list[str], table: DeviceTable) -> tuple[list[str], Sequence[int], list[str]]:
     """Rows with equally many cells, the lines they stand in, and what was done."""
     first, width, mark = table.first_row, table.width, table.separator
     end = next((at for at in range(len(lines), first, -1) if lines[at - 1].strip()), first)
@@ -506,7 +506,7 @@ def plain_label(text: str) -> str:
 
 def layout_of(
     lines: Sequence[str], path: Path = Path(), separator: str | None = None, skip: int | None = None
-) -> Table | None:
+) -> DeviceTable | None:
     """Find the table in a text; its cells are not read yet. Below `skip` lines its header follows at once."""
     start = ("",) * (skip or 0) + tuple(lines[skip or 0 : (skip or 0) + LAYOUT_LINES])
     places = [at for at, line in enumerate(start) if line.strip()]
@@ -541,7 +541,7 @@ def layout_of(
     under = ["" if cell.lower() in _NO_UNIT else cell for cell in under] + [""] * (width - len(under))
     parts = [split_unit(name) for name in names]
     above = start[: max(header, 0) if names else first]
-    return Table(
+    return DeviceTable(
         path,
         separator,
         tuple(line for line in above if line.strip() and not _SEP_LINE.fullmatch(line.strip())),

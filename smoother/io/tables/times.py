@@ -24,7 +24,7 @@ from ...measurements.timestamps import (
 from .imu import ImuTable, with_checked_turning
 from .joints import TIME_WORDS, column_named, time_unit_of, words_of
 from .skeletons import SkeletonTable
-from .table import Table, shown
+from .table import DeviceTable, shown
 from .units import SECONDS, TIME, in_seconds, plain_unit, time_unit
 
 #: This share of the steps of a column of times rises, and lies within these parts of the usual one.
@@ -33,7 +33,7 @@ _RISES, _EVEN, _EVEN_SHARE = 0.95, (0.3, 3.0), 0.8
 _FEWEST = 8
 
 
-def time_column(table: Table) -> int | None:
+def time_column(table: DeviceTable) -> int | None:
     """The column that is the time by its name; without names the first."""
     if not table.labels:
         return 0
@@ -42,14 +42,14 @@ def time_column(table: Table) -> int | None:
     return first if exact is None else exact
 
 
-def stated_time_unit(table: Table, column: int) -> str:
+def stated_time_unit(table: DeviceTable, column: int) -> str:
     """The unit that a column of times states, in brackets or in its name; "" where it states none."""
     return TIME.get(plain_unit(table.unit(column)), "") or time_unit_of(
         table.names[column] if table.names else ""
     )
 
 
-def seconds(table: Table, column: int | None, unit: str = "s") -> FloatArray | None:
+def seconds(table: DeviceTable, column: int | None, unit: str = "s") -> FloatArray | None:
     """Times of a column, (n,) in s, dates since 1970; None for no column or one without times."""
     if column is None or not any(table.texts(column)[:2000]):
         return None
@@ -65,7 +65,7 @@ def seconds(table: Table, column: int | None, unit: str = "s") -> FloatArray | N
 
 
 def time_among(
-    table: Table, free: Sequence[int], rates_hz: tuple[float, float], notes: list[str]
+    table: DeviceTable, free: Sequence[int], rates_hz: tuple[float, float], notes: list[str]
 ) -> tuple[int | None, str]:
     """The column that is the time and its unit ("iso" of dates), of those that nothing else is known of."""
     for at in free:
