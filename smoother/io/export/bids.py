@@ -155,8 +155,9 @@ def recovered_system(recovery: Recovery, version: str) -> TrackingSystem:
         Channel(name, *_kind(name), column.unit, "", column.description, values)
         for name, values, column in file_columns(recovery)
     ]
-    for name, flags in marks_of(recovery).items():
-        channels.append(Channel(name, "", "MISC", "", "", "", _MARKS[name], np.asarray(flags, float)))
+    marks = marks_of(recovery)
+    for name in (name for name in _MARKS if name in marks):
+        channels.append(Channel(name, "", "MISC", "", "", "", _MARKS[name], np.asarray(marks[name], float)))
     more: dict[str, object] = {
         "SoftwareVersions": f"unocclude {version}",
         "Method": recovery.method,

@@ -1,8 +1,8 @@
 """An MCAP file read front to back in flat memory.
 
 Records are the mcap package's; the messages of a chunk stay columns (0.05 s where the package takes 0.75 s).
-A damaged chunk is left out and its times are noted. Behind broken framing reading resumes at the next chunk
-that the index at the file's end names; without one the rest is for `mcap recover`.
+A damaged chunk is left out and its times are noted. Behind broken framing reading resumes at the next place
+that the summary at the file's end names; without one the rest is for `mcap recover`.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ import struct
 import zlib
 from collections import Counter
 from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
 from io import BytesIO
 from pathlib import Path
 from typing import IO
@@ -20,7 +21,17 @@ import numpy as np
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
-from mcap.records import Channel, Chunk, ChunkIndex, Metadata, Schema, Statistics
+from mcap.records import (
+    AttachmentIndex,
+    Channel,
+    Chunk,
+    ChunkIndex,
+    McapRecord,
+    Metadata,
+    MetadataIndex,
+    Schema,
+    Statistics,
+)
 from mcap.stream_reader import StreamReader
 
 from ...array_types import IntArray
@@ -37,9 +48,19 @@ HEAD = struct.Struct("<BQ")
 #: its records, letters of the name. Behind the name stand the compressed size (u64) and the records.
 CHUNK = struct.Struct("<QQQII")
 #: A message record up to its payload.
-_NUMBERS = {"channel": "<u2", "sequence": "<u4", "log": "<u8", "publish": "<u8"}
-MESSAGE = np.dtype([("opcode", "u1"), ("length", "<u8"), *_NUMBERS.items()])
+MESSAGE = np.dtype(
+    [
+        ("opcode", "u1"),
+        ("length", "<u8"),
+        ("channel", "<u2"),
+        ("sequence", "<u4"),
+        ("log", "<u8"),
+        ("publish", "<u8"),
+    ]
+)
 _FOOTER = struct.Struct("<BQQQI")
+#: A name of a compression is no longer than this.
+_LETTERS = 16
 #: Records of the data section with their least length; opcodes from `_PRIVATE` on are a program's own.
 _LEAST: dict[int, int] = {
     Opcode.HEADER: 8,
@@ -77,9 +98,7 @@ class Container:
         self.notes: list[str] = []
         self.damage: list[Damage] = []
         self.missing: dict[str, int] = {}  # by topic, where the file's own count says so
-        self._has_end = False  # The file ends as a whole file does
-        self._index: dict[int, ChunkIndex] = {}  # By where the chunk begins; empty without a sound summary
-        self._stated: dict[int, int] = {}  # Messages by channel, as the summary has them
+        self._summary = Summary()
         self._schemas: dict[int, Schema] = {}
         self._number = np.full(1 << 16, -1, np.int64)  # position in `topics` by channel
         self._first_ns: int | None = None
@@ -98,12 +117,12 @@ class Container:
     def messages(self, wanted: Callable[[Topic], bool]) -> Iterator[McapMessage]:
         """The same one by one, in the file's order: for topics whose messages are few, or large."""
         for chunk in self.chunks():
-            mine = [each for each in np.unique(chunk.topic).tolist() if wanted(self.topics[each])]
-            rows = chunk.select(np.flatnonzero(np.isin(chunk.topic, mine)))
-            for position, log_ns, data in zip(
-                rows.topic.tolist(), rows.log_ns.tolist(), rows.payloads(), strict=True
-            ):
-                yield McapMessage(self.topics[position], log_ns, data)
+            numbers = np.unique(chunk.topic).tolist()
+            mine = np.isin(chunk.topic, [each for each in numbers if wanted(self.topics[each])])
+            rows, data = chunk.select(np.flatnonzero(mine)), memoryview(chunk.chunk)
+            columns = (rows.topic.tolist(), rows.log_ns.tolist(), rows.start.tolist(), rows.stop.tolist())
+            for position, log_ns, start, stop in zip(*columns, strict=True):
+                yield McapMessage(self.topics[position], log_ns, bytes(data[start:stop]))
 
     def skimmed(self) -> Container:
         """With its metadata and attachments; chunks are not unpacked."""
@@ -129,20 +148,27 @@ class Container:
                 lost = f"the last {len(data) - end} bytes of the chunk at byte {place}"
                 self._lost(f"{lost} are damaged and were passed over", place, place, *times)
             heads = cut_out(data, at, MESSAGE.itemsize).reshape(-1).view(MESSAGE)
-            number = self._number[heads["channel"]]
+            if (late := heads["log"] > _LATEST).any():
+                heads["log"][late] = _LATEST
+                what = f"{int(late.sum())} messages have log times after the year 2262, the latest possible"
+                self._lost(what, place, place)
+            for channel in np.unique(heads["channel"][self._number[heads["channel"]] < 0]).tolist():
+                if (stated := self._summary.channels.get(channel)) is not None:
+                    self._enter(stated)
+                    self._note(
+                        f"the record of channel {plain_name(stated.topic)} is missing before its messages"
+                    )
+            number, log_ns = self._number[heads["channel"]], heads["log"].astype(np.int64)
             chunk = Messages(
-                number,
-                heads["sequence"].astype(np.int64),
-                np.minimum(heads["log"], _LATEST).astype(np.int64),
-                heads["publish"].astype(np.int64),
+                *(number, heads["sequence"].astype(np.int64), log_ns, heads["publish"].astype(np.int64)),
                 *(data, at + MESSAGE.itemsize, at + HEAD.size + heads["length"].astype(np.int64)),
             )
             if not (known := number >= 0).all():
                 what = f"{int((~known).sum())} messages of channels that no record describes were dropped"
-                self._lost(what, place, place, *_first_and_last(chunk.log_ns[~known]))
+                self._lost(what, place, place, int(log_ns[~known].min()), int(log_ns[~known].max()))
                 chunk = chunk.select(np.flatnonzero(known))
             if len(chunk.topic):
-                first, last = _first_and_last(chunk.log_ns)
+                first, last = int(chunk.log_ns.min()), int(chunk.log_ns.max())
                 self._first_ns = first if self._first_ns is None else self._first_ns
                 self._last_ns = last if self._last_ns is None else max(self._last_ns, last)
                 for position in np.unique(chunk.topic).tolist():
@@ -157,17 +183,24 @@ class Container:
         try:
             if opcode == Opcode.SCHEMA:
                 schema = Schema.read(stream)
-                self._schemas.setdefault(schema.id, schema)
+                self._schemas[schema.id] = self._summary.schemas.get(schema.id, schema)
+                is_other = self._schemas[schema.id].name != schema.name
             else:
-                self._enter(Channel.read(stream))
+                channel = Channel.read(stream)
+                stated = self._summary.channels.get(channel.id, channel)
+                is_other = stated.topic != channel.topic
+                self._enter(stated)
         except _BROKEN:
             self._note("a schema or channel record is damaged")
+            return
+        if is_other:
+            self._note("a schema or channel is described in two ways")
 
     def _enter(self, channel: Channel) -> None:
         """A channel; recorders that split or restart make a second one of the same topic."""
         if self._number[channel.id] >= 0:
             return
-        its = self._schemas.get(channel.schema_id)
+        its = self._schemas.get(channel.schema_id) or self._summary.schemas.get(channel.schema_id)
         schema = (its.name, its.encoding, its.data) if its else ("", "", b"")
         topic = Topic(channel.topic, *schema, channel.message_encoding, dict(channel.metadata))
         keys = [(known.name, known.schema, known.encoding) for known in self.topics]
@@ -185,8 +218,10 @@ class Container:
             size = self.path.stat().st_size
             with open(self.path, "rb") as file:
                 magic = file.read(len(MAGIC))
-                self._read_summary(file, size)
+                self._summary = read_summary(file, size)
                 self._check_magic(magic)
+                if self._summary.chunks:
+                    self._first_ns = min(chunk.message_start_time for chunk in self._summary.chunks)
                 yield from self._read_blocks(file, size, unpack)
         except OSError as error:
             raise RecordingError(_unreadable(self.path, error)) from error
@@ -197,33 +232,8 @@ class Container:
             raise RecordingError(f"{self.path} is compressed with {name}; rewrite it with `mcap compress`.")
         if unpack:
             self._compare_counts()
-
-    def _read_summary(self, file: IO[bytes], size: int) -> None:
-        """Take in the schemas, channels, chunks and counts that stand at a file's end."""
-        tail = _FOOTER.size + len(MAGIC)
-        end = _at(file, max(size - tail, 0), tail)
-        self._has_end = len(end) == tail and end.endswith(MAGIC)
-        opcode, length, start, _, crc = _FOOTER.unpack_from(end) if self._has_end else (0, 0, 0, 0, 0)
-        if not self._has_end or not (start or crc):
-            return
-        content = _at(file, start, max(size - tail - start, 0))
-        try:
-            checked = zlib.crc32(end[: _FOOTER.size - 4], zlib.crc32(content))
-            if (opcode, length) != (Opcode.FOOTER, 20) or not content or crc not in (0, checked):
-                raise ValueError("no summary")
-            records = list(StreamReader(BytesIO(content + end), skip_magic=True).records)
-        except _BROKEN:
+        if self._summary.is_damaged:
             self._note("the index at its end is damaged, so it is not known how many messages it had")
-            return
-        self._schemas = {each.id: each for each in records if isinstance(each, Schema)}
-        for record in records:
-            if isinstance(record, Channel):
-                self._enter(record)
-            elif isinstance(record, Statistics):
-                self._stated = dict(record.channel_message_counts)
-            elif isinstance(record, ChunkIndex):
-                self._index[record.chunk_start_offset] = record
-        self._first_ns = min((each.message_start_time for each in self._index.values()), default=None)
 
     def _read_blocks(self, file: IO[bytes], size: int, unpack: bool) -> Iterator[_Block]:
         loose = bytearray()  # messages outside chunks
@@ -242,46 +252,53 @@ class Container:
                     self._note(f"the record at byte {start}, metadata or an attachment, is damaged")
             elif opcode == Opcode.CHUNK and unpack:
                 data, times = self._unpacked(_at(file, start, length), start)
-                if data is not None:
-                    yield data, start, times
+                if data is None:
+                    self._lost(
+                        f"the chunk at byte {start} is damaged and was left out",
+                        start,
+                        start + length,
+                        *times,
+                    )
                 else:
-                    what = f"the chunk at byte {start} is damaged and was left out"
-                    self._lost(what, start, start + length, *times)
+                    yield data, start, times
         if loose:
             yield bytes(loose), size, (None, None)
 
     def _records(self, file: IO[bytes], size: int) -> Iterator[tuple[int, int, int]]:
         """Opcode, first byte and length of the content of each record up to the end of the data section."""
-        place, left = len(MAGIC), dict(sorted(self._index.items()))
+        place = len(MAGIC)
         while True:
-            head = _at(file, place, HEAD.size + CHUNK.size)
+            head = _at(file, place, HEAD.size + CHUNK.size + _LETTERS + 8)
             opcode, length = HEAD.unpack_from(head) if len(head) >= HEAD.size else (0, 0)
-            stop = place + HEAD.size + length
-            is_chunk = opcode == Opcode.CHUNK
-            known = place not in left or (is_chunk and stop - place == left[place].chunk_length)
-            if known and stop <= size and (opcode >= _PRIVATE or length >= _LEAST.get(opcode, 1 << 64)):
-                left.pop(place, None)
-                yield opcode, place + HEAD.size, length
+            start, inner = place + HEAD.size, _chunk_length(head[HEAD.size :])
+            if inner == length and opcode != Opcode.CHUNK:
+                self._note(f"the head of the chunk at byte {start} is damaged; the chunk was read")
+                opcode = Opcode.CHUNK
+            is_sound = start + length <= size and (
+                opcode >= _PRIVATE or length >= _LEAST.get(opcode, 1 << 64)
+            )
+            if is_sound and (opcode != Opcode.CHUNK or inner == length):
+                yield opcode, start, length
                 if opcode == Opcode.DATA_END:
                     return
-                place = stop
+                place = start + length
                 continue
-            left.pop(place, None)
-            resume = next((each for each in left if each > place), None)
-            lost = [each for at, each in self._index.items() if place <= at < (resume or size)]
-            times: tuple[int | None, int | None] = (self._last_ns, None)
-            if lost:
-                times = (min(c.message_start_time for c in lost), max(c.message_end_time for c in lost))
-            elif is_chunk and len(head) == HEAD.size + CHUNK.size:
-                times = CHUNK.unpack_from(head, HEAD.size)[:2]
-            if (gone := (resume or size) - place) > 0:
-                more = "" if resume else "; `mcap recover` may find more in them"
-                what = f"the {gone} bytes from byte {place} on are damaged or cut and were left out{more}"
-                self._lost(what, place, place + gone, *times)
+            resume = next((each for each in self._summary.places if each > place), None)
+            stop = size if resume is None else resume
+            lost = [each for each in self._summary.chunks if place <= each.chunk_start_offset < stop]
+            first_ns = min((each.message_start_time for each in lost), default=self._last_ns)
+            last_ns = max((each.message_end_time for each in lost), default=None)
+            if opcode == Opcode.CHUNK and not lost and len(head) >= HEAD.size + CHUNK.size:
+                first_ns, last_ns = CHUNK.unpack_from(head, HEAD.size)[:2]
+            if stop > place:
+                what = f"the {stop - place} bytes from byte {place} on are damaged or cut and were left out"
+                more = "; `mcap recover` may find more in them" if resume is None else ""
+                self._lost(what + more, place, stop, first_ns, last_ns)
             if resume is None:
-                if not self._has_end:
-                    what = "the file ends in the middle of the recording; everything before the cut was read"
-                    self._note(what)
+                if not self._summary.is_there:
+                    self._note(
+                        "the file ends in the middle of the recording; everything before the cut was read"
+                    )
                 return
             place = resume
 
@@ -307,10 +324,10 @@ class Container:
             return None, (self._last_ns, None)
         times, size = (chunk.message_start_time, chunk.message_end_time), chunk.uncompressed_size
         data = None
-        if chunk.compression not in ("", "zstd", "lz4"):
+        if chunk.compression in ("", "zstd", "lz4"):
+            data = _unpack(chunk.compression, chunk.data, size) if size <= CHUNK_LIMIT else None
+        else:
             self._unknown = chunk.compression
-        elif size <= CHUNK_LIMIT:
-            data = _unpack(chunk.compression, chunk.data, size)
         if data is None or len(data) != size:
             return None, times
         if chunk.uncompressed_crc not in (0, zlib.crc32(data)):
@@ -325,7 +342,8 @@ class Container:
             raise RecordingError(f"{self.path} is empty (0 bytes); record or copy it again.")
         if magic == MAGIC:
             return
-        if not self._has_end:
+        alike = sum(a == b for a, b in zip(magic, MAGIC, strict=False))
+        if not self._summary.is_there and alike < len(MAGIC) - 2:
             raise RecordingError(
                 f"{self.path} is not an MCAP file; convert a ROS bag with `mcap convert`, and the files of"
                 " devices with `unocclude import files`."
@@ -351,9 +369,9 @@ class Container:
     def _compare_counts(self) -> None:
         """Compare what was read with the file's own count."""
         stated, read = Counter[str](), Counter[str]()
-        for channel, count in self._stated.items():
-            at = int(self._number[channel])
-            stated[self.topics[at].name if at >= 0 else f"channel {channel}"] += count
+        for number, count in self._summary.counts.items():
+            channel = self._summary.channels.get(number)
+            stated[f"channel {number}" if channel is None else channel.topic] += count
         for topic in self.topics:
             read[topic.name] += topic.count
         self.missing = {name: count - read[name] for name, count in stated.items() if count > read[name]}
@@ -364,8 +382,63 @@ class Container:
             self._note(f"by the file's own count messages are missing: {listed(self.missing, stated)}")
 
 
-def _first_and_last(log_ns: IntArray) -> tuple[int, int]:
-    return int(log_ns.min()), int(log_ns.max())
+@dataclass
+class Summary:
+    """Records of the summary; empty where there is none that can be read."""
+
+    schemas: dict[int, Schema] = field(default_factory=dict)  # By their numbers
+    channels: dict[int, Channel] = field(default_factory=dict)
+    chunks: list[ChunkIndex] = field(default_factory=list)  # In the file's order
+    places: list[int] = field(default_factory=list)  # Where chunks, attachments and metadata begin
+    counts: dict[int, int] = field(default_factory=dict)  # Messages by channel
+    is_there: bool = False  # The file ends as a whole file does
+    is_damaged: bool = False  # It is there and cannot be read
+
+
+def read_summary(file: IO[bytes], size: int) -> Summary:
+    """Read what is at a file's end; nothing is raised where it is damaged or missing."""
+    tail = _FOOTER.size + len(MAGIC)
+    end = _at(file, size - tail, tail) if size >= tail + len(MAGIC) else b""
+    if end[-len(MAGIC) :] != MAGIC:
+        return Summary()
+    opcode, length, start, _, crc = _FOOTER.unpack_from(end)
+    if not start:
+        return Summary(is_there=True)
+    content = _at(file, start, size - tail - start) if len(MAGIC) <= start < size - tail else b""
+    is_checked = not crc or zlib.crc32(end[: _FOOTER.size - 4], zlib.crc32(content)) == crc
+    if opcode != Opcode.FOOTER or length != 20 or not content or not is_checked:
+        return Summary(is_there=True, is_damaged=True)
+    summary = Summary(is_there=True)
+    try:
+        for record in StreamReader(BytesIO(content + end), skip_magic=True).records:
+            _add(summary, record)
+    except _BROKEN:
+        return Summary(is_there=True, is_damaged=True)
+    summary.places.sort()
+    return summary
+
+
+def _add(summary: Summary, record: McapRecord) -> None:
+    if isinstance(record, Schema):
+        summary.schemas[record.id] = record
+    elif isinstance(record, Channel):
+        summary.channels[record.id] = record
+    elif isinstance(record, Statistics):
+        summary.counts = dict(record.channel_message_counts)
+    elif isinstance(record, ChunkIndex):
+        summary.chunks.append(record)
+        summary.places.append(record.chunk_start_offset)
+    elif isinstance(record, AttachmentIndex | MetadataIndex):
+        summary.places.append(record.offset)
+
+
+def _chunk_length(content: bytes) -> int | None:
+    """The length that the sizes inside a chunk add up to; None for what is not a chunk."""
+    letters = CHUNK.unpack_from(content)[4] if len(content) >= CHUNK.size else _LETTERS + 1
+    at = CHUNK.size + letters
+    if letters > _LETTERS or len(content) < at + 8 or not content[CHUNK.size : at].isalnum() | (letters == 0):
+        return None
+    return at + 8 + int.from_bytes(content[at : at + 8], "little")
 
 
 def _walked(data: bytes) -> tuple[IntArray, list[tuple[int, bytes]], int]:

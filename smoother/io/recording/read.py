@@ -135,14 +135,16 @@ def open_recording(
     sort_arrivals(file, file.metadata.get(METADATA, {}))
     drop_timestamp_outliers(file)
     there = {"imu": file.imus, "skeleton": file.arms}
+    kinds = {topic.name: topic.schema.replace(".", "/").rpartition("/")[2].lower() for topic in file.topics}
+    json = [t.name for t in file.topics if t.encoding == "json" and kinds[t.name] in _MOTION]
+    if json:
+        why = "JSON messages are not read; record or convert them as protobuf or ROS 2's CDR."
+        sentence = f"{', '.join(json)}: {why}"
+        if not all(there.get(kinds[name], True) for name in json):
+            raise RecordingError(f"{file.path}: {sentence}")
+        file.notes.append(sentence)
     for topic in file.topics:
-        kind = topic.schema.replace(".", "/").rpartition("/")[2]
-        if topic.encoding == "json" and kind.lower() in _MOTION:
-            why = "JSON messages are not read; record or convert them as protobuf or ROS 2's CDR."
-            if not there.get(kind.lower(), True):
-                raise RecordingError(f"{file.path}: {topic.name}: {why}")
-            file.notes.append(f"{topic.name}: {why}")
-        elif topic.schema.replace("/msg/", "/") == "sensor_msgs/JointState":
+        if topic.schema.replace("/msg/", "/") == "sensor_msgs/JointState":
             what = "sensor_msgs/JointState contains angles, not joint positions; ignored."
             file.notes.append(f"{topic.name}: {what}")
     _take_metadata(file)

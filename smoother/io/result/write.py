@@ -45,13 +45,12 @@ def write_recovery(
     `/unocclude/forearm` (Odometry: pose of the IMU in the camera frame, velocity in its own axes; an
     answer without orientation has body_frame_id = frame_id), `/unocclude/skeleton` (joints with
     covariance), `/unocclude/arm` and `/unocclude/arm_camera` (drawn after and before, orange where
-    occluded, dark red where the answer is not to be trusted), `/unocclude/gaps` (Event, with `trusted`
-    and `reasons` in its metadata), `/unocclude/log` (Log: the gaps), `/unocclude/joints` (JointStates:
-    elbow_flexion, rad, 0 = straight), `/unocclude/tf` (FrameTransforms: camera to forearm IMU, and the
-    level `world` to the camera), `/unocclude/camera` (the camera's joints on the IMU's clock). With
-    several arms each name ends in the arm's side, with several people in `body_N/SIDE`
-    (`result.arm_tags`). The same input gives
-    the same bytes.
+    occluded, dark red where the answer is not to be trusted), `/unocclude/beads` (PointCloud along the
+    bones), `/unocclude/gaps` (Event, with `trusted` and `reasons` in its metadata), `/unocclude/log`
+    (Log: the gaps), `/unocclude/joints` (JointStates: elbow_flexion, rad, 0 = straight), `/unocclude/tf`
+    (FrameTransforms: camera to forearm IMU, and the level `world` to the camera), `/unocclude/camera`
+    (the camera's joints on the IMU's clock). With several arms each name ends in the arm's side, with
+    several people in `body_N/SIDE` (`result.arm_tags`). The same input gives the same bytes.
 
     Parameters
     ----------

@@ -153,7 +153,13 @@ def _stream(table: ImuTable | SkeletonTable, source: str) -> tuple[dict[str, Any
         holds, t_s = [name for name, values in sensors.items() if values is not None], times_of(imu)
         units = (("accelerometer", "m/s^2"), ("gyroscope", "rad/s"))
         plots = [_plot(name, unit, t_s, each) for name, unit in units if (each := sensors[name]) is not None]
-        of_kind: dict[str, Any] = {"kind": "imu", "name": imu.name, "axes": "", "body": None}
+        of_kind: dict[str, Any] = {
+            "kind": "imu",
+            "name": imu.name,
+            "axes": "",
+            "body": None,
+            "units": imu.units,
+        }
         notes = imu.notes
     else:
         body = repaired_skeleton(table, source)
@@ -169,7 +175,7 @@ def _stream(table: ImuTable | SkeletonTable, source: str) -> tuple[dict[str, Any
             if name := next((name for name in names if name in holds), None):
                 plots.append(_plot(name.replace("_", " "), "m", t_s, tracked[name]))
         axes = "" if body.frame is None else str(body.frame.value)
-        of_kind = {"kind": "skeleton", "name": "", "axes": axes, "body": body.body}
+        of_kind = {"kind": "skeleton", "name": "", "axes": axes, "body": body.body, "units": body.units}
     rate = median_rate_hz(t_s) if len(t_s) else math.nan
     timing = {
         "count": len(t_s),
@@ -177,7 +183,7 @@ def _stream(table: ImuTable | SkeletonTable, source: str) -> tuple[dict[str, Any
         "start_s": float(t_s[0]) if len(t_s) else 0.0,
         "duration_s": round(float(t_s[-1] - t_s[0]), 3) if len(t_s) else 0.0,
     }
-    return {**of_kind, "holds": holds, **timing, "units": table.units, "plots": plots}, notes
+    return {**of_kind, "holds": holds, **timing, "plots": plots}, notes
 
 
 def _plot(title: str, unit: str, t_s: FloatArray, values: FloatArray) -> dict[str, Any]:

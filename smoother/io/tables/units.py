@@ -152,8 +152,8 @@ def in_seconds(times: FloatArray, unit: str) -> FloatArray:
     return times if unit == "iso" else from_1970(times, unit) * SECONDS[unit]
 
 
-#: What gravity reads at rest, by the unit.
-_GRAVITY = {"m/s^2": STANDARD_GRAVITY, "g": 1.0, "mg": 1000.0, "mm/s^2": 1000 * STANDARD_GRAVITY}
+#: What gravity reads at rest, by the unit; raw counts of a range of 4 g (8192 a g) are no mm/s^2.
+_GRAVITY = {"m/s^2": STANDARD_GRAVITY, "g": 1.0, "mg": 1000.0}
 
 
 def gravity_unit(size: float, low: float = 0.7, high: float = 1.4) -> str:
@@ -163,4 +163,5 @@ def gravity_unit(size: float, low: float = 0.7, high: float = 1.4) -> str:
 
 def unit_of_rest(size: float) -> str:
     """Unit in which a specific force of that size at rest is gravity, if it is another one than m/s^2."""
-    return gravity_unit(size).removeprefix("m/s^2")
+    unit = gravity_unit(size).removeprefix("m/s^2")
+    return unit or ("mm/s^2" if 0.7 < size / (1000 * STANDARD_GRAVITY) < 1.4 else "")
