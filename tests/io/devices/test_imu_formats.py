@@ -114,6 +114,7 @@ REFUSED = [
     ),
     ("xsens-mt", "Counter,SampleTimeFine,Mat[1][1],Mat[2][1]", [MICROS, MICROS, TWO], "calibrated data"),
     ("nilspod", f"t,{G3},{A3},baro,analog_0", [TIME, 16 * DEG, 2048 * ACC / 9.81, TWO], "uncalibrated"),
+    ("nilspod", f"t,{G3},{A3},baro,analog_0", [TIME, 16 * DEG, 8192 * ACC / 9.81, TWO], "uncalibrated"),
     ("phyphox", PHYPHOX, [TIME, 0 * ACC + 0.3], "without gravity"),
     (
         *("phyphox", '"Time (s)",' + ",".join(f'"Linear Acceleration {axis} (m/s^2)"' for axis in "xyz")),
