@@ -18,7 +18,7 @@ from smoother.array_types import BoolArray, FloatArray, IntArray
 from smoother.calibration import ArmCalibration
 from smoother.config import Config
 from smoother.errors import CalibrationError
-from smoother.linalg import scaled_inverse
+from smoother.linalg import robust_sigma, scaled_inverse
 from smoother.measurements.clock import LARGEST_OFFSET_S, Clock
 from smoother.measurements.outliers import reject_by_camera
 from smoother.measurements.segment import Segment, split_into_segments
@@ -46,7 +46,6 @@ class Receptions:
     source: str  # What it is called in messages and reports
     # Whether the noise may turn out larger than stated (several events of one kind)
     estimate_noise: bool = True
-    is_rounded: bool = True  # Stamps are of ticks: that all agree too well means that they share a rounding
 
 
 @dataclass(frozen=True)
@@ -176,8 +175,8 @@ NO_WEIGHT = 1e-12
 
 def solve_clocks(receptions: Sequence[Receptions], links: Sequence[ClockLink] = ()) -> ClockNetwork:
     """Offsets and skews of all clocks from what was heard together and from measured links."""
-    system = _System(receptions, links)
-    if not len(system.t):
+    system = _System(receptions, links) if receptions or links else None
+    if system is None or not len(system.t):
         raise CalibrationError("no event was received by two clocks, so nothing links them; broadcast again")
     # the start is robust: its residuals say first what to trust
     left, weight = system.apart(system.start, np.ones(len(system.t))), np.zeros(len(system.t))
@@ -356,24 +355,29 @@ class _System:
         )
 
     def _doubts(
-        self, left: FloatArray, used: BoolArray, scale: FloatArray, skew: FloatArray, span_s: FloatArray
+        self, left: FloatArray, used: BoolArray, scale: FloatArray, skew: FloatArray, spans_s: FloatArray
     ) -> FloatArray:
         """Variance (2 n,) to add where the times contradict each other, or agree too well."""
         n = self.count
         offset, turn = np.zeros(n), np.zeros(n)
-        for node in np.setdiff1d(np.arange(n), self.references).tolist():
+        for node in range(n):
             mine = self.node == node
+            span_s = float(np.ptp(self.y[mine]))
             # of a few times none agrees whose noise seems many times what is stated
             agree = used & ((scale < OUTLIER) | (np.sum(mine) > FEW_TIMES) | self.is_link)
             rejected = np.abs(left[mine & ~agree])
             # no more times agree than were rejected; where a skew may hide a late one, one more is needed
-            hides = 2.0 * rejected.max(initial=0.0) < LARGEST_SKEW * span_s[node]
+            hides = 2.0 * rejected.max(initial=0.0) < LARGEST_SKEW * span_s
             if len(rejected) and np.sum(mine & agree) - hides <= len(rejected):
-                offset[node] = (2.0 * rejected.max() if hides else float(np.median(rejected))) ** 2
-                turn[node] = offset[node] / span_s[node] ** 2 if hides else 0.0
+                size = (2.0 * rejected.max() if hides else float(np.median(rejected))) ** 2
+                # what is wrong with the reference's times is wrong with all that hang on it
+                others = (self.group == self.group[node]) & (np.arange(n) != node)
+                doubted = np.flatnonzero(others) if node in self.references else [node]
+                offset[doubted] = np.maximum(offset[doubted], size)
+                turn[doubted] = np.maximum(turn[doubted], size / span_s**2 if hides else 0.0)
         shared = np.zeros(n)
-        for k, each in enumerate(self.sources):  # all rounds agree too well: they share one rounding error
-            mine = (self.source == k) & used & each.is_rounded
+        for k in range(len(self.sources)):  # all rounds agree too well: they share one rounding error
+            mine = (self.source == k) & used
             events = len(np.unique(self.event[mine]))
             freedom = int(mine.sum()) - events
             if events >= 3 and np.sum((left[mine] / self.sigma[mine]) ** 2) <= TOO_GOOD**2 * freedom:
@@ -381,7 +385,7 @@ class _System:
                 shared[nodes] = np.maximum(shared[nodes], float(np.max(self.sigma[mine]) ** 2))
         # a skew larger than any crystal's: times contradict each other and few rounds hide it
         wrong = np.where(np.abs(skew) > LARGEST_SKEW, skew, 0.0)
-        return np.concatenate([offset + shared + (wrong * span_s) ** 2, turn + wrong**2])
+        return np.concatenate([offset + shared + (wrong * spans_s) ** 2, turn + wrong**2])
 
 
 #: Beyond this the offset is looked for coarsely first, s: the self-calibration's reach, with room.
@@ -390,6 +394,8 @@ COARSE_S = 0.75 * LARGEST_OFFSET_S
 EXCERPT_S, MOST_EXCERPTS, FEWEST_FRAMES = 20.0, 24, 60
 #: What no excerpt is better than, s: frames are stamped that well at most.
 FLOOR_S = 0.0005
+#: With a longer recording the skew is looked for, s.
+MOTION_SPAN_S = 60.0
 
 
 @dataclass(frozen=True)
@@ -410,8 +416,8 @@ def clock_from_motion(
     """Offset and skew of the IMU's clock against the camera's from what both saw of the motion.
 
     The smoother's own self-calibration finds each excerpt's offset (the residuals of the camera's joints
-    along their velocity); how the IMU sits is found once, from four excerpts. The line through the offsets is
-    that of two clocks that met at every excerpt: their scatter gives sigma, whatever each of them claims.
+    along their velocity); how the IMU sits is found once, from four excerpts. Sigma of the line through
+    the offsets is by their scatter, where that is more than each of them claims.
     """
     from smoother.selfcal.pairing import coarse_offset
     from smoother.selfcal.rounds import self_calibrate
@@ -445,18 +451,35 @@ def clock_from_motion(
             f"{recording.name}: the clock could not be found in any excerpt; move more and faster"
         )
     t, offset, sigma = np.array(met).T
-    source = f"motion {recording.name}"
-    heard = Receptions(
-        event=np.tile(np.arange(len(t)), 2),
-        node=[name for name in names for _ in t],
-        t_s=np.concatenate([t, t + offset]),
-        sigma_s=np.tile(sigma, 2) * np.sqrt(0.5),
-        source=source,
-        is_rounded=False,
-    )
-    network = solve_clocks([heard])
-    link = replace(network.between(*names), source=source)
-    return MotionClock(link, network.leftovers[0].used[: len(t)], arm)
+    link, used = _line(t, offset, sigma, names, f"motion {recording.name}")
+    return MotionClock(link, used, arm)
+
+
+def _line(
+    t: FloatArray, offset: FloatArray, sigma: FloatArray, names: tuple[str, str], source: str
+) -> tuple[ClockLink, BoolArray]:
+    """A robust line through the excerpts' offsets (k,) s, and which of them it is fitted to."""
+    weight = sigma**-2
+    has_skew = len(t) >= 3 and np.ptp(t) >= MOTION_SPAN_S
+    prior = np.diag([0.0, SKEW_SIGMA**-2])
+    for _ in range(30):
+        centre = float(np.average(t, weights=weight))
+        basis = np.stack([np.ones_like(t), (t - centre) * has_skew], axis=1)
+        normal = basis.T @ (weight[:, None] * basis)
+        level, skew = np.linalg.solve(normal + prior, basis.T @ (weight * offset))
+        left = offset - basis @ [level, skew]
+        middling = float(robust_sigma(left)) if len(t) >= 4 else 0.0
+        spread = np.hypot(sigma, np.sqrt(max(middling**2 - float(np.median(sigma)) ** 2, 0.0)))
+        weight = spread**-2 / (1 + (left / (2 * spread)) ** 2)
+    used = np.abs(left) < OUTLIER * spread
+    used |= 2 * used.sum() <= len(used)  # no more agree than contradict: their scatter is their noise
+    weight = np.where(used, spread**-2, 0.0)
+    freedom = max(int(used.sum()) - 1 - has_skew, 0)
+    scatter = (PRIOR_SAMPLES + float(np.sum(weight * left**2))) / (PRIOR_SAMPLES + freedom)
+    inverse = np.linalg.inv(basis.T @ (weight[:, None] * basis) / max(scatter, 1.0) + prior)
+    sigma_s, skew_sigma = np.sqrt(np.diag(inverse)).tolist()
+    found = (float(level), sigma_s, 1e6 * float(skew), 1e6 * skew_sigma, centre)
+    return ClockLink(*names, *found, source=source), used
 
 
 def _excerpts(segments: list[Segment]) -> list[Segment]:

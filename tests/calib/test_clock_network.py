@@ -15,6 +15,7 @@ from calib.clock import (
     ClockLink,
     ClockSession,
     Receptions,
+    _line,
     clock_answer,
     clock_from_motion,
     disagreements,
@@ -130,6 +131,32 @@ def test_a_late_round_among_few_is_rejected_or_costs_sigma(rounds: int):
         stated.append(link.sigma_s)
     assert max(far) < 5
     assert rounds < 5 or np.median(stated) < 2e-4
+
+
+@pytest.mark.parametrize("late", [0, 2])
+def test_a_late_round_of_any_node_of_three_costs_sigma(late: int):
+    """Of the reference as of the others."""
+    far = []
+    for seed in range(30):
+        rng = np.random.default_rng([late, seed])
+        t, skew = np.sort(rng.uniform(0, 600, 6)), rng.uniform(-2e-4, 2e-4, 3) * [0, 1, 1]
+        heard = np.floor((t + np.array([[0.0], [3.0], [5.0]]) + skew[:, None] * t) / STEP_S) * STEP_S
+        heard[late, rng.integers(6)] += rng.uniform(0.01, 0.2)
+        noise, node = np.full(18, STEP_S / np.sqrt(12)), [name for name in "abc" for _ in t]
+        rows = Receptions(np.tile(np.arange(6), 3), node, heard.ravel(), noise, "broadcast")
+        for link in solve_clocks([rows]).links():
+            u, v = ("abc".index(name) for name in (link.from_clock, link.to_clock))
+            true = [0.0, 3.0, 5.0][v] - [0.0, 3.0, 5.0][u] + (skew[v] - skew[u]) * link.at_s
+            far.append(abs(link.offset_s - true) / (link.sigma_s + 1e-3))
+    assert max(far) < 5
+
+
+@pytest.mark.parametrize("apart_s", [0.002, 0.010, 0.020])
+def test_two_excerpts_that_contradict_each_other_cost_sigma(apart_s: float):
+    t, offset = np.array([10.0, 25.0]), np.array([0.1, 0.1 + apart_s])
+    link, used = _line(t, offset, np.full(2, 7e-4), ("camera", "imu"), "motion")
+    assert used.all() and link.skew_ppm == 0.0
+    assert np.abs(offset - link.offset_s).max() < 3.0 * link.sigma_s
 
 
 @given(st.integers(0, 10_000), st.integers(2, 6), st.floats(0.0, 0.5))

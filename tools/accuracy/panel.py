@@ -217,6 +217,7 @@ SESSIONS: dict[str, dict[str, Any]] = {
 def world(options: argparse.Namespace) -> Iterator[str]:
     """Camera from base IMU, its tilt and the mounting on rendered sessions, degrees."""
     yield f"{options.poses} poses, an ordinary phone's IMUs, panel IMU 3 degrees off"
+    refused = 0
     for name, settings in SESSIONS.items():
         rows = []
         for seed in options.seeds:
@@ -224,6 +225,8 @@ def world(options: argparse.Namespace) -> Iterator[str]:
             try:
                 rows.append(world_errors(simulate_panel(config, seed)))
             except UnoccludeError as error:
+                refused += 1
                 yield f"  {name}, seed {seed}: {error}"
         yield name
         yield from _quantiles(rows)
+    raise SystemExit(int(refused > 0))

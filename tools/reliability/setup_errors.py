@@ -375,7 +375,9 @@ VERDICTS = ("refused", "trusted", "not", "crashed")
 def setup(options: argparse.Namespace) -> Iterator[str]:
     """Answers on wrong set-ups: refused, trusted or not, and how far off."""
     cases = tuple(case for case in CASES if options.only in case.__name__.replace("_", " "))
-    jobs = draw(options.count if cases else 0, options.seed, cases)
+    if not cases:
+        raise SystemExit(f"no case is called '{options.only}'")
+    jobs = draw(options.count, options.seed, cases)
     jobs += draw(options.sound, options.seed, (sound,))
     rows = []
     with ProcessPoolExecutor(options.processes) as pool:
@@ -389,7 +391,8 @@ def setup(options: argparse.Namespace) -> Iterator[str]:
             yield f"{drawn} {errors['error']:8.2f} / {errors['sigma']:6.2f} cm  {verdict:8} {text}"
     counts = [f"count(*) filter (where verdict = '{word}') as {word}" for word in VERDICTS]
     yield from table(
-        f"""select "case", count(*) as n, {", ".join(counts)}, max(error) as "worst, cm",
+        f"""select "case", count(*) as n, {", ".join(counts)},
+        max(error) filter (where not isnan(error)) as "worst, cm",
         count(*) filter (where verdict = 'trusted' and off) as "trusted above {100 * LARGEST_ERROR_M:.0f} cm"
         from found group by rollup ("case") order by all""",
         rows,
