@@ -24,7 +24,6 @@ from ..measurements.position_process import (
     Kernel,
     Measurements,
     joint_covariance,
-    log_likelihood,
     mapped_covariance,
 )
 from .rts import white_sigma
@@ -54,6 +53,16 @@ class Posterior:
         cross = _to_measurements(self._kernel, at, VALUE, self._data)
         explained = np.einsum("ij,ji->i", cross, cho_solve(self._factor, cross.T, check_finite=False))
         return np.maximum(self._kernel.variance - explained, 0.0)
+
+
+def log_likelihood(kernel: Kernel, data: Measurements) -> float:
+    """Log-density of the measurements under the prior (2.13), all columns together."""
+    factor = cho_factor(joint_covariance(kernel, data.frame_t, data.acc_t), lower=True, check_finite=False)
+    targets = data.targets
+    quadratic = float(np.sum(targets * cho_solve(factor, targets, check_finite=False)))
+    log_determinant = 2.0 * float(np.sum(np.log(np.diag(factor[0]))))
+    count, columns = targets.shape
+    return -0.5 * (quadratic + columns * (log_determinant + count * np.log(2.0 * np.pi)))
 
 
 def _to_measurements(

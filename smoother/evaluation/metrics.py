@@ -13,11 +13,11 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from scipy.spatial.transform import Rotation, Slerp
 
 from ..array_types import BoolArray, FloatArray
 from ..linalg import parabola_vertex, unit
 from ..recording import Truth
+from ..rotation import Rotation, Slerp
 
 #: 95 % quantile of chi-square with three degrees of freedom: the 95 % region of a position.
 CHI2_95_3 = 7.814727903251179

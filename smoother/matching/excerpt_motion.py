@@ -15,13 +15,13 @@ from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from ..array_types import BoolArray, FloatArray
 from ..errors import RecordingError
 from ..linalg import unit
 from ..measurements.timestamps import split_at_pauses
 from ..recording import JOINTS, ImuStream, JointState, JointTracks
+from ..rotation import Rotation
 from ..units import GRAVITY
 
 #: A segment's joints: from, to; and how far along it the IMU's acceleration is taken.

@@ -6,7 +6,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.optimize import linear_sum_assignment
 
 from ..array_types import BoolArray, FloatArray, IntArray
 from ..errors import UnoccludeError
@@ -25,6 +24,8 @@ def assign(weight: FloatArray, none: FloatArray) -> IntArray:  # weight (k, m); 
     Rectangular assignment (Crouse, IEEE Trans. Aerosp. Electron. Syst. 2016) by
     `scipy.optimize.linear_sum_assignment`; every IMU has a column `none` of its own.
     """
+    from scipy.optimize import linear_sum_assignment  # slow to load
+
     k, m = weight.shape
     columns = _with_none(weight, none)
     rows, chosen = linear_sum_assignment(-columns)
@@ -35,6 +36,8 @@ def assign(weight: FloatArray, none: FloatArray) -> IntArray:  # weight (k, m); 
 
 def probabilities(weight: FloatArray, none: FloatArray) -> FloatArray:  # -> (k, m + 1)
     """How probable each pair is, over all assignments."""
+    from scipy.optimize import linear_sum_assignment
+
     k, m = weight.shape
     columns = _with_none(weight, none)
     total = np.full((k, m + 1), -np.inf)

@@ -13,11 +13,11 @@ from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
-from scipy.interpolate import CubicSpline
 
 from ..array_types import BoolArray, FloatArray, IntArray
 from ..recording import ImuStream
 from ..rotation import Rotation, Slerp, chained
+from ..splines import natural_spline
 
 #: Longest fine step of the integration, s.
 FINE_STEP_S = 1.0 / 240.0
@@ -40,7 +40,7 @@ class InertialSignal:
         samples = np.hstack([imu.acc, imu.gyro])
         integral = np.zeros((len(self.edges), 6))
         np.cumsum(samples * np.diff(self.edges)[:, None], axis=0, out=integral[1:])
-        self._integral = CubicSpline(self.edges, integral)
+        self._integral = natural_spline(self.edges, integral)
         # how far each sample's specific force is from its neighbours' mean, m/s^2
         impact = np.zeros(len(imu))
         impact[1:-1] = np.linalg.norm(imu.acc[1:-1] - 0.5 * (imu.acc[:-2] + imu.acc[2:]), axis=1)

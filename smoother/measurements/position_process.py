@@ -12,7 +12,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import cho_factor, cho_solve
 
 from ..array_types import FloatArray
 
@@ -93,13 +92,3 @@ def joint_covariance(kernel: Kernel, frame_t: FloatArray, acc_t: FloatArray) -> 
     noise = np.repeat([kernel.position_sigma, kernel.acceleration_sigma], [len(frame_t), len(acc_t)])
     C[np.diag_indices_from(C)] += noise**2
     return C
-
-
-def log_likelihood(kernel: Kernel, data: Measurements) -> float:
-    """Log-density of the measurements under the prior (2.13), all columns together."""
-    factor = cho_factor(joint_covariance(kernel, data.frame_t, data.acc_t), lower=True, check_finite=False)
-    targets = data.targets
-    quadratic = float(np.sum(targets * cho_solve(factor, targets, check_finite=False)))
-    log_determinant = 2.0 * float(np.sum(np.log(np.diag(factor[0]))))
-    count, columns = targets.shape
-    return -0.5 * (quadratic + columns * (log_determinant + count * np.log(2.0 * np.pi)))

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from scipy.interpolate import CubicSpline
 
 from ..array_types import FloatArray
 from ..body import SEGMENTS
@@ -14,6 +13,7 @@ from ..measurements.alignment import lever_of
 from ..result.draws import JOINT, TURN
 from ..rotation import Rotation
 from ..selfcal.self_calibration import SelfCalibration
+from ..splines import PiecewiseCubic, natural_spline
 from ..window.draw_plan import DrawPlan, root_of
 from ..window.shared import SharedLayout
 from ..window.solution import SegmentSolution, Solution, WindowDraws
@@ -46,8 +46,13 @@ def sample_draws(
     v = answer.motion["velocity"][samples]
     #    From here on samples come before draws, (m, k, 3), as the columns have them.
     # 1. Between nodes: the cubic of position and velocity, a smooth curve through the turns.
-    p = _hermite(nodes, _nodes_first(drawn.position), _nodes_first(drawn.velocity), t)
-    r = _curve(nodes, _nodes_first(drawn.rotation), t)
+    inside = np.clip(t, nodes[0], nodes[-1])
+    places, speeds, turns = (
+        _nodes_first(each).reshape(len(nodes), -1)
+        for each in (drawn.position, drawn.velocity, drawn.rotation)
+    )
+    p = PiecewiseCubic(nodes, places, speeds)(inside).reshape(len(t), -1, 3)
+    r = natural_spline(nodes, turns)(inside).reshape(len(t), -1, 3)
     # 2. Angles that are hardly known, widened as the covariance is, and positions by what depends on them.
     p, r = _widened(p, r, solution.forearm.pose_covariance_at(t))
     # 3. A clock that is off by a moment moves the whole path along itself; an IMU that is late shows the pose
@@ -158,20 +163,3 @@ def _widened(p: FloatArray, r: FloatArray, pose_covariance: FloatArray) -> tuple
     r[wide.rows] += more
     p[wide.rows] += more @ np.swapaxes(wide.position_follows, 1, 2)
     return p, r
-
-
-def _hermite(nodes: FloatArray, p: FloatArray, v: FloatArray, t: FloatArray) -> FloatArray:
-    """Cubics through values and slopes (n, k, 3) at times (m,)."""
-    left = np.clip(np.searchsorted(nodes, t, side="right") - 1, 0, len(nodes) - 2)
-    h = np.diff(nodes)[left][:, None, None]
-    u = ((t - nodes[left])[:, None, None] / h).clip(0.0, 1.0)
-    rises = u * u * (3.0 - 2.0 * u)
-    start, end = u * (1.0 - u) ** 2 * h, u * u * (u - 1.0) * h
-    return np.asarray((1.0 - rises) * p[left] + rises * p[left + 1] + start * v[left] + end * v[left + 1])
-
-
-def _curve(nodes: FloatArray, r: FloatArray, t: FloatArray) -> FloatArray:
-    """A smooth curve through values (n, k, 3) at times (m,)."""
-    inside = np.clip(t, nodes[0], nodes[-1])
-    at = CubicSpline(nodes, r.reshape(len(nodes), -1), bc_type="natural")(inside)
-    return at.reshape(len(t), *r.shape[1:])

@@ -12,6 +12,7 @@ from ..body import FURTHER, SEGMENTS
 from ..errors import UnoccludeError
 from ..linalg import by_columns
 from ..rotation import Rotation
+from ..splines import natural_spline
 
 #: Names of the columns of joints begin so, those of further segments' rotations end so.
 JOINT, TURN = "joint_", "_rotation"
@@ -122,8 +123,6 @@ def turned_by(rotation: FloatArray, quaternion: FloatArray) -> FloatArray:
 
 def _at_times(t: FloatArray, at: FloatArray, drawn: FloatArray, order: int = 0) -> FloatArray:
     """Deviations (m, k) at other times (n, k), held beyond the drawn ones; derivatives with `order` 1."""
-    from scipy.interpolate import CubicSpline
-
     value = np.full((len(at), drawn.shape[1]), np.nan)
     known = np.flatnonzero(np.isfinite(drawn).all(axis=1))
     if not len(known):
@@ -135,7 +134,7 @@ def _at_times(t: FloatArray, at: FloatArray, drawn: FloatArray, order: int = 0) 
         if len(rows) == 1:
             value[first:last] = 0.0 if order else drawn[rows[0]]
             continue
-        spline = CubicSpline(t[rows], drawn[rows].astype(np.float64), bc_type="natural")
+        spline = natural_spline(t[rows], drawn[rows].astype(np.float64))
         value[first:last] = spline(inside, order)
         if order:
             value[first:last][inside != at[first:last]] = 0.0

@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.interpolate import CubicHermiteSpline
 
 from ..array_types import BoolArray, CameraNumbers, FloatArray, IntArray
 from ..body import FOREARM, FURTHER, SEGMENTS
@@ -26,6 +25,7 @@ from ..measurements.inertial import InertialSignal, acceleration_std, is_still
 from ..measurements.segment import Segment
 from ..measurements.visibility import Gap, enough_joints, find_gaps, occluded_at, seen_by_any
 from ..recording import FOREARM_JOINTS, JOINTS
+from ..splines import PiecewiseCubic
 from ..units import GRAVITY
 from .nodes import (
     CLOSEST_S,
@@ -191,7 +191,7 @@ def states_from_camera(t: FloatArray, R: FloatArray, frame_t_imu: FloatArray, po
     p, v = _local_lines(frame_t_imu, position)
     if len(frame_t_imu) == 1:
         return States(R, np.tile(p[0], (len(t), 1)), np.zeros((len(t), 3)))
-    curve = CubicHermiteSpline(frame_t_imu, p, v)
+    curve = PiecewiseCubic(frame_t_imu, p, v)
     inside = np.clip(t, frame_t_imu[0], frame_t_imu[-1])
     out = t != inside
     velocity = curve(inside, 1)

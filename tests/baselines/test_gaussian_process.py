@@ -14,6 +14,7 @@ from smoother.baselines.gaussian_process import (
     Posterior,
     borders,
     gaussian_process,
+    log_likelihood,
     predict,
 )
 from smoother.evaluation.metrics import lag_s
@@ -23,7 +24,6 @@ from smoother.measurements.position_process import (
     Kernel,
     Measurements,
     joint_covariance,
-    log_likelihood,
 )
 
 

@@ -1,10 +1,11 @@
-"""Small functions that are in for a library's, against it: algebra, filters, rotations."""
+"""Small functions that are in for a library's, against it: algebra, filters, rotations, splines."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
 from scipy import ndimage
+from scipy.interpolate import CubicHermiteSpline, CubicSpline
 from scipy.optimize import nnls
 from scipy.signal import find_peaks
 from scipy.spatial import transform
@@ -12,6 +13,7 @@ from scipy.spatial import transform
 from smoother.filters import gaussian_smoothed, moving_mean, moving_median
 from smoother.linalg import by_columns, largest_trace, nearest_rotation, nonnegative_pair, peaks
 from smoother.rotation import Rotation, Slerp, chained
+from smoother.splines import PiecewiseCubic, natural_spline
 
 
 @pytest.mark.parametrize("seed", range(20))
@@ -162,6 +164,26 @@ def test_turns_one_after_the_other(count: int) -> None:
     for turn in turns:
         expected.append(expected[-1] @ turn)
     np.testing.assert_allclose(chained(turns), expected, atol=1e-13)
+
+
+@pytest.mark.parametrize("count", [2, 3, 4, 5, 12, 13, 14, 50, 333])
+def test_splines_are_scipys(count: int) -> None:
+    rng = np.random.default_rng(count)
+    t = np.cumsum(rng.uniform(0.01, 0.4, count))
+    value, slope = rng.normal(size=(2, count, 3))
+    at = rng.uniform(t[0], t[-1], (7, 43))
+    for ours, theirs in (
+        (natural_spline(t, value), CubicSpline(t, value, bc_type="natural")),
+        (PiecewiseCubic(t, value, slope), CubicHermiteSpline(t, value, slope)),
+    ):
+        scale = np.abs(theirs(at, 1)).max() + 1.0  # rounding, of values and slopes of this size
+        np.testing.assert_allclose(ours(at), theirs(at), atol=1e-11 * scale)
+        np.testing.assert_allclose(ours(at, 1), theirs(at, 1), atol=1e-10 * scale)
+
+
+def test_knots_that_stand_still() -> None:
+    with pytest.raises(ValueError, match="knots"):
+        natural_spline(np.zeros(5), np.zeros((5, 1)))
 
 
 def test_columns_that_are_known_differently() -> None:
