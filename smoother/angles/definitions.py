@@ -40,7 +40,7 @@ class JointAngle:
 ELBOW_FLEXION = JointAngle("elbow_flexion", "elbow flexion", "angle at the elbow, 0 = straight")
 SHOULDER_PLANE = JointAngle(
     "shoulder_plane",
-    "shoulder plane of elevation",
+    "plane of shoulder elevation",
     f"plane of the shoulder (ISB), {UPRIGHT}, 0 = abduction, 90 = forward flexion",
 )
 SHOULDER_ELEVATION = JointAngle(
@@ -74,3 +74,5 @@ WRIST = (
 )
 #: All of them, in the order of columns, curves and messages.
 JOINT_ANGLES = (ELBOW_FLEXION, *SHOULDER, PRONATION, *SHOULDER_TRUNK, *WRIST)
+#: What people call each, by its name.
+ANGLE_TITLES = {angle.name: angle.title for angle in JOINT_ANGLES}

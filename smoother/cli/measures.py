@@ -47,14 +47,16 @@ def _table(title: str, first: str, rows: Sequence[Measure]) -> Table:
 
 
 def _interval(row: Measure) -> str:
-    from ..evaluation.words import interval, worded
+    from ..evaluation.words import interval, is_signed, worded
 
     if not row.has_interval:
         return "-"
     low, high = (worded(row.key, end, row.unit) for end in (row.low, row.high))
     if low == high:
         return low
-    return f"{low} to {high}" if row.key.endswith("_reached") else interval(row.low, row.high, row.unit)
+    if row.key.endswith("_reached"):
+        return f"{low} to {high}"
+    return interval(row.low, row.high, row.unit, is_signed(row.key))
 
 
 def measures(

@@ -8,13 +8,13 @@ from typing import Any
 
 import numpy as np
 
+from ..angles.definitions import ANGLE_TITLES
 from ..array_types import BoolArray, FloatArray
 from ..error_radius import pooled_radius
 from ..errors import RecordingError
 from ..joint_angles import ANGLES, arm_angles, defined, forearm_axes, recovery_angles
 from ..linalg import unit
 from ..measurements.visibility import Gap
-from ..measures.definitions import ANGLE_WORDS
 from ..recording import Truth
 from ..result import Recovery
 from ..runtime.pool import Progress
@@ -211,7 +211,7 @@ class Validation:
     def angle_errors(self) -> Table:
         """The agreement of the joint angles by part."""
         rows = [
-            {"angle": ANGLE_WORDS[name], "part": part, "unit": "deg", **found}
+            {"angle": ANGLE_TITLES[name], "part": part, "unit": "deg", **found}
             for name in self.angles.get("all", ())
             for part in PARTS
             if (found := self.angles[part][name])["samples"]

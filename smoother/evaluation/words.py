@@ -44,10 +44,15 @@ def quantity(value: float, unit: str, signed: bool = False) -> str:
 
 
 def worded(key: str, value: float, unit: str) -> str:
-    """A measure's value for people: yes or no for what was reached."""
+    """A measure's value for people: yes or no for what was reached, a sign for what is to one side."""
     if key.endswith("_reached") and math.isfinite(value):
         return "yes" if value >= 1 else "no"
-    return quantity(value, unit)
+    return quantity(value, unit, is_signed(key))
+
+
+def is_signed(key: str) -> bool:
+    """Whether a measure's sign names a side: more on the right, or more on the left."""
+    return key.endswith("_symmetry_percent")
 
 
 def interval(low: float | None, high: float | None, unit: str, signed: bool = False) -> str:

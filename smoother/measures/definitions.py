@@ -9,22 +9,22 @@ from typing import Literal
 
 import numpy as np
 
+from ..angles.definitions import (
+    ANGLE_TITLES,
+    ELBOW_FLEXION,
+    PRONATION,
+    SHOULDER_ELEVATION,
+    SHOULDER_PLANE,
+    SHOULDER_ROTATION,
+)
 from ..array_types import FloatArray
 from .measure import Scope
 
 INFINITE = float("inf")
-#: The angles that are measured, in the order of the tables, and their names for people.
-ANGLE_WORDS = {
-    "elbow_flexion": "elbow flexion",
-    "pronation": "forearm pronation",
-    "shoulder_elevation": "shoulder elevation",
-    "shoulder_plane": "plane of shoulder elevation",
-    "shoulder_rotation": "shoulder rotation",
-    "shoulder_elevation_trunk": "shoulder elevation against the trunk",
-    "shoulder_plane_trunk": "plane of shoulder elevation against the trunk",
-    "shoulder_rotation_trunk": "shoulder rotation against the trunk",
-}
-MEASURED_ANGLES = tuple(ANGLE_WORDS)
+#: The angles that are measured, in the order of the tables.
+_OF_ARM = (ELBOW_FLEXION, PRONATION, SHOULDER_ELEVATION, SHOULDER_PLANE, SHOULDER_ROTATION)
+_OF_TRUNK = (SHOULDER_ELEVATION.to_trunk, SHOULDER_PLANE.to_trunk, SHOULDER_ROTATION.to_trunk)
+MEASURED_ANGLES = tuple(angle.name for angle in (*_OF_ARM, *_OF_TRUNK))
 #: Angles between two directions: from 0 to 180 degrees.
 UNSIGNED = ("elbow_flexion", "shoulder_elevation", "shoulder_elevation_trunk")
 PERCENTILES = (5, 50, 95)
@@ -107,7 +107,7 @@ BY_MOVEMENT = (*(key for key, row in _OF_HAND.items() if row.over_movements), "m
 def definitions() -> dict[str, MeasureDefinition]:
     """Every measure by its key, in the order of tables, but for the zones of angles."""
     by_key: dict[str, MeasureDefinition] = {}
-    for angle, words in ANGLE_WORDS.items():
+    for angle in MEASURED_ANGLES:
         ends = (0.0, 180.0) if angle in UNSIGNED else (-INFINITE, INFINITE)
         of_angle = {
             "range_deg": ("range", "deg", 0.0, 360.0),
@@ -118,7 +118,7 @@ def definitions() -> dict[str, MeasureDefinition]:
             "peak_speed_deg_s": ("peak speed", "deg/s", 0.0, INFINITE),
         }
         for what, (which, unit, low, high) in of_angle.items():
-            row = MeasureDefinition(f"{words}, {which}", unit, low, high, angle=angle)
+            row = MeasureDefinition(f"{ANGLE_TITLES[angle]}, {which}", unit, low, high, angle=angle)
             by_key[f"{angle}_{what}"] = row
     return by_key | _OF_HAND
 
@@ -132,7 +132,7 @@ def definition_of(key: str) -> MeasureDefinition:
         return MeasureDefinition(f"symmetry of {of.name}", "%", -200.0, 200.0)
     angle, _, zone = key.removesuffix("_percent").partition("_zone_")
     low, high = zone.split("_to_")
-    return MeasureDefinition(f"{ANGLE_WORDS[angle]}, time from {low} to {high} degrees", "%", 0.0, 100.0)
+    return MeasureDefinition(f"{ANGLE_TITLES[angle]}, time from {low} to {high} degrees", "%", 0.0, 100.0)
 
 
 def is_measure(key: str) -> bool:

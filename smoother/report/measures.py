@@ -8,7 +8,7 @@ from collections.abc import Iterator, Sequence
 import plotly.graph_objects as go
 
 from ..evaluation.progress import MOSTLY_RECOVERED
-from ..evaluation.words import first_of, interval, is_main, number, quantity, shown_unit
+from ..evaluation.words import first_of, interval, is_main, is_signed, number, shown_unit, worded
 from ..measures import BothArms, Measure, Measures
 from ..table import Table, percent
 from .sheet import (
@@ -109,12 +109,13 @@ def _of(arm: Measures, arms: Sequence[Measures]) -> str:
 
 def with_interval(row: Measure | None) -> str:
     """The value, its 95 % interval in brackets, and the unit."""
-    if row is None or not row.has_interval:
-        return "–" if row is None else quantity(row.value, row.unit)
-    if row.unit.startswith("deg"):
-        return f"{quantity(row.value, row.unit)} ({interval(row.low, row.high, row.unit)})"
-    between = f"{number(row.low, row.unit)} to {number(row.high, row.unit)}"
-    return f"{number(row.value, row.unit)} ({between})\u00a0{shown_unit(row.unit)}".rstrip()
+    if row is None:
+        return "–"
+    if not row.has_interval or row.unit.startswith("deg"):
+        value, between = worded(row.key, row.value, row.unit), interval(row.low, row.high, row.unit)
+        return f"{value} ({between})" if between else value
+    value, low, high = (number(each, row.unit, is_signed(row.key)) for each in (row.value, row.low, row.high))
+    return f"{value} ({low} to {high})\u00a0{shown_unit(row.unit)}".rstrip()
 
 
 def _ranges(arms: Sequence[Measures]) -> PageSection:

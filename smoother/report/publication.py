@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from ..angles.definitions import ANGLE_TITLES
 from ..array_types import FloatArray
 from ..errors import UnoccludeError
 from ..linalg import runs
-from ..measures.definitions import ANGLE_WORDS
 from ..result import Recovery
 
 if TYPE_CHECKING:
@@ -81,7 +81,7 @@ def _drawable(some: Recovery) -> dict[str, tuple[str, Lines]]:
     """By name what can be drawn: label of the axis, and lines."""
     angles = some.angles()
     found: dict[str, tuple[str, Lines]] = {
-        name: (f"{ANGLE_WORDS.get(name, name.replace('_', ' '))}, deg", [("", turned, angles.sigmas[name])])
+        name: (f"{ANGLE_TITLES[name]}, deg", [("", turned, angles.sigmas[name])])
         for name, turned in angles.values.items()
     }
     unknown = np.full((len(some), 3, 3), np.nan)

@@ -247,14 +247,21 @@ def _group(measures: list[dict[str, Any]], file: str) -> PageSection:
         "measure": _with_unit,
         "persons": lambda each: each["first"][0],
         "mean (SD)": spread("first"),
-        "last session, mean (SD)": spread("last"),
-        "persons with both": lambda each: each["last"][0],
-        "change (95 % interval)": lambda each: _between(each["change"], each["low"], each["high"], "+"),
     }
+    change = ""
+    if any(each["last"][0] for each in measures):  # of persons with two sessions or more
+        change = (
+            "; the change is that from a person's first session to the last, its mean over the persons with"
+            " its interval by Student's t"
+        )
+        columns |= {
+            "last session, mean (SD)": spread("last"),
+            "persons with both": lambda each: each["last"][0],
+            "change (95 % interval)": lambda each: _between(each["change"], each["low"], each["high"], "+"),
+        }
     caption = Html(
-        "Over the persons, mean and standard deviation of the first session; the change is that from a"
-        " person's first session to the last, its mean over the persons with its interval by Student's t."
-        " Recordings that are not to be trusted are left out. All measures of all sessions, for R or SPSS:"
+        "Over the persons, mean and standard deviation of the first session{}. Recordings that are not to be"
+        " trusted are left out. All measures of all sessions, for R or SPSS:"
         ' <a href="{}">{}</a>, one measure of one session per row, with a column <code>trusted</code>.'
-    ).format(quote(file), file)
+    ).format(change, quote(file), file)
     return rendered(tabulated("The group", measures, columns, caption))

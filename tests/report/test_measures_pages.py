@@ -140,7 +140,7 @@ def test_arms_are_compared_only_where_both_are_to_be_trusted(tmp_path: Path):
     both = BothArms(left, right, (made_measure("elbow_flexion_range_deg_symmetry_percent", 22.7, 3.0),))
     measures_page([left, right], [both]).write(tmp_path / "indices.html")
     text = (tmp_path / "indices.html").read_text(encoding="utf-8")
-    assert text.count("22.7 (16.8 to 28.6)\u00a0%") == 1 and "right against left, in percent" in text
+    assert text.count("+22.7 (+16.8 to +28.6)\u00a0%") == 1 and "right against left, in percent" in text
     bad = replace(left, trusted=False, verdict="A strap slipped.")
     measures_page([bad, right], [replace(both, left=bad)]).write(tmp_path / "bad.html")
     text = (tmp_path / "bad.html").read_text(encoding="utf-8")

@@ -13,7 +13,9 @@ from arms import LEVERS, make_recording, make_recovery, make_truth, path, turn
 from made_measures import made_measure
 from plotly.offline import get_plotlyjs
 
+from smoother.angles import JOINT_ANGLES
 from smoother.evaluation.validate import validate
+from smoother.measures.definitions import MEASURED_ANGLES, definitions
 from smoother.report import write_report
 from smoother.report.measures import with_interval
 from smoother.report.sheet import PLOTLY
@@ -85,6 +87,13 @@ def test_the_bundle_is_of_the_locked_plotly():
     )
 
 
+def test_an_angle_has_one_name():
+    for angle in JOINT_ANGLES:
+        if angle.name in MEASURED_ANGLES:
+            assert definitions()[f"{angle.name}_range_deg"].name == f"{angle.title}, range"
+    assert definitions()["shoulder_plane_range_deg"].name == "plane of shoulder elevation, range"
+
+
 RANGE = made_measure("elbow_flexion_range_deg", 62.0, 2.0)
 
 
@@ -94,6 +103,8 @@ def test_the_unit_stands_once_and_the_interval_only_where_there_is_one() -> None
     alone = with_interval(replace(RANGE, low=math.nan, high=math.nan))
     assert alone == "62.0°"
     speed = replace(RANGE, unit="m/s", value=0.812, low=0.75, high=0.87)
+    side = with_interval(made_measure("hand_path_length_m_symmetry_percent", 4.0, 3.0))
+    assert side == "+4.0 (−1.9 to +9.9)\u00a0%", "positive: the right one has more"
     assert with_interval(speed).count("m/s") == 1 and " to " in with_interval(speed)
 
 

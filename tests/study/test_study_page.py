@@ -177,6 +177,16 @@ def test_recordings_without_folders_are_a_person_each_and_have_no_change():
     assert found["first"][0] == 2 and found["last"][0] == 0 and np.isnan(found["change"])
 
 
+def test_a_page_of_one_session_each_has_no_columns_of_a_last_one(tmp_path):
+    rows = [row(f"p{n}/s1.mcap", measures=measured(100.0 + n), arms=1) for n in range(3)]
+    table = pa.Table.from_pylist(rows, schema=schema())
+    write_study(table, tmp_path / "study.html", tmp_path, long=long_rows(rows))
+    text = (tmp_path / "study.html").read_text(encoding="utf-8")
+    group = text[text.index(">The group</h2>") :]
+    assert "<td>101 (1)</td>" in group and "of the first session. Recordings that" in group
+    assert "last session" not in group and "persons with both" not in group and "the change" not in group
+
+
 TEXT = (Path(__file__).parents[2] / "docs" / "scale.md").read_text(encoding="utf-8")
 QUERIES = re.findall(r"```sql\n(.*?)```", TEXT, re.DOTALL)
 
