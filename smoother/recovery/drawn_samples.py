@@ -47,12 +47,12 @@ def sample_draws(
     #    From here on samples come before draws, (m, k, 3), as the columns have them.
     # 1. Between nodes: the cubic of position and velocity, a smooth curve through the turns.
     inside = np.clip(t, nodes[0], nodes[-1])
-    places, speeds, turns = (
+    places, speeds, rotations = (
         _nodes_first(each).reshape(len(nodes), -1)
         for each in (drawn.position, drawn.velocity, drawn.rotation)
     )
     p = PiecewiseCubic(nodes, places, speeds)(inside).reshape(len(t), -1, 3)
-    r = natural_spline(nodes, turns)(inside).reshape(len(t), -1, 3)
+    r = natural_spline(nodes, rotations)(inside).reshape(len(t), -1, 3)
     # 2. Angles that are hardly known, widened as the covariance is, and positions by what depends on them.
     p, r = _widened(p, r, solution.forearm.pose_covariance_at(t))
     # 3. A clock that is off by a moment moves the whole path along itself; an IMU that is late shows the pose
