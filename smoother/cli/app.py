@@ -64,6 +64,7 @@ def flat(function: Callable[..., None]) -> Callable[..., None]:
 
     @wraps(function)
     def command(**given: Any) -> None:
+        only_lists = "list" in (given.get("settings") or ())  # what can be set; nothing is written
         files: dict[str, list[Path]] = {WRITTEN: [], ADDED_TO: [], SHARED: [], UNCHECKED: [], "read": []}
         for each in shown:
             value = given[each.name]
@@ -74,7 +75,7 @@ def flat(function: Callable[..., None]) -> Callable[..., None]:
             files[how] += [path for path in paths if isinstance(path, Path)]
         for name, group in groups.items():
             given[name] = group(**{each.name: given.pop(each.name) for each in fields(group)})
-            if hasattr(given[name], "check_files"):
+            if hasattr(given[name], "check_files") and not only_lists:
                 given[name].check_files(files[WRITTEN], files[ADDED_TO], files["read"], files[SHARED])
         function(**given)
 

@@ -120,7 +120,7 @@ def motion(
         if answer.figures["R_F_A"] is not None:
             say("R_F_A takes the IMU to sit on the back of the forearm.")
     print_notes(notes)
-    say_written(output, out.json_file)
+    out.end(output)
 
 
 def _by_side(

@@ -118,8 +118,8 @@ def config(out: Out, config_file: o.ConfigFile = None) -> None:
     Example: unocclude config > settings.toml
     """
     settings = read_config(config_file)
-    say(to_toml(settings).rstrip("\n"))
     out.json(settings.model_dump(mode="json"))
+    say(to_toml(settings).rstrip("\n"))
 
 
 PACKAGES = (

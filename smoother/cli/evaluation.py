@@ -213,14 +213,15 @@ def compare(
 
         pages = [(recording, comparison) for recording, (_, comparison) in answers]
         comparison_page(pages).write(report, out.force)
+    noted = [list(dict.fromkeys([*one.notes, *left_out, *each.notes])) for one, (_, each) in answers]
+    figures = [
+        {"recording": recording.name, "side": recording.side, **comparison.to_dict()}
+        | {"trusted": graph.estimates.trusted, "verdict": graph.estimates.verdict, "notes": notes}
+        for (recording, (graph, comparison)), notes in zip(answers, noted, strict=True)
+    ]
+    out.json(arms_figures(compared, figures))
     warn([graph for _, (graph, _) in answers])
-    figures = []
-    for recording, (graph, comparison) in answers:
-        notes = list(dict.fromkeys([*recording.notes, *left_out, *comparison.notes]))
-        figures.append(
-            {"recording": recording.name, "side": recording.side, **comparison.to_dict()}
-            | {"trusted": graph.estimates.trusted, "verdict": graph.estimates.verdict, "notes": notes}
-        )
+    for (recording, (_, comparison)), notes in zip(answers, noted, strict=True):
         say_arm(recording, len(compared))
         errors, joints, lags = comparison.tables
         show(errors)
@@ -228,7 +229,7 @@ def compare(
         say(comparison.camera_words)
         show(lags)
         print_notes(notes)
-    out.end(arms_figures(compared, figures), report)
+    out.end(report)
 
 
 def truth_for(
@@ -451,10 +452,11 @@ def benchmark(
     write_json(files[0], figures, out.force)
     write_text(files[1], "\n".join(f"### {each.title}\n\n{each.markdown()}" for each in tables), out.force)
     write_csv(files[2], gap_rows(run), out.force)
+    out.json(figures)
     for table in tables:
         show(replace(table, title=f"{table.title}; median / rms in gaps, cm"))
     notes = [*missing, *figures["notes"]]
     print_notes(notes[:_MOST_NOTES])
     say_more(len(notes), _MOST_NOTES, f"notes more in {files[0]}")
     say(f"{len(found)} trials in {(time.perf_counter() - began) / 60:.1f} minutes")
-    out.end(figures, *files)
+    out.end(*files)

@@ -15,7 +15,7 @@ import typer
 from ..errors import UnoccludeError
 from . import options as o
 from .load import ResultInput, camera_frame_of, damage
-from .output import Out, print_notes, say, say_written, warn, write_text
+from .output import Out, print_notes, say, warn, write_text
 
 if TYPE_CHECKING:
     from ..array_types import FloatArray
@@ -66,9 +66,9 @@ def export(
         figures, notes = _bids(recoveries, output, (subject, session, task), recording, out)
     else:
         figures, notes = _files(result, recoveries, output, format_name, frame, rate, origin, out)
+    out.json(figures)
     warn(recoveries)
     print_notes([*(note for recovery in recoveries for note in damage(recovery.notes)), *notes])
-    out.json(figures)
 
 
 def _files(
@@ -218,13 +218,13 @@ def methods(
     version, title = read_origin(result)
     is_simulated = title.lower().startswith("simulated")  # the title of `unocclude simulate`
     text, figures = methods_section(recoveries, version, title if is_simulated else "")
-    if output is None:
-        print(text, end="")
     write_text(output, text, out.force)
     out.json(figures)
+    if output is None:
+        print(text, end="")
     warn(recoveries)
     if output is not None:
-        say_written(output, out.json_file)
+        out.end(output)
 
 
 #: Nobody but this machine may read what is shown: these are patients.

@@ -291,8 +291,8 @@ def formats(out: Out) -> None:
 
     keys = ("key", "title", "kind", "recognised_by")
     figures = [{"format": each.key, **{key: getattr(each, key) for key in keys[1:]}} for each in importers()]
-    show(tabulated("Formats of device files", figures, "format title=what_it_is kind=holds recognised_by"))
     out.json({"formats": figures})
+    show(tabulated("Formats of device files", figures, "format title=what_it_is kind=holds recognised_by"))
 
 
 def describe(
@@ -316,23 +316,24 @@ def describe(
     reader = FileReader(templates=read_templates(template or []))
     if len(paths) > 1 or paths[0].is_dir():
         found = describe_files(paths, reader, out.json_file)
-        _print_streams(found)
         out.json({"files": [each.to_dict() for each in found]})
+        _print_streams(found)
         return
     (path,) = paths
     importer, sheet, guess = guessed_table(path, reader)
     figures: dict[str, object] = {"format": importer and importer.key, "recording_toml": None, "unsure": []}
+    text = "" if guess is None else toml_of(path, guess, name)
+    if guess is not None:
+        figures |= {"recording_toml": text, **asdict(guess)}
+    out.json(figures)
     if importer is not None:
         option = "--skeleton" if importer.kind == "skeleton" else "--imu"
         say(f"# {path.name} is recognised as {importer.title}: unocclude import files {option} {path} ..")
     if sheet is not None and guess is not None:
-        text = toml_of(path, guess, name)
         say(f"# {len(sheet):,} rows, {sheet.width} columns, parted by {sheet.separator!r}")
         for sentence in (*sheet.notes, *(f"unsure: {each}" for each in guess.unsure)):
             say(f"# {sentence}")
         say(text)
-        figures |= {"recording_toml": text, **asdict(guess)}
-    out.json(figures)
 
 
 def _print_streams(found: list[DescribedFile]) -> None:
@@ -405,10 +406,6 @@ def strap(
     sentences, notes = strap_verdict(found), [*recording.notes, *found.notes]
     good, total = [not reason for reason in found.reasons], len(found.reasons)
     rows = [{"what": what, "images": n, "share": n / total} for what, n in sorted(found.counts.items())]
-    show(tabulated(f"The strap in {total} images", rows, "what images share"))
-    for sentence in sentences:
-        say(sentence)
-    print_notes(notes)
     figures = {
         "images": total,
         "found": sum(good),
@@ -418,4 +415,9 @@ def strap(
         "colour_topic": found.topics[0],
         "depth_topic": found.topics[1],
     }
-    out.end({**figures, "verdict": sentences, "notes": notes}, output)
+    out.json({**figures, "verdict": sentences, "notes": notes})
+    show(tabulated(f"The strap in {total} images", rows, "what images share"))
+    for sentence in sentences:
+        say(sentence)
+    print_notes(notes)
+    out.end(output)

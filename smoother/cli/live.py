@@ -263,10 +263,11 @@ def live(
         figures = [each.figures() for each in session.figures]
     arm_figures = [{"side": info.side, **own} for info, own in zip(infos, figures, strict=True)]
     several = {**arm_figures[0], "arms": arm_figures}
+    out.json(several if len(figures) > 1 else figures[0])
     for own in arm_figures:
         print_session(own, f"{own['side']} arm, " if len(sides) > 1 else "")
     has_recording = recording is not None and recording.has_samples
-    out.end(several if len(figures) > 1 else figures[0], record if has_recording else None)
+    out.end(record if has_recording else None)
     if record is not None and has_recording:
         arguments = ["smooth", str(record), "-o", str(record.with_name(f"{record.stem}_recovered.mcap"))]
         for option, value in (("--calibration", calibration), ("--config", config_file)):

@@ -90,6 +90,7 @@ def measures(
     figures = arms_figures(recoveries, [one.as_dict() for one in rows])
     if pairs:
         figures["symmetry"] = [{"body": both.left.body, "measures": both.as_dict()} for both in pairs]
+    out.json(figures)
     for recovery, one in zip(recoveries, rows, strict=True):
         say_arm(recovery, len(recoveries))
         print_arm(one, damage(recovery.notes))
@@ -97,7 +98,7 @@ def measures(
         of = "" if both.left.body is None else f" of body {both.left.body}"
         title = f"Right arm{of} against left: 0 = alike, above it the right has more"
         show(_table(title, "symmetry", both.rows))
-    out.end(figures, csv, report)
+    out.end(csv, report)
 
 
 def measured(
@@ -217,13 +218,14 @@ def progress(
     if reliability:
         figures["reliability"] = repeated
     write_csv(csv, (CSV_COLUMNS, *(row for each in persons for row in each.csv_rows())), out.force)
+    out.json(figures)
     for each in persons:
         print_person(each)
     if reliability:
         show(reliability_table(repeated))
     print_notes(left_out)
     say(NO_DIAGNOSIS)
-    out.end(figures, report, csv)
+    out.end(report, csv)
 
 
 def print_person(progress: PersonProgress) -> None:

@@ -265,12 +265,11 @@ class Out:
         check_outputs(self.force, [*outputs, self.json_file], inputs)
 
     def json(self, figures: dict[str, Any]) -> None:
-        """Write the figures, if they are wanted."""
+        """Write the figures, if they are wanted: before anything is printed, which nobody may read."""
         write_json(self.json_file, figures, self.force)
 
-    def end(self, figures: dict[str, Any], *written: Path | None) -> None:
-        """Write the figures, and print what was written."""
-        self.json(figures)
+    def end(self, *written: Path | None) -> None:
+        """Print what was written."""
         say_written(*written, self.json_file)
 
 

@@ -129,12 +129,12 @@ def match(
     figures = [one.to_dict() for one in matches]
     others = [{"else": [f"{where} {p:.2f}" for where, p in one.others[:3]]} for one in matches]
     rows = [mine | more for mine, more in zip(figures, others, strict=True)]
+    out.json({"matches": figures, "method": method})
     show(tabulated(str(recording_file), rows, "imu body joint probability clock_offset_s else"))
     sure = sum(one.is_sure for one in matches)
     are = "is" if sure == 1 else "are"
     say(f"{sure} of {len(matches)} IMUs {are} matched with a probability above 0.95")
     print_notes([*file.notes, *notes])
-    out.json({"matches": figures, "method": method})
 
 
 def repair(
@@ -153,6 +153,7 @@ def repair(
     from ..io.mcap.repair import repair_container
 
     report = repair_container(broken_file, output, out.force)
+    out.json(report)
     kept, lost = report["messages"], report["missing"]
     counts = [(plain_name(name), kept.get(name, 0), lost.get(name, 0)) for name in sorted({*kept, *lost})]
     show(Table(f"{report['source']}: messages", ("topic", "written", "missing"), counts))
@@ -170,7 +171,7 @@ def repair(
     print_notes(report["notes"])
     if report["attachments_left_out"]:
         say(f"note: {report['attachments_left_out']} damaged attachments were left out.")
-    out.end(report, output)
+    out.end(output)
 
 
 def cut(
@@ -238,11 +239,12 @@ def check(recording_file: o.RecordingPath, source: ArmInput, settings: PersonCon
         progress(1.0, "done")
     recordings = [recording for recording, _ in arms]
     figures = arms_figures(recordings, findings)
+    out.json(figures)
     for recording, mine in zip(recordings, findings, strict=True):
         say_arm(recording, len(arms))
         print_check(mine)
         print_notes(recording.notes)
-    out.end(figures)
+    out.end()
     if not figures["trusted"]:
         raise typer.Exit(NOT_TRUSTED)
 

@@ -189,8 +189,9 @@ def arm(
     figures["parameters"] = simulated.parameters
     if two:
         figures["arms"] = [{"side": one.recording.side, "parameters": one.parameters} for one in both]
+    out.json(figures)
     show(Table(recording.name, ("what", "value"), rows))
-    out.end(figures, output, calibration_out, *markers)
+    out.end(output, calibration_out, *markers)
 
 
 _MAP_HEAD = """# Markers of {name}: the mean of a joint's markers is its centre. The plate on the IMU is
@@ -264,10 +265,11 @@ def people(
     write_recording(session, output, force=out.force)
     keys = ("imu", "body", "joint", "clock_offset_s")
     rows = [(one.stream.name, one.body, one.joint, one.clock_offset_s) for one in simulated.worn]
-    show(Table(simulated.name, ("IMU", "body", "joint", "its clock is ahead, s"), rows))
     settings_used = {"people": crowd.model_dump(mode="json"), "config": config.model_dump(mode="json")}
     truth = [dict(zip(keys, row, strict=True)) for row in rows]
-    out.end({"seed": seed, **settings_used, "truth": truth}, output)
+    out.json({"seed": seed, **settings_used, "truth": truth})
+    show(Table(simulated.name, ("IMU", "body", "joint", "its clock is ahead, s"), rows))
+    out.end(output)
 
 
 def _for_calibration(kind: str, make: Callable[[Any, int, Path, bool], Made]) -> Callable[..., None]:
@@ -281,7 +283,8 @@ def _for_calibration(kind: str, make: Callable[[Any, int, Path, bool], Made]) ->
         out.check([output, truth_file])
         truth, figures, words = make(config, seed, output, out.force)
         write_text(truth_file, truth_text(truth), out.force)
-        out.end({"seed": seed, **figures, "truth": truth}, output, truth_file)
+        out.json({"seed": seed, **figures, "truth": truth})
+        out.end(output, truth_file)
         say_command(*words)
 
     command.__doc__ = make.__doc__
@@ -428,8 +431,9 @@ def panel(
     poses = [
         (name, f"{one['distance_m']:.2f}", f"{one['tilt_deg']:.0f}") for name, one in truth["pose"].items()
     ]
+    out.json({"seed": seed, "config": config.model_dump(mode="json"), "truth": truth})
     show(Table(str(output), ("pose", "distance, m", "tilt, deg"), poses))
-    out.end({"seed": seed, "config": config.model_dump(mode="json"), "truth": truth}, output, mcap)
+    out.end(output, mcap)
 
 
 def panel_truth(simulated: SimulatedPanel) -> dict[str, Any]:
@@ -486,11 +490,12 @@ def clock(output: Folder, out: Out, seed: o.Seed = 0, settings: o.Settings = Non
     truth = {"clock": {"links": (links := true_links(session))}}
     text, sound = truth_text(truth), (session.sound, session.sound_rate_hz)
     write_clock_folder(output, *sound, session.receptions, session.recording, text, force=out.force)
+    out.json({"seed": seed, "event_time_s": session.event_time_s, "truth": truth})
     rows = [(one["from"], one["to"], f"{one['offset_s']:+.6f}", f"{one['skew_ppm']:.2f}") for one in links]
     columns = ("from", "to", "offset, s", "skew, ppm")
     show(Table("True clocks at time 0: t_to = t_from + offset", columns, rows))
     say(f"the beep ended at {session.event_time_s:.7f} s on the base's clock")
-    out.end({"seed": seed, "event_time_s": session.event_time_s, "truth": truth}, output)
+    out.end(output)
     say_command(
         *("calibrate", "clock", "--sound", output / SOUND, "--event-time", f"{session.event_time_s:.7f}"),
         *("--broadcast", output / TIMES, "--motion", output / MOTION, "-o", "clock.toml"),

@@ -94,12 +94,12 @@ def smooth(
             from ..report import write_arms_report
 
             write_arms_report(results, report, force=out.force)
+        if out.json_file is not None:
+            out.json(arms_figures(answers, [smooth_figures(*each) for each in results]))
         for recording, recovery in results:
             say_arm(recovery, len(results))
             print_recovery(recording, recovery, verbose)
-        wanted = results if out.json_file is not None else []
-        figures = [smooth_figures(*each) for each in wanted]
-        out.end(arms_figures(answers, figures) if wanted else {}, output, report)
+        out.end(output, report)
     if strict:
         end_strictly(recovery.estimates.trusted for recovery in answers)
 

@@ -251,6 +251,9 @@ def test_settings_of_a_simulation_by_key_and_from_a_file(tmp_path: Path, capsys)
     done("simulate", "arm", "-o", tmp_path / "none.mcap", "--set", "list")
     said = capsys.readouterr().out
     assert "imu_rate_hz" in said and "tremor_rad" in said and not (tmp_path / "none.mcap").exists()
+    (tmp_path / "there.mcap").write_bytes(b"kept")
+    done("simulate", "arm", "-o", tmp_path / "there.mcap", "--set", "list")
+    assert (tmp_path / "there.mcap").read_bytes() == b"kept"
     (tmp_path / "mine.toml").write_text('preset = "clean"\nimu_rate_hz = 50\nocclusion_lengths_s = [0.5]\n')
     usual = ("--set", "protocol=random", "--set", "duration_s=4", "--seed", 3, "-o")
     done("simulate", "arm", "--preset", tmp_path / "mine.toml", *usual, tmp_path / "a.mcap")

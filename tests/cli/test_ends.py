@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import errno
+import io
+import json
 import os
 import signal
 import subprocess
@@ -31,6 +34,32 @@ def test_what_nobody_reads_does_not_cost_the_result(tmp_path: Path):
     done = subprocess.run(words, stdout=writer, stderr=subprocess.PIPE, text=True, timeout=120)
     os.close(writer)
     assert (done.returncode, done.stderr) == (0, "") and output.is_file()
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("import", "formats"),
+        ("import", "describe", "{folder}"),
+        ("import", "describe", "{folder}/one.csv"),
+        ("config",),
+        ("simulate", "arm", "-o", "{folder}/arm.mcap", "--set", "protocol=random", "--set", "duration_s=2"),
+        ("simulate", "people", "-o", "{folder}/people.mcap", "--set", "duration_s=2"),
+        ("repair", str(DEMO), "-o", "{folder}/whole.mcap"),
+    ],
+    ids=" ".join,
+)
+def test_figures_are_written_before_anything_is_printed(words: tuple[str, ...], tmp_path: Path, monkeypatch):
+    class Full(io.StringIO):
+        def write(self, text: str) -> int:
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    rows = (f"{k / 100},0.1,0.2,9.8,0.01,0.02,0.03\n" for k in range(50))
+    (tmp_path / "one.csv").write_text("t,ax,ay,az,gx,gy,gz\n" + "".join(rows))
+    monkeypatch.setattr(sys, "stdout", Full())
+    figures = tmp_path / "figures.json"
+    assert run([*(word.format(folder=tmp_path) for word in words), "--json", str(figures)]) == 1
+    assert json.loads(figures.read_text())
 
 
 @pytest.mark.skipif(os.name != "posix", reason="signals are POSIX'")
