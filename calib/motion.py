@@ -26,7 +26,7 @@ from smoother.recovery.imu_signs import PLATEAU_SHARE, clipped
 from smoother.result import Recovery
 from smoother.rotation import Rotation
 from smoother.runtime.pool import Pool
-from smoother.selfcal.pairing import synchronise_coarsely
+from smoother.selfcal.pairing import pair
 from smoother.selfcal.rounds import self_calibrate
 from smoother.selfcal.self_calibration import SelfCalibration
 from smoother.selfcal.session import find_straps
@@ -494,7 +494,7 @@ def calibrate_motion(
         raise CalibrationError("the recordings are of both arms; calibrate the left and the right apart")
     known = known or ArmCalibration(side=sides[0] if sides else "")
     recordings, along, left_out = _of_one_strap(recordings)
-    moved = [synchronise_coarsely(recording, along=along) for recording in recordings]
+    moved = [pair(recording, along=along)[:2] for recording in recordings]
     segments = [
         reject_by_camera(segment)
         for number, (recording, _) in enumerate(moved)

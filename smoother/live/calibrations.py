@@ -26,7 +26,7 @@ from ..recording import CameraFrame, Recording
 from ..runtime.pool import Pool, end_if_one_died, end_workers, prepare_worker, starting_processes
 from ..selfcal.excerpts import informative_excerpts
 from ..selfcal.further_imu import calibrate_further_imus, without_joints_of
-from ..selfcal.pairing import coarse_clock
+from ..selfcal.pairing import find_pairing
 from ..selfcal.rounds import self_calibrate
 from ..selfcal.self_calibration import SelfCalibration
 from ..window.priors import with_measured_noise
@@ -66,7 +66,7 @@ def calibrate_excerpts(job: CalibrationJob) -> LiveCalibration:
     answer = _calibrated(job, constant_clock(job.offset_s))
     if answer.model is None:  # the clocks may be farther apart than the frames' arrival says
         with suppress(UnoccludeError):
-            coarse = coarse_clock(job.recording)
+            _, coarse = find_pairing(job.recording)
             answer = answer if coarse is None else _calibrated(job, coarse)
     t = job.recording.imu.t_s
     return replace(answer, from_s=float(t[0]), until_s=float(t[-1]))

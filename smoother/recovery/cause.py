@@ -28,7 +28,7 @@ from ..result import Recovery
 from ..result.verdict import EVER, finding
 from ..selfcal.excerpts import informative_recording
 from ..selfcal.mounting import ClosedForm, closed_form
-from ..selfcal.pairing import synchronise_coarsely
+from ..selfcal.pairing import pair
 from .trust import GRAVITY_DEG, LEVER_ARM_M, input_faults, swapped_joints
 
 #: Of frames, at most this many are used to decide on which side of the camera the arm is.
@@ -246,7 +246,7 @@ def _other_arm(recording: Recording, as_it_is: ClosedForm) -> Iterator[tuple[flo
         return
     exchanged = by_remedy(Remedy(sides=True), "left and right of the skeleton seem exchanged")
     try:
-        fit = closed_form(synchronise_coarsely(exchanged.corrected(recording))[0])
+        fit = closed_form(pair(exchanged.corrected(recording))[0])
     except CalibrationError:  # the motion does not show the clock
         return
     if fit is not None and fit.fits and fit.misfit < CLEARLY * as_it_is.misfit:
@@ -260,7 +260,7 @@ def _fits_without(
     stamps = recording.arm.t_s - measured.at(recording.arm.t_s - measured.mean_s)
     try:
         recorded = replace(recording, arm=replace(recording.arm, t_s=stamps))
-        fit = closed_form(synchronise_coarsely(recorded)[0], given)
+        fit = closed_form(pair(recorded)[0], given)
     except CalibrationError:  # the motion does not say
         return False
     return fit is not None and fit.fits and fit.misfit < CLEARLY * as_it_is.misfit

@@ -30,7 +30,6 @@ from .turning_evidence import (
     TurningSums,
     camera_turning,
     imu_turning,
-    turning_evidence,
 )
 
 #: A recording up to this long is read whole, in stretches of about the second length, s: within one a drift
@@ -81,8 +80,8 @@ class MotionAgreement:
     """How camera and IMU agree, at all offsets and at those near zero."""
 
     middle_s: float  # On the camera's clock: where the lines' offsets hold
-    best: OffsetLine  # Over all offsets, and over those within `NEAR_S`
-    near: OffsetLine  # Over all offsets, and over those within `NEAR_S`
+    best: OffsetLine  # Over all offsets
+    near: OffsetLine  # Over those within `NEAR_S`
     rival: float  # Evidence of the best offset at least `APART_S` from `best`
     freedom: float  # Independent samples of the camera's turning beyond the unknowns, over all stretches
     noise_share: float  # Part of the camera's turning that is its own error
@@ -102,6 +101,10 @@ class _Stretch:
         """On the camera's clock from the grid's origin."""
         return (self.camera.first + 0.5 * len(self.camera.rate)) / GRID_HZ
 
+    def evidence(self, up: FloatArray | None, along: FloatArray | None) -> EvidenceCurve:
+        """By offset, where up in {K} and the forearm's direction in the sensor are known or free."""
+        return TurningSums.of(self.camera, self.imu, up).curve(along)
+
 
 def agreement(
     recording: Recording,
@@ -113,21 +116,16 @@ def agreement(
 
     `along` is the forearm's direction in the sensor where other recordings have shown it.
     """
-    arm, imu, workers = recording.arm, recording.imu, workers or Pool(1, 0)
-    tip = _tip(arm)
-    if tip is None or len(arm) < 3 or len(imu) < 3:
-        return None
-    down = down_hint(recording)
-    up = -down if down.any() else None
+    arm, imu, up, workers = recording.arm, recording.imu, _up(recording), workers or Pool(1, 0)
     found = None
     for around_s in (AROUND_S, FAR_S):
-        stretches = list(_stretches(recording, timeline, tip, around_s, workers))
+        stretches = list(_stretches(recording, timeline, around_s, workers))
         if not stretches:
             return None
         kinds: list[tuple[FloatArray | None, FloatArray | None]] = [] if along is None else [(up, along)]
         kinds += [(up, None), (None, None)] if up is not None else [(None, None)]
         for direction, mounted in kinds:
-            curves = list(workers.map(partial(_evidence, up=direction, along=mounted), stretches))
+            curves = list(workers.map(partial(_Stretch.evidence, up=direction, along=mounted), stretches))
             ahead_s, camera_s = float(imu.t_s[0] - arm.t_s[0]), float(arm.t_s[0])
             answer = _over(stretches, curves, direction, mounted is not None, ahead_s, camera_s)
             if found is None or answer.best.chance < SWITCH * found.best.chance:
@@ -141,23 +139,13 @@ def agreement(
 
 def turning_sums(recording: Recording, workers: Pool | None = None) -> Iterator[TurningSums]:
     """The sums of a recording's stretches, one after the other; none where there is no forearm direction."""
-    tip = _tip(recording.arm)
-    if tip is None or len(recording.arm) < 3 or len(recording.imu) < 3:
-        return
+    for stretch in _stretches(recording, None, AROUND_S, workers or Pool(1, 0)):
+        yield TurningSums.of(stretch.camera, stretch.imu, _up(recording))
+
+
+def _up(recording: Recording) -> FloatArray | None:
     down = down_hint(recording)
-    for stretch in _stretches(recording, None, tip, AROUND_S, workers or Pool(1, 0)):
-        yield TurningSums.of(stretch.camera, stretch.imu, -down if down.any() else None)
-
-
-def _tip(arm: JointTracks) -> str | None:
-    """The joint that the forearm's direction points to; None without elbow."""
-    tip = next((joint for joint in ("wrist", "hand") if joint in arm.present), None)
-    return tip if "elbow" in arm.present else None
-
-
-def agreement_of(imu: ImuStream, arm: JointTracks) -> MotionAgreement | None:
-    """As `agreement`, of an IMU and an arm alone: nothing is known of down."""
-    return agreement(Recording(imu, arm))
+    return -down if down.any() else None
 
 
 def chance(
@@ -177,10 +165,13 @@ def chance(
 
 
 def _stretches(
-    recording: Recording, timeline: Timeline | None, tip: str, around_s: float, workers: Pool
+    recording: Recording, timeline: Timeline | None, around_s: float, workers: Pool
 ) -> Iterator[_Stretch]:
-    """The whole recording in pieces, or the excerpts of a long one."""
+    """The whole recording in pieces, or the excerpts of a long one; none without a forearm direction."""
     arm, imu = recording.arm, recording.imu
+    tip = next((joint for joint in ("wrist", "hand") if joint in arm.present), None)
+    if tip is None or "elbow" not in arm.present or len(arm) < 3 or len(imu) < 3:
+        return
     camera_s, imu_s = float(arm.t_s[0]), float(imu.t_s[0])
     if arm.t_s[-1] - camera_s <= WHOLE_S:
         yield from _whole(recording, tip, camera_s, imu_s)
@@ -199,10 +190,6 @@ def _of_excerpt(
 ) -> _Stretch | None:
     camera, run = camera_turning(part[0], origins_s[0], tip), imu_turning(part[1], origins_s[1])
     return None if camera is None or run is None else _Stretch(camera, (run,))
-
-
-def _evidence(stretch: _Stretch, up: FloatArray | None, along: FloatArray | None) -> EvidenceCurve:
-    return turning_evidence(stretch.camera, stretch.imu, up, along)
 
 
 def _whole(recording: Recording, tip: str, camera_s: float, imu_s: float) -> Iterator[_Stretch]:
@@ -237,9 +224,9 @@ def _over(
     camera_s: float,
 ) -> MotionAgreement:
     """The evidence of all stretches, added along lines of offsets."""
-    weight = np.array([each.camera.effective_samples for each in stretches])
+    weights = np.maximum([each.camera.effective_samples for each in stretches], 1e-9)
     times = np.array([each.middle_s for each in stretches])
-    middle_s = float(np.average(times, weights=np.maximum(weight, 1e-9)))
+    middle_s = float(np.average(times, weights=weights))
     first = min(curve.first for curve in curves)
     length = max(curve.first + len(curve.evidence) for curve in curves) - first
     span_s = float(np.ptp(times))
@@ -254,7 +241,6 @@ def _over(
         total = np.maximum(total, one)
     offset_s = (first + np.arange(length)) / GRID_HZ + ahead_s
     near = np.abs(offset_s) <= NEAR_S
-    weights = np.maximum(weight, 1e-9)
     noise_share = float(np.average([each.camera.noise_share for each in stretches], weights=weights))
     freedom = sum(curve.freedom for curve in curves)
     searched_s = max(curve.searched for curve in curves) / GRID_HZ * len(skews) ** 0.5

@@ -25,7 +25,7 @@ from ..recording import JOINTS, ImuStream, Recording
 from ..runtime.pool import Pool
 from ..runtime.store import large_array
 from .excerpts import informative_excerpts
-from .pairing import synchronise_coarsely
+from .pairing import pair
 from .rounds import self_calibrate
 from .self_calibration import SelfCalibration
 
@@ -168,7 +168,7 @@ def calibrate_further_imu(
             f" without them the {far} would have no result"
         )
     try:
-        as_forearm, coarse = synchronise_coarsely(as_forearm)
+        as_forearm, coarse, _ = pair(as_forearm)
         excerpts = [
             reject_by_camera(excerpt) for excerpt in informative_excerpts(as_forearm, Timeline.of(as_forearm))
         ]

@@ -180,27 +180,9 @@ def pair(
     `along` (3,) is the forearm's direction in the sensor, where a calibration has it.
     """
     if given is not None:
-        recording = moved(recording, given)
-        pairing, _ = find_pairing(recording, None, given, workers, along)
-        return recording, given, pairing
-    pairing, clock = find_pairing(recording, timeline, None, workers, along)
-    return (recording if clock is None else moved(recording, clock)), clock, pairing
-
-
-def synchronise_coarsely(
-    recording: Recording,
-    timeline: Timeline | None = None,
-    measured: Clock | None = None,
-    along: FloatArray | None = None,
-) -> tuple[Recording, Clock | None]:
-    """Bring the camera's stamps to where the fine search finds the rest; `pair` without its answer."""
-    clock = measured or find_pairing(recording, timeline, along=along)[1]
-    return (recording if clock is None else moved(recording, clock)), clock
-
-
-def coarse_clock(recording: Recording, timeline: Timeline | None = None) -> Clock | None:
-    """The camera's clock to some tens of milliseconds; None where the fine search reaches it by itself."""
-    return find_pairing(recording, timeline)[1]
+        recording, timeline = moved(recording, given), None
+    pairing, clock = find_pairing(recording, timeline, given, workers, along)
+    return (recording if clock is None else moved(recording, clock)), given or clock, pairing
 
 
 def coarse_offset(recording: Recording, reach_s: float) -> float:

@@ -108,7 +108,7 @@ class ImuTurning:
     rate: FloatArray  # (m, 3, 3) 1/s: of `R_E_A`
 
 
-def camera_turning(arm: JointTracks, origin_s: float, tip: str = "wrist") -> CameraTurning | None:
+def camera_turning(arm: JointTracks, origin_s: float, tip: str) -> CameraTurning | None:
     """The derivative of the forearm's direction; None where there is less than `SHORTEST_S` of it."""
     visible = arm.tracked("elbow") & arm.tracked(tip)
     along = (arm.joint(tip) - arm.joint("elbow"))[visible]
@@ -184,62 +184,45 @@ class TurningSums:
     @classmethod
     def of(cls, camera: CameraTurning, runs: Sequence[ImuTurning], up: FloatArray | None) -> TurningSums:
         """Of what the camera saw and the IMU's runs; `up` (3,) in {K}."""
-        n = len(camera.rate)
-        first = min(run.first for run in runs) - camera.first - (n - 1)
-        last = max(run.first + len(run.rate) for run in runs) - camera.first
-        known = np.zeros(last - first)
+        starts = [run.first - camera.first - (len(camera.rate) - 1) for run in runs]
+        first = min(starts)
+        known = np.zeros(max(run.first + len(run.rate) for run in runs) - camera.first - first)
         known_s = camera.known.sum() / GRID_HZ
         imu_s = sum(len(run.rate) for run in runs) / GRID_HZ
         needed = GRID_HZ * max(min(OVERLAP_SHARE * min(known_s, imu_s), OVERLAP_S), SHORTEST_S)
         sums: list[tuple[int, _Sums]] = []
-        for run in runs:
-            row = run.first - camera.first - (n - 1) - first
+        for run, start in zip(runs, starts, strict=True):
             count, own = _sums(camera, run, up)
-            known[row : row + len(count)] += count
-            sums.append((row, own))
+            known[start - first : start - first + len(count)] += count
+            sums.append((start - first, own))
         return cls(camera, up is not None, first, known, needed, tuple(sums))
 
     def curve(self, along: FloatArray | None = None) -> EvidenceCurve:
         """The evidence at every offset; `along` (3,) is the forearm's direction in the sensor, if known."""
-        power = np.zeros(len(self.known))
-        for row, (rows, T, C, most) in self.runs:
-            if not len(rows):
-                continue
-            if along is None:
-                explained = _searched(T, C, self.has_up)
-            else:
-                explained = _fits_along(T, C, along[None], self.has_up)[0]
-            power[row + rows] += np.clip(explained, 0.0, np.maximum(most, 0.0))
-        enough = self.known > self.needed - 0.5
-        evidence = np.where(enough, self._evidence(power, along is not None), 0.0)
-        return EvidenceCurve(self.first, evidence, int(enough.sum()), self._freedom(along is not None))
+        evidence = self._evidence(None if along is None else along[None])[0]
+        searched = int((self.known > self.needed - 0.5).sum())
+        return EvidenceCurve(self.first, evidence, searched, self._freedom(along is not None))
 
     def best_of(self, directions: FloatArray) -> FloatArray:  # (d, 3) -> (d,)
         """The evidence of the best offset for each of some directions of the forearm in the sensor."""
-        power = np.zeros((len(directions), len(self.known)))
-        for row, (rows, T, C, most) in self.runs:
-            explained = _fits_along(T, C, directions, self.has_up)
-            power[:, row + rows] += np.clip(explained, 0.0, np.maximum(most, 0.0))
-        power[:, self.known <= self.needed - 0.5] = 0.0
-        return np.asarray(self._evidence(power.max(axis=1), True))
+        return np.asarray(self._evidence(directions).max(axis=1))
 
     def _freedom(self, is_known: bool) -> float:
         unknown = (1 if self.has_up else 3) + (0 if is_known else 2)
         return max(self.camera.effective_samples - 0.5 * unknown, 0.0)
 
-    def _evidence(self, power: FloatArray, is_known: bool) -> FloatArray:
+    def _evidence(self, directions: FloatArray | None) -> FloatArray:
+        """(d, k) for directions (d, 3) at every offset, or (1, k) for the best one at each."""
+        power = np.zeros((1 if directions is None else len(directions), len(self.known)))
+        for row, (rows, T, C, most) in self.runs:
+            if directions is not None:
+                explained = _fits_along(T, C, directions, self.has_up)
+            else:
+                explained = _searched(T, C, self.has_up)[None] if len(rows) else np.zeros((1, 0))
+            power[:, row + rows] += np.clip(explained, 0.0, np.maximum(most, 0.0))
+        power[:, self.known <= self.needed - 0.5] = 0.0
         share = np.clip(power / max(self.camera.power, 1e-12), 0.0, MOST_EXPLAINED)
-        return np.asarray(-self._freedom(is_known) * np.log1p(-share))
-
-
-def turning_evidence(
-    camera: CameraTurning,
-    runs: Sequence[ImuTurning],
-    up: FloatArray | None,  # (3,)
-    along: FloatArray | None = None,  # (3,)
-) -> EvidenceCurve:
-    """The evidence at every offset at which enough of both is in common."""
-    return TurningSums.of(camera, runs, up).curve(along)
+        return np.asarray(-self._freedom(directions is not None) * np.log1p(-share))
 
 
 def _sums(camera: CameraTurning, imu: ImuTurning, up: FloatArray | None) -> tuple[FloatArray, _Sums]:

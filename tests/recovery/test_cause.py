@@ -16,7 +16,7 @@ from smoother.recording import CameraFrame, Recording
 from smoother.recovery.cause import diagnose_failures, likeliest_cause
 from smoother.recovery.trust import sensor_at_elbow, swapped_joints
 from smoother.selfcal.mounting import closed_form
-from smoother.selfcal.pairing import synchronise_coarsely
+from smoother.selfcal.pairing import pair
 from smoother.simulation import ArmSimulation, SimulatedArm, simulate_arm, simulate_both_arms
 from smoother.smoothing import smooth
 from tools.reliability import setup_errors
@@ -50,7 +50,7 @@ NAMED = {
 )
 def test_each_mistake_has_its_cause(case: str, preset: str) -> None:
     setup = Job(getattr(setup_errors, case), 5, preset, 30.0).setup()
-    recording, _ = synchronise_coarsely(replace(setup.recording, truth=None))
+    recording, *_ = pair(replace(setup.recording, truth=None))
     cause = likeliest_cause(recording, setup.calibration)
     if case == "sound":
         assert cause is None
@@ -104,7 +104,7 @@ def test_without_a_shoulder_no_names_are_doubted(sound: Recording) -> None:
     ids=lambda remedy: remedy.options,
 )
 def test_an_option_that_is_not_needed_is_to_be_left_out(sound: Recording, needless: Remedy) -> None:
-    synchronised, _ = synchronise_coarsely(sound)
+    synchronised, *_ = pair(sound)
     cause = likeliest_cause(needless.applied(synchronised))
     assert cause is not None and cause.remedies == ()
     assert cause.sentence.startswith(f"with {needless.options} ")
@@ -134,7 +134,7 @@ def test_a_hand_at_the_elbow_tells_swapped_joints(sound: Recording) -> None:
 
 def test_a_hand_between_elbow_and_wrist_tells_swapped_names(sound: Recording) -> None:
     needless = Remedy(swap=("wrist", "hand"))
-    synchronised, _ = synchronise_coarsely(sound)
+    synchronised, *_ = pair(sound)
     cause = likeliest_cause(replace(needless.applied(synchronised), applied_fixes=()))
     assert cause is not None and [remedy.options for remedy in cause.remedies] == ["--swap wrist,hand"]
     assert cause.sentence.startswith("wrist and hand seem swapped")
@@ -178,7 +178,7 @@ def test_exchanged_sides_are_named_and_mended(exchanged: Recording) -> None:
     corrected = Remedy(sides=True).applied(exchanged)
     assert exchanged.opposite is not None and corrected.arm is exchanged.opposite
     assert corrected.applied_fixes == ("--swap left,right",)
-    assert likeliest_cause(synchronise_coarsely(corrected)[0]) is None
+    assert likeliest_cause(pair(corrected)[0]) is None
     # an arm alone: the files are doubted
     alone = likeliest_cause(replace(exchanged, opposite=None))
     assert alone is not None and alone.remedies == () and "--side" in alone.sentence

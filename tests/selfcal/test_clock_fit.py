@@ -15,7 +15,7 @@ from smoother.measurements.clock import LARGEST_OFFSET_S, Clock, constant_clock
 from smoother.measurements.timestamps import synthetic_stamps
 from smoother.recording import Recording
 from smoother.selfcal.clock_fit import SYNTHETIC_SIGMA_S, ClockScore, refined_clock
-from smoother.selfcal.pairing import coarse_clock, coarse_offset, synchronise_coarsely
+from smoother.selfcal.pairing import coarse_offset, find_pairing, pair
 from smoother.simulation import ArmSimulation, SimulatedArm, simulate_arm
 from smoother.smoothing import smooth
 
@@ -143,7 +143,7 @@ def test_seconds_apart(short: SimulatedArm, offset_s: float) -> None:
 @pytest.mark.slow
 def test_within_reach_nothing_is_moved(short: SimulatedArm, long: SimulatedArm) -> None:
     for made in (short, long):
-        recording, coarse = synchronise_coarsely(later(made, np.full(len(made.recording.arm), 0.1)))
+        recording, coarse, _ = pair(later(made, np.full(len(made.recording.arm), 0.1)))
         assert coarse is None
         np.testing.assert_array_equal(recording.arm.t_s, made.recording.arm.t_s - 0.1)
 
@@ -153,7 +153,7 @@ def test_clocks_that_drift_far_apart(long: SimulatedArm) -> None:
     """1200 ppm over 330 s: 0.4 s, as 20 of them are in 6 hours; and 1 s to begin with."""
     t = long.recording.arm.t_s
     offset = 1.0 + 1.2e-3 * t
-    coarse = coarse_clock(later(long, offset))
+    _, coarse = find_pairing(later(long, offset))
     assert coarse.skew == pytest.approx(1.2e-3, abs=2e-4)
     recovery = smooth(later(long, offset), None, ALONE)
     moved = recovery.arm.t_s - (t - offset)
@@ -164,7 +164,7 @@ def test_clocks_that_drift_far_apart(long: SimulatedArm) -> None:
 @pytest.mark.slow
 def test_clocks_minutes_apart(long: SimulatedArm) -> None:
     """Farther than the context of the blocks: more of the IMU is looked at."""
-    coarse = coarse_clock(later(long, np.full(len(long.recording.arm), 75.0)))
+    _, coarse = find_pairing(later(long, np.full(len(long.recording.arm), 75.0)))
     assert coarse.mean_s == pytest.approx(75.0, abs=0.1)
 
 
@@ -216,7 +216,7 @@ def test_irregular_motion_tells(preset: str, duration_s: float, offset_s: float)
 def test_a_measured_clock_is_not_looked_for() -> None:
     recording, true_s = apart("realistic", 24.0, 2, 3.0)
     measured = Clock(np.array([10.0]), np.array([true_s]), 0.001, skew=1e-4)
-    moved, clock = synchronise_coarsely(recording, None, measured)
+    moved, clock, _ = pair(recording, None, measured)
     assert clock is measured
     t = recording.arm.t_s
     np.testing.assert_allclose(moved.arm.t_s, t + true_s + 1e-4 * (t - 10.0), atol=1e-12)

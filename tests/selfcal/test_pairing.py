@@ -17,7 +17,7 @@ from smoother.measurements.clock import constant_clock
 from smoother.recording import CameraFrame, Recording
 from smoother.selfcal.agreement import MotionAgreement, OffsetLine, agreement, chance
 from smoother.selfcal.pairing import decided, doubtful, find_pairing, unproved
-from smoother.selfcal.turning_evidence import CameraTurning, ImuTurning, correlation, turning_evidence
+from smoother.selfcal.turning_evidence import CameraTurning, ImuTurning, TurningSums, correlation
 from smoother.simulation import ArmSimulation, simulate_arm
 
 
@@ -172,7 +172,7 @@ def test_the_power_explained_is_that_of_a_slow_search() -> None:
     rng = np.random.default_rng(3)
     x = Y[40:160] @ np.array([0.9, 0.3, -0.3]) @ Q.T + rng.normal(0, 0.3, (120, 3))
     camera = camera_of(x, np.arange(120) % 50 < 40)
-    curve = turning_evidence(camera, [ImuTurning(0, Y)], None)
+    curve = TurningSums.of(camera, [ImuTurning(0, Y)], None).curve()
     assert curve.first + int(curve.evidence.argmax()) == 40
     row = 40 - curve.first
     share = -np.expm1(-curve.evidence[row] / curve.freedom)
@@ -185,11 +185,11 @@ def test_a_perfect_pair_and_a_known_down() -> None:
     up = np.array([0.0, 1.0, 0.0])
     Q = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]])  # turns z up into y up
     camera = camera_of(Y[25:275] @ np.array([0.6, 0.0, 0.8]) @ Q.T)
-    free, upright = (turning_evidence(camera, [ImuTurning(0, Y)], each) for each in (None, up))
+    free, upright = (TurningSums.of(camera, [ImuTurning(0, Y)], each).curve() for each in (None, up))
     for curve in (free, upright):
         assert curve.first + int(curve.evidence.argmax()) == 25
         assert -np.expm1(-curve.evidence.max() / curve.freedom) > 0.99
-    wrong = turning_evidence(camera, [ImuTurning(0, Y)], -up)
+    wrong = TurningSums.of(camera, [ImuTurning(0, Y)], -up).curve()
     assert wrong.evidence.max() < 0.7 * upright.evidence.max()
 
 
@@ -197,7 +197,7 @@ def test_what_lies_outside_the_overlap_is_unexplained() -> None:
     """Half of the camera's motion is there for the IMU: no more than about half is explained."""
     Y, Q = turning(7, 500)
     camera = camera_of(Y @ np.array([0.0, 0.0, 1.0]) @ Q.T)
-    curve = turning_evidence(camera, [ImuTurning(250, Y[250:])], None)
+    curve = TurningSums.of(camera, [ImuTurning(250, Y[250:])], None).curve()
     half = float(camera.weight[250:] @ (camera.rate[250:] ** 2).sum(axis=1)) / camera.power
     assert -np.expm1(-curve.evidence.max() / curve.freedom) == pytest.approx(half, abs=0.02)
 
@@ -208,7 +208,7 @@ def test_runs_add() -> None:
     camera = camera_of(Y @ np.array([0.0, 0.0, 1.0]) @ Q.T)
     turn = Rotation.from_euler("z", 50, degrees=True).as_matrix()
     runs = [ImuTurning(0, Y[:240]), ImuTurning(260, turn @ Y[260:])]
-    both = turning_evidence(camera, runs, None)
+    both = TurningSums.of(camera, runs, None).curve()
     assert both.first + int(both.evidence.argmax()) == 0
     assert -np.expm1(-both.evidence.max() / both.freedom) > 0.9
 

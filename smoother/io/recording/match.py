@@ -9,8 +9,8 @@ import numpy as np
 
 from ...errors import RecordingError
 from ...matching import ImuMatch, Limb, limbs_of, match_imus
-from ...recording import ImuStream, JointTracks
-from ...selfcal.agreement import agreement_of
+from ...recording import ImuStream, JointTracks, Recording
+from ...selfcal.agreement import agreement as agreement_of
 from ...selfcal.pairing import chosen
 from ..mcap.messages import seconds
 from .bodies import people
@@ -36,7 +36,7 @@ def agreement(imu: ImuSamples, arm: ArmFrames) -> tuple[float, float, bool]:
     stream = ImuStream(imu.topic, (stamp - zero) / 1e9, imu.acc[rows], imu.gyro[rows])
     t_s = (arm.stamp_ns[order] - zero) / 1e9
     tracks = JointTracks(arm.topic, t_s, arm.position[order], arm.state[order])
-    found = agreement_of(stream, tracks)
+    found = agreement_of(Recording(stream, tracks))
     if found is None:
         return 0.0, 0.0, False
     line = chosen(found, is_unrelated=False)
