@@ -426,7 +426,7 @@ def clock_from_motion(
     coarse = coarse_offset(recording, COARSE_S)
     if coarse:
         recording = replace(recording, imu=replace(recording.imu, t_s=recording.imu.t_s - coarse))
-    segments = [reject_by_camera(segment) for segment in split_into_segments(recording, LARGEST_OFFSET_S)]
+    segments = [reject_by_camera(segment) for segment in split_into_segments(recording)]
     excerpts = _excerpts(segments)
     if not excerpts:
         raise CalibrationError(

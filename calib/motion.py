@@ -18,7 +18,6 @@ from smoother.array_types import BoolArray, FloatArray
 from smoother.calibration import ArmCalibration
 from smoother.config import Config
 from smoother.errors import CalibrationError
-from smoother.measurements.clock import LARGEST_OFFSET_S
 from smoother.measurements.outliers import reject_by_camera
 from smoother.measurements.segment import Segment, split_into_segments
 from smoother.recording import JOINTS, Recording
@@ -498,7 +497,7 @@ def calibrate_motion(
     segments = [
         reject_by_camera(segment)
         for number, (recording, _) in enumerate(moved)
-        for segment in split_into_segments(recording, LARGEST_OFFSET_S, number)
+        for segment in split_into_segments(recording, number)
     ]
     if not segments:
         raise CalibrationError("the IMU and a visible forearm overlap in none of the recordings")

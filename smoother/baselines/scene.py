@@ -19,7 +19,7 @@ from ..cameras.joining import FOREARM_M
 from ..config import CameraNoise
 from ..errors import SolveError
 from ..linalg import interpolate
-from ..measurements.alignment import VectorPairs, align, lever_of, pairs
+from ..measurements.alignment import VectorPairs, align, imu_positions, lever_of, pairs
 from ..measurements.inertial import InertialSignal, inertial_attitude
 from ..measurements.segment import FEWEST_SAMPLES, Segment
 from ..measurements.timestamps import dejitter, split_at_pauses
@@ -251,15 +251,9 @@ def _point(
     joints: FloatArray, used: BoolArray, R_K_A: FloatArray, calibration: ArmCalibration, needed: int
 ) -> FloatArray:
     """The IMU's position (f, 3) at visible frames: mean over joints of joint - R_K_A lever; nan elsewhere."""
-    total, count = np.zeros((len(joints), 3)), np.zeros(len(joints))
-    for joint in FOREARM_JOINTS:
-        lever, column = lever_of(calibration, joint), JOINTS.index(joint)
-        if lever is not None:
-            seen = used[:, column]
-            total[seen] += joints[seen, column] - R_K_A[seen] @ lever
-            count[seen] += 1.0
+    places, count = imu_positions(joints, used, R_K_A, calibration)
     good = (count > 0) & enough_joints(used, needed)
-    return np.where(good[:, None], total / np.maximum(count, 1.0)[:, None], np.nan)
+    return np.where(good[:, None], places, np.nan)
 
 
 def _point_sigma(sigma_m: dict[str, float] | None, used: BoolArray) -> float:

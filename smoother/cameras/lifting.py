@@ -78,10 +78,7 @@ def _filled(depth: FloatArray) -> FloatArray:
     return np.where(known, np.maximum(depth, 0.2), mean[:, None])
 
 
-def lifted(flat: JointTracks, depth_m: FloatArray, pose: CameraPose | None = None) -> JointTracks:
-    """The frames with a place for every joint in {K}, and where their rays begin."""
+def lifted(flat: JointTracks, depth_m: FloatArray) -> JointTracks:
+    """The frames with a place for every joint in the camera's axes, where their rays begin."""
     points = np.asarray(flat.position) * depth_m[:, :, None]
-    origin = np.zeros((1, 3)) if pose is None else pose.p_K_C_m[None]
-    if pose is not None:
-        points = pose.to_first(points)
-    return replace(flat, position=points, pixel_rad=None, ray_origin_m=origin)
+    return replace(flat, position=points, pixel_rad=None, ray_origin_m=np.zeros((1, 3)))

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..array_types import BoolArray, FloatArray
+from ..measurements.visibility import accepted_samples
 from ..recording import JOINTS, JointTracks
 from .rig import RelativeClock
 
@@ -68,7 +69,7 @@ def overlap(
     dt = other_t[after] - other_t[before]
     near = (dt > 0.0) & (dt <= APART_S)
     rows, after, before, dt = rows[near], after[near], before[near], dt[near]
-    tracked, other_tracked = tracked_joints(first), tracked_joints(other)
+    tracked, other_tracked = accepted_samples(first), accepted_samples(other)
     both = tracked[rows] & other_tracked[before] & other_tracked[after]
     some = both.any(axis=1)
     rows, after, before, dt, both = rows[some], after[some], before[some], dt[some], both[some]
@@ -91,8 +92,3 @@ def overlap(
         both,
         float(np.median(np.diff(t))) * every,
     )
-
-
-def tracked_joints(arm: JointTracks) -> BoolArray:
-    """(F, 5) joints that are tracked and have a position."""
-    return np.stack([arm.tracked(joint) for joint in JOINTS], axis=1)

@@ -263,7 +263,6 @@ def checked(
     from ..errors import CalibrationError, SolveError
     from ..evaluation.gaps import allowed_gaps
     from ..evaluation.summary import verdict_figures
-    from ..measurements.segment import Timeline
     from ..recovery.cameras import with_cameras
     from ..selfcal.excerpts import informative_recording
     from ..smoothing import smooth
@@ -271,7 +270,7 @@ def checked(
 
     # before it is cut: each camera's clock is its own
     recording, rig = join_cameras(recording, forearm_m=float(limb_lengths(config.arm).mean[0]))
-    excerpt = informative_recording(recording, Timeline.of(recording))
+    excerpt = informative_recording(recording)
     # lengths of gaps are tried side by side, each in one process
     recover = partial(smooth, calibration=calibration, config=config, processes=1, clock=clock)
     allowed = None

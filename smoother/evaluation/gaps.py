@@ -20,7 +20,7 @@ from ..array_types import BoolArray, FloatArray
 from ..cameras import join_cameras
 from ..errors import RecordingError, UnoccludeError
 from ..linalg import robust_sigma
-from ..measurements.visibility import Gap, accepted_samples, find_gaps, seen_by_any, visible_frames
+from ..measurements.visibility import Gap, find_gaps, seen_by_any, visible_frames
 from ..recording import JOINTS, Recording
 from ..result import Recovery
 from ..runtime.pool import Pool, Progress
@@ -55,7 +55,7 @@ class HiddenGap(Gap):
 def visible_times(recording: Recording) -> FloatArray:
     """Times (F,) of the frames that see the forearm, on the camera's clock, s."""
     arm = recording.arm
-    return np.asarray(arm.t_s[seen_by_any(arm.t_s, visible_frames(arm, accepted_samples(arm)), arm.camera)])
+    return np.asarray(arm.t_s[seen_by_any(arm.t_s, visible_frames(arm), arm.camera)])
 
 
 def visible_runs(recording: Recording) -> list[tuple[float, float]]:
@@ -469,7 +469,7 @@ def _real_gaps(recording: Recording) -> list[Gap]:
     if not len(arm) or not len(imu):
         return []
     ends = float(max(arm.t_s[0], imu.t_s[0])), float(min(arm.t_s[-1], imu.t_s[-1]))
-    gaps = find_gaps(arm.t_s, visible_frames(arm, accepted_samples(arm)), *ends)
+    gaps = find_gaps(arm.t_s, visible_frames(arm), *ends)
     return [gap for gap in gaps if not (gap.open_start or gap.open_end or gap.length_s < SHORTEST_S)]
 
 

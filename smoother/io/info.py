@@ -12,7 +12,7 @@ import numpy as np
 from ..body import FURTHER
 from ..errors import RecordingError
 from ..measurements.allowance import allowance
-from ..measurements.visibility import accepted_samples, find_gaps, visible_frames
+from ..measurements.visibility import find_gaps, visible_frames
 from ..recording import Camera, Recording
 from ..result.verdict import plain
 from .mcap.messages import Topic
@@ -38,7 +38,7 @@ def describe_arm(recording: Recording) -> Figures:
     """An arm that would be recovered, and what would be taken of it."""
     arm, imu = recording.arm, recording.imu
     start, end = max(imu.t_s[0], arm.t_s[0]), min(imu.t_s[-1], arm.t_s[-1])
-    gaps = find_gaps(arm.t_s, visible_frames(arm, accepted_samples(arm)), float(start), float(end))
+    gaps = find_gaps(arm.t_s, visible_frames(arm), float(start), float(end))
     lengths_s = [0.0, *(gap.length_s for gap in gaps)]
     allowed = allowance(recording)
     names = {segment: stream.name for segment, stream in recording.further_imus.items()}

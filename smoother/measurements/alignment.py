@@ -9,16 +9,16 @@ the gaps.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 
-from ..array_types import BoolArray, FloatArray
+from ..array_types import BoolArray, FloatArray, IntArray
 from ..body import SEGMENTS
 from ..calibration import ArmCalibration
 from ..linalg import interpolate, nearest_rotation
-from ..recording import JOINTS
+from ..recording import FOREARM_JOINTS, JOINTS
 from ..rotation import Rotation, Slerp
 from ..units import GRAVITY
 from .inertial import InertialAttitude, InertialSignal
@@ -41,12 +41,18 @@ HINT_SIGMA_RAD = np.radians(15.0)
 
 @dataclass(frozen=True)
 class VectorPairs:
-    """Unit or physical vectors in both frames: in_K = R_K_E in_E."""
+    """Unit vectors, or accelerations (m/s^2), in both frames: in_K = R_K_E (in_E + turn lever_A)."""
 
     t: FloatArray  # (n,) s: on the IMU's clock
-    in_K: FloatArray  # (n, 3): in the camera's and in the inertial frame
-    in_E: FloatArray  # (n, 3): in the camera's and in the inertial frame
+    in_K: FloatArray  # (n, 3): by the camera
+    in_E: FloatArray  # (n, 3): by the IMU
     weight: FloatArray  # (n,): 1 / variance
+    turn: FloatArray | None = None  # (n, 3, 3) 1/s^2: what a lever arm in {A} adds to an acceleration `in_E`
+
+    def with_lever(self, lever_A: FloatArray) -> VectorPairs:
+        """The accelerations of a joint that sits at lever_A (3,) m in {A}."""
+        assert self.turn is not None
+        return replace(self, in_E=self.in_E + self.turn @ lever_A)
 
 
 def direction_pairs(
@@ -60,26 +66,11 @@ def direction_pairs(
     return VectorPairs(t, along_K / length[:, None], in_E, np.full(len(t), sigma**-2))
 
 
-@dataclass(frozen=True)
-class AccelerationPairs:
-    """A joint's acceleration from camera and IMU: in_K = R_K_E (in_E + turn lever_A)."""
-
-    t: FloatArray  # (n,) s: on the IMU's clock
-    in_K: FloatArray  # (n, 3) m/s^2: by the camera
-    in_E: FloatArray  # (n, 3) m/s^2: of the IMU itself
-    turn: FloatArray  # (n, 3, 3) 1/s^2: what a lever arm in {A} adds to `in_E`
-    weight: FloatArray  # (n,): 1 / variance
-
-    def with_lever(self, lever_A: FloatArray) -> VectorPairs:
-        """Vector pairs for a joint that sits at lever_A (3,) m in {A}."""
-        return VectorPairs(self.t, self.in_K, self.in_E + self.turn @ lever_A, self.weight)
-
-
 def acceleration_pairs(
-    t: FloatArray, point: FloatArray, attitude: InertialAttitude, signal: InertialSignal, gravity: float
-) -> AccelerationPairs:
+    t: FloatArray, point: FloatArray, attitude: InertialAttitude, signal: InertialSignal
+) -> VectorPairs:
     """A joint's acceleration from the camera and from the IMU, both by the same local parabolas."""
-    none = AccelerationPairs(*(np.zeros(shape) for shape in (0, (0, 3), (0, 3), (0, 3, 3), 0)))
+    none = VectorPairs(*(np.zeros(shape) for shape in (0, (0, 3), (0, 3), 0, (0, 3, 3))))
     inside_signal = (t >= signal.start_s) & (t <= signal.end_s)
     if np.count_nonzero(inside_signal) < FEWEST_FRAMES:
         return none
@@ -87,7 +78,7 @@ def acceleration_pairs(
     step = 0.01
     grid = np.arange(max(signal.start_s, t[0] - 0.1), min(signal.end_s, t[-1] + 0.1), step)
     force = signal.mean(grid[:-1], grid[1:])[:, :3]
-    acc_E = attitude.at(0.5 * (grid[1:] + grid[:-1])).apply(force) - np.array([0.0, 0.0, gravity])
+    acc_E = attitude.at(0.5 * (grid[1:] + grid[:-1])).apply(force) - np.array([0.0, 0.0, GRAVITY])
     velocity = np.vstack([np.zeros(3), np.cumsum(acc_E * step, axis=0)])
     path = np.vstack([np.zeros(3), np.cumsum(0.5 * (velocity[1:] + velocity[:-1]) * step, axis=0)])
     inertial = interpolate(grid, path, t)
@@ -109,12 +100,12 @@ def acceleration_pairs(
     normal = np.einsum("wka,wkb->wab", basis, basis)
     functional = 2.0 * np.linalg.solve(normal, np.swapaxes(basis, 1, 2))[:, 2]
     variance = POINT_SIGMA_M**2 * np.sum(functional**2, axis=1) + ACCELERATION_SIGMA**2
-    return AccelerationPairs(
+    return VectorPairs(
         centre,
         np.einsum("wk,wka->wa", functional, point[index]),
         np.einsum("wk,wka->wa", functional, inertial[index]),
-        np.einsum("wk,wkab->wab", functional, R_E_A[index]),
         1.0 / variance,
+        np.einsum("wk,wkab->wab", functional, R_E_A[index]),
     )
 
 
@@ -140,12 +131,9 @@ class Alignment:
 def align(pairs: list[VectorPairs], start_s: float, end_s: float, down_K: FloatArray) -> Alignment:
     """`R_K_E` over time by Wahba's problem (SIAM Review 1965) on pairs weighted by their distance in time."""
     t = np.arange(start_s, max(end_s, start_s + 1e-3), ALIGN_STEP_S)
-    none = np.zeros((0, 3))
-    pairs = [*pairs, VectorPairs(np.zeros(0), none, none, np.zeros(0))]
-    times = np.concatenate([pair.t for pair in pairs])
-    in_K = np.vstack([pair.in_K for pair in pairs])
-    in_E = np.vstack([pair.in_E for pair in pairs])
-    weight = np.concatenate([pair.weight for pair in pairs])
+    none = np.zeros(0), np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0)
+    each = [none, *((pair.t, pair.in_K, pair.in_E, pair.weight) for pair in pairs)]
+    times, in_K, in_E, weight = (np.concatenate(column) for column in zip(*each, strict=True))
     nearest = np.clip(((times - start_s) / ALIGN_STEP_S).astype(int), 0, len(t) - 1)
     profile = np.zeros((len(t), 3, 3))
     outer = weight[:, None, None] * in_K[:, :, None] * in_E[:, None, :]
@@ -180,6 +168,21 @@ def lever_of(calibration: ArmCalibration, joint: str) -> FloatArray | None:
     return np.zeros(3) if joint == "strap" else None
 
 
+def imu_positions(
+    position: FloatArray, used: BoolArray, R_K_A: FloatArray, calibration: ArmCalibration
+) -> tuple[FloatArray, IntArray]:  # (f, 5, 3) m, (f, 5), (f, 3, 3) -> (f, 3) m, nan without joints; (f,)
+    """Where joints of known lever arms have the IMU, in the mean over them, and how many they are."""
+    total, count = np.zeros((len(position), 3)), np.zeros(len(position), int)
+    for joint in FOREARM_JOINTS:
+        lever, column = lever_of(calibration, joint), JOINTS.index(joint)
+        if lever is not None:
+            seen = used[:, column]
+            total[seen] += position[seen, column] - R_K_A[seen] @ lever
+            count[seen] += 1
+    with np.errstate(invalid="ignore"):
+        return total / count[:, None], count
+
+
 def pairs(
     segment: Segment, frame_t_imu: FloatArray, accepted: BoolArray, calibration: ArmCalibration
 ) -> list[VectorPairs]:
@@ -197,7 +200,7 @@ def pairs(
         rows = accepted[:, column]
         if lever is not None and rows.sum() >= 8:
             t, point = frame_t_imu[rows], segment.position[rows, column]
-            accelerations = acceleration_pairs(t, point, segment.attitude, segment.signal, GRAVITY)
+            accelerations = acceleration_pairs(t, point, segment.attitude, segment.signal)
             vectors.append(accelerations.with_lever(lever))
             break
     return vectors

@@ -17,7 +17,7 @@ import numpy as np
 from ..array_types import FloatArray
 from ..recording import JOINTS, Recording
 from .timestamps import synthetic_stamps
-from .visibility import accepted_samples, find_gaps, visible_frames
+from .visibility import find_gaps, visible_frames
 
 #: Growth of the error in a gap, m/s, alone and with a shoulder; of an IMU of at least this many Hz.
 GROWTH_ALONE, GROWTH_WITH_SHOULDER, FULL_RATE_HZ = 0.007, 0.0035, 80.0
@@ -139,7 +139,7 @@ def _undetermined(recording: Recording) -> Iterator[str]:
         yield f"the IMU is slow ({imu.rate_hz:.0f} Hz)"
     if arm.present == ("strap",):
         return
-    visible = visible_frames(arm, accepted_samples(arm))
+    visible = visible_frames(arm)
     seen_s = float(visible.sum() / arm.rate_hz)
     if seen_s < IN_VIEW_S:
         yield f"the forearm is in view for {seen_s:.0f} s only, so {NOTHING} how the sensor sits on it"

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..array_types import BoolArray, CameraNumbers, FloatArray
-from ..recording import ImuStream, JointState, JointTracks, Recording
+from ..recording import JOINTS, ImuStream, JointState, JointTracks, Recording
 from .clock import LARGEST_OFFSET_S, Clock
 from .inertial import ImuRun, InertialAttitude, InertialSignal, inertial_attitude
 from .rays import of_rays, origins_of
@@ -83,6 +83,12 @@ class Segment:
         flat = of_rays(self.frame_origins, len(self.frame_t_camera))
         return np.asarray(self.accepted & ~flat[:, None])
 
+    def distances(self, first: str, second: str, used: BoolArray) -> FloatArray:
+        """Between two joints (k,) m, in frames in which both are used (f, 5)."""
+        one, other = JOINTS.index(first), JOINTS.index(second)
+        both = used[:, one] & used[:, other]
+        return np.linalg.norm(self.position[both, one] - self.position[both, other], axis=1)
+
     def frame_t_imu(self, clock: Clock) -> FloatArray:
         """The frames (f,) on the IMU's clock, s."""
         return self.frame_t_camera + clock.at(self.frame_t_camera)
@@ -110,7 +116,7 @@ def traits_of(recording: Recording, number: int = 0) -> SegmentTraits:
     )
 
 
-def split_into_segments(recording: Recording, slack_s: float, number: int = 0) -> list[Segment]:
+def split_into_segments(recording: Recording, number: int = 0) -> list[Segment]:
     """The segments of a recording that contain at least two frames with a forearm joint."""
     traits = traits_of(recording, number)
     segments = []
@@ -118,7 +124,8 @@ def split_into_segments(recording: Recording, slack_s: float, number: int = 0) -
         imu = recording.imu.select(samples)
         if len(imu) < FEWEST_SAMPLES:
             continue
-        first, last = np.searchsorted(recording.arm.t_s, [imu.t_s[0] - slack_s, imu.t_s[-1] + slack_s])
+        ends_s = imu.t_s[0] - LARGEST_OFFSET_S, imu.t_s[-1] + LARGEST_OFFSET_S
+        first, last = np.searchsorted(recording.arm.t_s, ends_s)
         frames = slice(int(first), int(last))
         segment = make_segment(imu, dejitter(imu.t_s), recording.arm.select(frames), frames, traits)
         if segment is not None:

@@ -115,7 +115,7 @@ class EvenTimes:
     clock_resets: int  # Times that the clock was set back to stay
 
 
-def unwrapped(t_s: FloatArray, wraps_s: tuple[float, ...] = WRAPS_S) -> tuple[FloatArray, int]:
+def unwrapped(t_s: FloatArray) -> tuple[FloatArray, int]:
     """Stamps (N,) of a clock that starts anew, made to go on; and how often it did."""
     dt = np.diff(t_s)
     back = np.flatnonzero(dt < 0)
@@ -126,7 +126,7 @@ def unwrapped(t_s: FloatArray, wraps_s: tuple[float, ...] = WRAPS_S) -> tuple[Fl
     near = max(WRAP_TICKS * tick, WRAP_S)
     added, wraps = np.zeros(len(t_s)), 0
     for row in back.tolist():
-        fitting = [wrap for wrap in wraps_s if 0 <= dt[row] + wrap <= min(near, 0.1 * wrap)]
+        fitting = [wrap for wrap in WRAPS_S if 0 <= dt[row] + wrap <= min(near, 0.1 * wrap)]
         if fitting:
             added[row + 1 :] += min(fitting, key=lambda wrap: dt[row] + wrap)
             wraps += 1

@@ -21,9 +21,9 @@ def accepted_samples(arm: JointTracks) -> BoolArray:
     return np.stack([arm.tracked(joint) for joint in JOINTS], axis=1)
 
 
-def visible_frames(arm: JointTracks, accepted: BoolArray) -> BoolArray:  # accepted bool (F, 5) -> bool (F,)
-    """Frames in which the camera sees the forearm."""
-    return enough_joints(accepted, joints_needed(arm))
+def visible_frames(arm: JointTracks) -> BoolArray:
+    """Frames (F,) in which the camera sees the forearm."""
+    return enough_joints(accepted_samples(arm), joints_needed(arm))
 
 
 def joints_needed(arm: JointTracks) -> int:

@@ -22,7 +22,7 @@ from ..calibration import ArmCalibration
 from ..errors import CalibrationError, SolveError
 from ..measurements.clock import Clock
 from ..measurements.remedy import AXES, Remedy
-from ..measurements.segment import Timeline, down_hint
+from ..measurements.segment import down_hint
 from ..recording import CameraFrame, JointState, Recording
 from ..result import Recovery
 from ..result.verdict import EVER, finding
@@ -187,7 +187,7 @@ def likeliest_cause(
     """The mistake that explains a recording on which something is wrong; None where none does."""
     for swapped in swapped_joints(recording.arm):
         return fixed_by(swapped.sentence, (Remedy(swap=swapped.joints),), recording.applied_fixes)
-    recorded, recording = recording, informative_recording(recording, Timeline.of(recording))
+    recorded, recording = recording, informative_recording(recording)
     hint = down_hint(recording)
     down = hint if hint.any() else None
     as_it_is = closed_form(recording, given)
@@ -223,7 +223,7 @@ def likeliest_cause(
 
 def on_upper_arm(recording: Recording) -> Cause | None:
     """The IMU turns with the upper arm, however well it fits the forearm: with the elbow hardly bent, say."""
-    recording = informative_recording(recording, Timeline.of(recording))
+    recording = informative_recording(recording)
     as_it_is = closed_form(recording)
     return None if as_it_is is None else _on_upper_arm(recording, as_it_is)
 

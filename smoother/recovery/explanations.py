@@ -25,7 +25,6 @@ from ..measurements.segment import Segment
 from ..recording import JOINTS
 from ..result import Recovery
 from ..rotation import Rotation
-from ..units import GRAVITY
 
 #: Directions of the forearm that the search starts from, and its steps.
 STARTS, STEPS = 30, 12
@@ -102,9 +101,8 @@ def seen(recovery: Recovery, excerpts: Sequence[Segment]) -> Seen | None:
         R_K_A = S_W_K.T @ attitude.at(frames.t_s[both]).as_matrix()
         column = JOINTS.index(joint)
         rows = inside & frames.used[:, column]
-        found = acceleration_pairs(
-            frames.t_s[rows], position[rows, column], attitude, excerpt.signal, GRAVITY
-        )
+        found = acceleration_pairs(frames.t_s[rows], position[rows, column], attitude, excerpt.signal)
+        assert found.turn is not None
         parts.append((along, R_K_A, found.in_K, found.in_E @ S_W_K, S_W_K.T @ found.turn))
     if sum(len(part[0]) for part in parts) < FEWEST_FRAMES:
         return None

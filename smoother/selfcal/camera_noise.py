@@ -45,11 +45,11 @@ def joint_noise(windows: list[Window], solutions: list[Solution]) -> dict[str, J
 
 @dataclass(frozen=True)
 class _Memory:
-    """Pooled over the joints."""
+    """Pooled over the joints; white noise by default."""
 
-    long_run: float
-    hidden: float
-    neighbours: float
+    long_run: float = 1.0
+    hidden: float = 1.0
+    neighbours: float = 0.0
 
 
 def _robust(residual: FloatArray) -> float:
@@ -92,9 +92,9 @@ def _fitted(rho: FloatArray, counts: FloatArray, step_s: float) -> _Memory:
     lag_s = step_s * np.arange(1, len(rho))
     known = counts[1:] >= FEWEST_PAIRS
     if known.sum() < 3:
-        return _Memory(1.0, 1.0, 0.0)
+        return _Memory()
     y, weight = rho[1:][known], np.sqrt(counts[1:][known])
-    best, found = np.inf, _Memory(1.0, 1.0, 0.0)
+    best, found = np.inf, _Memory()
     for tau_s in TIMES_S:
         decay = np.exp(-lag_s[known] / tau_s)
         columns = weight[:, None] * np.stack([decay, -np.ones_like(decay)], axis=1)
@@ -104,7 +104,7 @@ def _fitted(rho: FloatArray, counts: FloatArray, step_s: float) -> _Memory:
             independent = counts[0] * step_s / (step_s + 2.0 * tau_s)
             best = misfit
             if a * np.sqrt(independent) < SIGNIFICANT:
-                found = _Memory(1.0, 1.0, 0.0)
+                found = _Memory()
                 continue
             hidden, share = 1.0 + b, a / (1.0 + b)
             ratio = np.exp(-step_s / tau_s)

@@ -10,7 +10,6 @@ from typing import TypeVar
 import numpy as np
 
 from ..array_types import FloatArray
-from ..measurements.clock import LARGEST_OFFSET_S
 from ..measurements.segment import Segment, Timeline, make_segment, split_into_segments
 from ..measurements.visibility import enough_joints
 from ..recording import Recording
@@ -80,7 +79,7 @@ def is_read_whole(timeline: Timeline) -> bool:
 def informative_excerpts(recording: Recording, timeline: Timeline) -> list[Segment]:
     """The excerpts of a recording as segments; all of it where it is short."""
     if is_read_whole(timeline):
-        return split_into_segments(recording, LARGEST_OFFSET_S)
+        return split_into_segments(recording)
     segments = []
     for excerpt in spread_excerpts(recording, timeline, WANTED, CONTEXT_S):
         imu, arm = recording.imu.select(excerpt.samples), recording.arm.select(excerpt.frames)
@@ -94,8 +93,9 @@ def informative_excerpts(recording: Recording, timeline: Timeline) -> list[Segme
     return segments
 
 
-def informative_recording(recording: Recording, timeline: Timeline) -> Recording:
+def informative_recording(recording: Recording) -> Recording:
     """A recording of nothing but its most informative excerpts and what lies around them."""
+    timeline = Timeline.of(recording)
     if is_read_whole(timeline):
         return recording
     samples, frames = np.zeros(len(recording.imu), bool), np.zeros(len(recording.arm), bool)

@@ -18,13 +18,12 @@ import numpy as np
 from ..array_types import BoolArray, FloatArray
 from ..calibration import ArmCalibration, LeverArm
 from ..linalg import largest_trace, parabola_vertex, sphere
-from ..measurements.alignment import Alignment, VectorPairs, acceleration_pairs, align, direction_pairs, pairs
-from ..measurements.clock import OFFSET_SIGMA_S, constant_clock
+from ..measurements.alignment import Alignment, acceleration_pairs, align, direction_pairs, pairs
+from ..measurements.clock import OFFSET_SIGMA_S
 from ..measurements.outliers import reject_by_camera
 from ..measurements.segment import Segment, Timeline
 from ..recording import FOREARM_JOINTS, JOINTS, Recording
 from ..rotation import Rotation
-from ..units import GRAVITY
 from .excerpts import choose_excerpts, informative_excerpts
 
 #: Clock offsets tried first, s.
@@ -107,18 +106,15 @@ def _direction_and_offset(
 ) -> tuple[FloatArray, FloatArray, float, float]:
     """Grid over offsets and directions, refined twice; the margin is the loss saved against the opposite."""
     directions = sphere(400) if known is None else known[None]
-    offsets = OFFSETS_S
-    choice = np.zeros(count)
-    best = directions[0]
+    offsets, choice = OFFSETS_S, np.zeros(count)
     margin = spread = float("nan")
     for step in range(3):
         loss = np.zeros((count, len(offsets), len(directions)))
         for segment, rows in zip(segments, both, strict=True):
             if rows.sum() >= 5:
-                centre = choice[segment.recording] if step else 0.0
-                loss[segment.recording] += _losses(segment, rows, centre + offsets, directions)
-        for r in range(count):
-            loss[r] += 0.5 * ((offsets + (choice[r] if step else 0.0)) / offset_sigma_s)[:, None] ** 2
+                tried = choice[segment.recording] + offsets
+                loss[segment.recording] += _losses(segment, rows, tried, directions)
+        loss += 0.5 * ((offsets + choice[:, None]) / offset_sigma_s)[:, :, None] ** 2
         at = loss.min(axis=1).sum(axis=0)  # each recording has its own offset
         k = int(np.argmin(at))
         best = directions[k]
@@ -127,8 +123,7 @@ def _direction_and_offset(
             spread = float(np.arccos(np.clip(likely @ best, -1.0, 1.0)).max())
             opposite = directions @ best < -0.5
             margin = float(at[opposite].min() - at[k]) if opposite.any() else float("nan")
-        for r in range(count):
-            choice[r] = (choice[r] if step else 0.0) + parabola_vertex(offsets, loss[r, :, k])
+        choice = choice + [parabola_vertex(offsets, own[:, k]) for own in loss]
         width = (0.25, 0.06, 0.0)[step]
         directions = _cap(best, width) if known is None else known[None]
         offsets = np.linspace(-0.03, 0.03, 7)
@@ -203,10 +198,9 @@ def _aligned(segment: Segment, offset_s: float, along: FloatArray | None) -> Ali
         )
     if segment.with_depth[:, strap].sum() >= 8:
         rows = segment.with_depth[:, strap]
-        found = acceleration_pairs(
-            frame_t[rows], segment.position[rows, strap], segment.attitude, segment.signal, GRAVITY
+        pairs.append(
+            acceleration_pairs(frame_t[rows], segment.position[rows, strap], segment.attitude, segment.signal)
         )
-        pairs.append(found.with_lever(np.zeros(3)))
     return align(pairs, segment.start_s, segment.end_s, segment.down)
 
 
@@ -237,10 +231,8 @@ def _by_acceleration(
         if rows.sum() < 8:
             continue
         t = segment.frame_t_camera[rows] + offset_s[segment.recording]
-        found = acceleration_pairs(
-            t, segment.position[rows, column], segment.attitude, segment.signal, GRAVITY
-        )
-        if len(found.t):
+        found = acceleration_pairs(t, segment.position[rows, column], segment.attitude, segment.signal)
+        if len(found.t) and found.turn is not None:
             right = frame.at(found.t).inv().apply(found.in_K) - found.in_E
             information += np.einsum("n,nab,nac->bc", found.weight, found.turn, found.turn)
             vector += np.einsum("n,nab,na->b", found.weight, found.turn, right)
@@ -289,14 +281,11 @@ class ClosedForm:
         return float(np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0))))
 
 
-def closed_form(
-    recording: Recording, given: ArmCalibration | None = None, timeline: Timeline | None = None
-) -> ClosedForm | None:
+def closed_form(recording: Recording, given: ArmCalibration | None = None) -> ClosedForm | None:
     """The closed form on a recording's excerpts."""
-    timeline = timeline or Timeline.of(recording)
     excerpts = [
         replace(reject_by_camera(excerpt), down=np.zeros(3))
-        for excerpt in informative_excerpts(recording, timeline)
+        for excerpt in informative_excerpts(recording, Timeline.of(recording))
     ]
     if not any(excerpt.accepted.any() for excerpt in excerpts):
         return None
@@ -304,19 +293,20 @@ def closed_form(
     angles, unexplained, whole = [np.zeros(0)], 0.0, 0.0
     down = np.zeros(3)
     for excerpt in excerpts:
-        vectors, alignment = _aligned_by(excerpt, float(mounting.offset_s[0]), mounting.calibration)
-        if alignment is None:
+        frame_t = excerpt.frame_t_camera + mounting.offset_s[0]
+        vectors = pairs(excerpt, frame_t, excerpt.accepted, mounting.calibration)
+        if not sum(len(each.t) for each in vectors):
             continue
+        alignment = align(vectors, excerpt.start_s, excerpt.end_s, np.zeros(3))
         middle = alignment.at(np.array([0.5 * (excerpt.start_s + excerpt.end_s)]))
         down += middle.apply([0.0, 0.0, -1.0])[0]
         for each in vectors:
             residual = each.in_K - alignment.at(each.t).apply(each.in_E)
-            size = np.linalg.norm(each.in_K, axis=1)
-            if np.allclose(size, 1.0, atol=1e-6):
+            if each.turn is None:
                 angles.append(2.0 * np.arcsin(np.clip(0.5 * np.linalg.norm(residual, axis=1), 0.0, 1.0)))
             else:
                 unexplained += float(each.weight @ (residual**2).sum(axis=1))
-                whole += float(each.weight @ size**2)
+                whole += float(each.weight @ (each.in_K**2).sum(axis=1))
     angle = np.concatenate(angles)
     length = float(np.linalg.norm(down))
     return ClosedForm(
@@ -325,17 +315,6 @@ def closed_form(
         down / length if length > 0.0 else np.full(3, np.nan),
         mounting.calibration,
     )
-
-
-def _aligned_by(
-    excerpt: Segment, offset_s: float, calibration: ArmCalibration
-) -> tuple[list[VectorPairs], Alignment | None]:
-    """Vectors that both measured, and the alignment that they give; none where there are none."""
-    frame_t = excerpt.frame_t_imu(constant_clock(offset_s))
-    vectors = [each for each in pairs(excerpt, frame_t, excerpt.accepted, calibration) if len(each.t)]
-    if not vectors:
-        return [], None
-    return vectors, align(vectors, excerpt.start_s, excerpt.end_s, np.zeros(3))
 
 
 #: The closed form's direction of the forearm counts where no direction farther off is nearly as likely, rad.
@@ -391,10 +370,6 @@ def _other_length(what: str, given_m: float, sigma_m: float, seen_m: float | Non
 
 def _length(excerpts: Sequence[Segment], first: str, second: str) -> float | None:
     """Median distance between two joints that the camera sees, m; None in too few frames."""
-    one, other = JOINTS.index(first), JOINTS.index(second)
-    lengths: list[FloatArray] = []
-    for segment in excerpts:
-        both = segment.with_depth[:, one] & segment.with_depth[:, other]
-        lengths.append(np.linalg.norm(segment.position[both, one] - segment.position[both, other], axis=1))
-    known = np.concatenate(lengths) if lengths else np.zeros(0)
+    lengths = [each.distances(first, second, each.with_depth) for each in excerpts]
+    known = np.concatenate([np.zeros(0), *lengths])
     return float(np.median(known)) if len(known) >= FEWEST_FRAMES else None

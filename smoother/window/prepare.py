@@ -16,7 +16,7 @@ from ..measurements.alignment import (
     acceleration_pairs,
     align,
     direction_pairs,
-    lever_of,
+    imu_positions,
     located,
     pairs,
 )
@@ -24,9 +24,8 @@ from ..measurements.clock import Clock
 from ..measurements.inertial import InertialSignal, acceleration_std, is_still
 from ..measurements.segment import Segment
 from ..measurements.visibility import Gap, enough_joints, find_gaps, occluded_at, seen_by_any
-from ..recording import FOREARM_JOINTS, JOINTS
+from ..recording import JOINTS
 from ..splines import PiecewiseCubic
-from ..units import GRAVITY
 from .nodes import (
     CLOSEST_S,
     decimate,
@@ -39,8 +38,8 @@ from .problem import States
 
 #: Frames with both joints of its segment that a run of samples needs: without them its heading is not known.
 FEWEST_FRAMES = 10
-
-
+#: Start values' positions and velocities are those of lines over this time on both sides, s.
+LINE_HALF_S = 0.12
 #: Beyond this time from the last visible frame there is no answer, s: a window has no border in a gap, and
 #: what it takes grows with its length squared.
 REACH_S = 180.0
@@ -137,17 +136,10 @@ def prepare(
         alignment = align(vectors, start_s, end_s, segment.down)
     R = (alignment.at(t) * segment.attitude.at(t)).as_matrix()
     nearest = np.clip(np.searchsorted(alignment.t, t), 0, len(alignment.t) - 1)
-    # where joints of known lever arms have the IMU, in the mean
     R_frames = (alignment.at(frame_t_imu) * segment.attitude.at(frame_t_imu)).as_matrix()
-    total, count = np.zeros((len(frame_t_imu), 3)), np.zeros(len(frame_t_imu))
-    for joint in FOREARM_JOINTS:
-        lever, column = lever_of(calibration, joint), JOINTS.index(joint)
-        if lever is not None:
-            own_rows = accepted[:, column]
-            total[own_rows] += segment.position[own_rows, column] - R_frames[own_rows] @ lever
-            count[own_rows] += 1.0
+    places, count = imu_positions(segment.position, accepted, R_frames, calibration)
     known = count > 0
-    position = frame_t_imu[known], total[known] / count[known, None]
+    position = frame_t_imu[known], places[known]
     carriers = prepare_further(segment, frame_t_imu, accepted, calibration, t)
     if carriers:
         position = forearm_in_gaps(carriers, t, R, gaps, calibration, position)
@@ -199,10 +191,9 @@ def states_from_camera(t: FloatArray, R: FloatArray, frame_t_imu: FloatArray, po
     return States(R, curve(inside), velocity)
 
 
-def _local_lines(t: FloatArray, x: FloatArray, half_s: float = 0.12) -> tuple[FloatArray, FloatArray]:
-    """Value and slope at each time of the least-squares line over +- half_s (prefix sums)."""
-    lo, hi = np.searchsorted(t, [t - half_s, t + half_s + 1e-9])
-    ones = np.ones_like(t)
+def _local_lines(t: FloatArray, x: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Value and slope at each time of the least-squares line over +- `LINE_HALF_S` (prefix sums)."""
+    lo, hi = np.searchsorted(t, [t - LINE_HALF_S, t + LINE_HALF_S + 1e-9])
 
     def window_sum(y: FloatArray) -> FloatArray:
         total = np.concatenate([np.zeros((1, *y.shape[1:])), np.cumsum(y, axis=0)])
@@ -210,7 +201,7 @@ def _local_lines(t: FloatArray, x: FloatArray, half_s: float = 0.12) -> tuple[Fl
 
     origin = t[len(t) // 2]
     u, mean = t - origin, x.mean(axis=0)
-    n, su, suu = window_sum(ones), window_sum(u), window_sum(u * u)
+    n, su, suu = window_sum(np.ones_like(t)), window_sum(u), window_sum(u * u)
     sx, sux = window_sum(x - mean), window_sum(u[:, None] * (x - mean))
     determinant = n * suu - su**2
     good = (n >= 3) & (determinant > 1e-9 * n)
@@ -255,7 +246,7 @@ def prepare_further(
         along_B = unit(far_B - near_B)
         directions = direction_pairs(frame_t_imu[both], *ends, run.attitude, along_B)
         accelerations = acceleration_pairs(
-            frame_t_imu[seen_far], segment.position[seen_far, far], run.attitude, run.signal, GRAVITY
+            frame_t_imu[seen_far], segment.position[seen_far, far], run.attitude, run.signal
         )
         pairs = [directions, accelerations.with_lever(far_B)]
         alignment = align(pairs, start_s, end_s, segment.down)

@@ -152,12 +152,8 @@ def upper_arm_length_sigma(segments: list[Segment], config: Config, sample_m: fl
 
 def _upper_arm_lengths(segments: list[Segment], fewest: int) -> list[FloatArray]:
     """Distances from shoulder to elbow, segment by segment; a segment with fewer does not count."""
-    shoulder, elbow = JOINTS.index("shoulder"), JOINTS.index("elbow")
-    return [
-        np.linalg.norm(segment.position[both, elbow] - segment.position[both, shoulder], axis=1)
-        for segment in segments
-        if (both := segment.accepted[:, shoulder] & segment.accepted[:, elbow]).sum() >= fewest
-    ]
+    lengths = [segment.distances("elbow", "shoulder", segment.accepted) for segment in segments]
+    return [each for each in lengths if len(each) >= fewest]
 
 
 def with_measured_noise(config: Config, imu: ImuStream) -> Config:

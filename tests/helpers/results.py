@@ -14,7 +14,7 @@ from arms import make_recording, make_recovery
 from scipy.interpolate import CubicSpline
 
 from smoother.io.export.prepare import prepare_export
-from smoother.measurements.visibility import accepted_samples, find_gaps, occluded_at, visible_frames
+from smoother.measurements.visibility import find_gaps, occluded_at, visible_frames
 from smoother.recording import JOINTS, JointState, JointTracks
 from smoother.result import Recovery
 
@@ -29,7 +29,7 @@ def made(side: str = "right", *, hidden=HIDDEN, strap: bool = False) -> Recovery
     for start, end in hidden:
         arm = arm.hide((arm.t_s > start) & (arm.t_s < end))
     recovery = make_recovery(replace(recording, arm=arm), error_m=0.002)
-    gaps = find_gaps(arm.t_s, visible_frames(arm, accepted_samples(arm)), 0.0, float(recovery.t_s[-1]))
+    gaps = find_gaps(arm.t_s, visible_frames(arm), 0.0, float(recovery.t_s[-1]))
     recovery = replace(recovery, side=side, gaps=gaps, occluded=occluded_at(recovery.t_s, gaps))
     return strap_only(recovery) if strap else recovery
 

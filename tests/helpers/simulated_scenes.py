@@ -36,7 +36,7 @@ def scene_of(made: SimulatedArm, tilt_deg: float = 0.0, sigma_m: float | None = 
     frame_t = tracks.t_s + made.parameters["clock_offset_s"]
     inside = (frame_t >= imu.t_s[0]) & (frame_t <= imu.t_s[-1])
     accepted = accepted_samples(tracks)
-    visible = visible_frames(tracks, accepted)[inside]
+    visible = visible_frames(tracks)[inside]
     frame_t = frame_t[inside]
     joints = np.where(accepted[inside, :, None], tracks.position[inside], np.nan)
     R_frames = Slerp(imu.t_s, Rotation.from_matrix(R))(frame_t).as_matrix()

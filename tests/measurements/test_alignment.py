@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from curve import Curve, G
+from curve import Curve
 from scipy.spatial import transform
 
 from smoother.array_types import FloatArray
@@ -84,7 +84,7 @@ def test_acceleration_pairs_are_one_vector_from_two_frames(seed: int) -> None:
     attitude = true_attitude(curve, R_K_E.inv(), 8.0)
     t, lever = np.arange(0.2, 7.8, 1 / 30), np.array([0.02, -0.2, 0.03])
     joint = curve.position(t) + curve.rotation(t).apply(lever)
-    accelerations = acceleration_pairs(t, joint, attitude, InertialSignal(curve.imu(100.0, 8.0)), G)
+    accelerations = acceleration_pairs(t, joint, attitude, InertialSignal(curve.imu(100.0, 8.0)))
     pairs = accelerations.with_lever(lever)
     assert len(pairs.t) > 25
     difference = np.linalg.norm(pairs.in_K - R_K_E.apply(pairs.in_E), axis=1)
@@ -102,9 +102,9 @@ def test_acceleration_pairs_leave_gaps_alone() -> None:
     t = t[(t < 3.0) | (t > 3.5)]
     attitude = true_attitude(curve, Rotation.from_matrix(np.eye(3)), 8.0)
     signal = InertialSignal(curve.imu(100.0, 8.0))
-    accelerations = acceleration_pairs(t, curve.position(t), attitude, signal, G)
+    accelerations = acceleration_pairs(t, curve.position(t), attitude, signal)
     assert not ((accelerations.t > 2.65) & (accelerations.t < 3.85)).any()
-    short = acceleration_pairs(t[:10], curve.position(t[:10]), attitude, signal, G)
+    short = acceleration_pairs(t[:10], curve.position(t[:10]), attitude, signal)
     assert len(short.t) == 0
 
 

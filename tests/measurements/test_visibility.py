@@ -16,7 +16,6 @@ from smoother.measurements.allowance import allowance
 from smoother.measurements.visibility import (
     MISSING_S,
     Gap,
-    accepted_samples,
     find_gaps,
     occluded_at,
     visible_frames,
@@ -38,7 +37,7 @@ def tracks(**tracked: list[bool]) -> JointTracks:
 
 
 def visible(arm: JointTracks) -> list[bool]:
-    return visible_frames(arm, accepted_samples(arm)).tolist()
+    return visible_frames(arm).tolist()
 
 
 @given(st.lists(st.tuples(st.booleans(), st.booleans(), st.booleans()), min_size=1, max_size=30))

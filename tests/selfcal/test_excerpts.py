@@ -17,7 +17,6 @@ from scenes import arm
 from smoother.calibration import ArmCalibration
 from smoother.config import Config
 from smoother.errors import CalibrationError
-from smoother.measurements.clock import LARGEST_OFFSET_S
 from smoother.measurements.segment import Segment, Timeline, split_into_segments
 from smoother.recording import FOREARM_JOINTS, JOINTS, ImuStream, JointState, JointTracks, Recording
 from smoother.runtime.pool import Pool
@@ -118,7 +117,7 @@ def test_only_the_excerpts_of_a_long_recording_are_read() -> None:
 
 def test_all_of_a_short_recording() -> None:
     made = recording(1.5 * EXCERPTS_S, pauses=[(50.0, 51.0)])
-    expected = split_into_segments(made, LARGEST_OFFSET_S)
+    expected = split_into_segments(made)
     actual = informative_excerpts(made, Timeline.of(made))
     assert spans(actual) == spans(expected)
     assert len(actual) == 2

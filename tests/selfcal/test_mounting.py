@@ -13,7 +13,6 @@ from scipy.spatial.transform import Rotation
 
 from smoother.array_types import FloatArray
 from smoother.calibration import ArmCalibration, Length, LeverArm
-from smoother.measurements.clock import LARGEST_OFFSET_S
 from smoother.measurements.outliers import reject_by_camera
 from smoother.measurements.segment import Segment, split_into_segments
 from smoother.recording import JOINTS, CameraFrame, ImuStream, JointState, JointTracks, Recording
@@ -44,7 +43,7 @@ def found_in(*recordings: Recording) -> Mounting:
     segments = [
         reject_by_camera(segment)
         for number, recording in enumerate(recordings)
-        for segment in split_into_segments(recording, LARGEST_OFFSET_S, number)
+        for segment in split_into_segments(recording, number)
     ]
     return find_mounting(segments, ArmCalibration())
 
@@ -91,7 +90,7 @@ def test_two_recordings_have_an_offset_each() -> None:
 
 def test_what_is_known_is_kept() -> None:
     made = arm(1, repetitions=1)
-    (segment,) = split_into_segments(made.recording, LARGEST_OFFSET_S)
+    (segment,) = split_into_segments(made.recording)
     wrist = made.calibration.lever_arms["wrist"]
     found = find_mounting([segment], ArmCalibration("right", {"wrist": wrist}))
     assert found.calibration.lever_arms["wrist"] is wrist
@@ -118,7 +117,7 @@ def slow_loss(segment: Segment, offset_s: float, direction: FloatArray) -> float
 
 def test_the_grid_against_another_solution_of_wahba_s_problem() -> None:
     made = arm(3, protocol="random", duration_s=45.0)
-    (segment,) = split_into_segments(made.recording, LARGEST_OFFSET_S)
+    (segment,) = split_into_segments(made.recording)
     offsets, directions = np.array([-0.1, 0.0, 0.06]), sphere(12)
     fast = _losses(segment, _both(segment), offsets, directions)
     for i, offset in enumerate(offsets):
@@ -198,7 +197,7 @@ def made(seed: int, preset: str) -> SimulatedArm:
 
 
 def segments_of(arm: SimulatedArm) -> list[Segment]:
-    return [reject_by_camera(segment) for segment in split_into_segments(arm.recording, 0.4)]
+    return [reject_by_camera(segment) for segment in split_into_segments(arm.recording)]
 
 
 def turned(arm: ArmCalibration, degrees: float) -> ArmCalibration:

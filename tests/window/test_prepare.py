@@ -40,7 +40,7 @@ def clock(made: SimulatedArm) -> Clock:
 
 @pytest.fixture(scope="module")
 def segment(made: SimulatedArm) -> Segment:
-    (segment,) = split_into_segments(replace(made.recording, truth=None), 0.5)
+    (segment,) = split_into_segments(replace(made.recording, truth=None))
     return segment
 
 
