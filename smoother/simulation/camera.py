@@ -26,7 +26,7 @@ from ..recording import (
 )
 from ..rotation import matrix_of
 from .config import ArmSimulation, SensorErrors
-from .motion import ArmMotion, Stage, perform, tilt_rotation
+from .motion import ArmMotion, Stage, optical_axes, perform, tilt_rotation
 
 
 @dataclass
@@ -211,16 +211,11 @@ def is_rgb(config: ArmSimulation, first: bool) -> bool:
     return config.rgb == "all" or config.rgb == ("first" if first else "further")
 
 
-def optical_from(frame: CameraFrame) -> FloatArray:
-    """Turns vectors of a camera's axes into x right, y down, z forward, (3, 3)."""
-    return np.diag([-1.0, -1.0, 1.0]) if frame is CameraFrame.KINECT else np.eye(3)
-
-
 def photograph(footage: Footage, config: ArmSimulation, rng: np.random.Generator) -> None:
     """Positions become points of their rays a metre in front of the camera, with the network's pixel
     errors.
     """
-    points = footage.position @ optical_from(config.camera_frame).T
+    points = footage.position @ optical_axes(config.camera_frame)
     frames, joints, _ = points.shape
     sigma = config.rgb_noise_px
     slow = sigma / np.sqrt(2.0) if config.noise_correlated_m else 0.0
@@ -361,7 +356,7 @@ def _further(
     tracks = replace(tracks, t_s=tracks.t_s + ahead_s + 1e-6 * config.camera_clock_ppm * tracks.t_s)
     frame, pose = config.camera_frame, None
     if flat:
-        frame, R = CameraFrame.OPTICAL, R @ optical_from(config.camera_frame).T
+        frame, R = CameraFrame.OPTICAL, R @ optical_axes(config.camera_frame)
     if flat and config.rgb == "all":  # its place is known by a calibration, with its errors
         sigma_rad = float(np.radians(CALIBRATED_DEG))
         turned = R @ matrix_of(sigma_rad * place_rng.normal(size=3))

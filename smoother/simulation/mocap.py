@@ -13,10 +13,9 @@ from scipy.spatial.transform import Rotation
 
 from ..array_types import BoolArray, FloatArray
 from ..linalg import unit
-from ..recording import CameraFrame
 from .arm import SimulatedArm
 from .config import Settings, setting, size
-from .motion import LEVEL_FROM_KINECT, PAD_S, ArmMotion
+from .motion import PAD_S, ArmMotion, optical_axes
 
 #: Markers of a joint: the mean of their positions is the joint's centre.
 JOINT_MARKERS = {
@@ -42,8 +41,6 @@ _PLATE_M = np.array(
 )
 PLATE_M = _PLATE_M - _PLATE_M.mean(axis=0)
 PLATE_MARKERS = tuple(f"IMU{number}" for number in range(1, 9))
-#: Kinect axes to optical axes (x right, y down, z forward), and back.
-_OPTICAL_FROM_KINECT = np.diag([-1.0, -1.0, 1.0])
 #: A marker disappears for about as long as this, s.
 _LOST_S = 0.4
 #: The capture has at least so much of the recording, s.
@@ -145,11 +142,6 @@ def capture(simulated: SimulatedArm, config: MocapSimulation | None = None, seed
         offset_s,
         config.mocap_skew_ppm,
     )
-
-
-def optical_axes(frame: CameraFrame) -> FloatArray:
-    """`R_K_C` (3, 3): optical axes (x right, y down, z forward) to the axes of a recording's camera frame."""
-    return np.asarray(LEVEL_FROM_KINECT[frame] @ _OPTICAL_FROM_KINECT.T)
 
 
 def marker_positions(motion: ArmMotion, t_s: FloatArray, side: str) -> FloatArray:

@@ -365,6 +365,11 @@ LEVEL_FROM_KINECT = {
 }
 
 
+def optical_axes(frame: CameraFrame) -> FloatArray:
+    """`R_K_C` (3, 3): optical axes (x right, y down, z forward) to the axes of a recording's camera frame."""
+    return np.asarray(LEVEL_FROM_KINECT[frame] @ LEVEL_FROM_KINECT[CameraFrame.OPTICAL].T)
+
+
 @dataclass(frozen=True)
 class Stage:
     """Where the person stands before the camera."""

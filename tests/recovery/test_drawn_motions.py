@@ -10,10 +10,11 @@ from scenes import ALONE, arm
 
 from smoother import Recovery
 from smoother.errors import UnoccludeError
-from smoother.recovery.drawn_samples import _hermite, _widened
+from smoother.recovery.drawn_samples import _widened
 from smoother.recovery.samples import widen_turns
 from smoother.simulation import SimulatedArm
 from smoother.smoothing import smooth
+from smoother.splines import PiecewiseCubic
 
 DRAWS = 300
 
@@ -102,7 +103,7 @@ def test_between_nodes_a_motion_of_constant_acceleration_is_exact() -> None:
     nodes, t = np.array([0.0, 0.1, 0.3, 0.35]), np.linspace(0.0, 0.35, 15)
 
     def path(at: np.ndarray) -> np.ndarray:
-        return np.stack([at, at**2, 1.0 - at**3], axis=-1)[:, None]
+        return np.stack([at, at**2, 1.0 - at**3], axis=-1)
 
-    speed = np.stack([np.ones(4), 2 * nodes, -3 * nodes**2], axis=-1)[:, None]
-    np.testing.assert_allclose(_hermite(nodes, path(nodes), speed, t), path(t), atol=1e-12)
+    speed = np.stack([np.ones(4), 2 * nodes, -3 * nodes**2], axis=-1)
+    np.testing.assert_allclose(PiecewiseCubic(nodes, path(nodes), speed)(t), path(t), atol=1e-12)

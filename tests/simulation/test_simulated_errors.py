@@ -142,3 +142,10 @@ def test_another_person_may_take_longer_or_not_so_long(seed: int):
     (camera,) = simulate_arm(config, seed).recording.cameras
     assert len(camera.arm) > 300
     assert np.isfinite(camera.arm.joint("shoulder")).all()
+
+
+@pytest.mark.parametrize("frame", ["kinect", "optical", "zup"])
+def test_a_further_camera_without_depth_sees_the_arm(frame: str):
+    simulated = make(duration_s=8.0, camera_frame=frame, cameras=(60.0,), rgb="further")
+    (camera,) = simulated.recording.cameras
+    assert (camera.arm.state[:, [SHOULDER, ELBOW, WRIST]] == JointState.TRACKED).mean() > 0.5

@@ -8,7 +8,8 @@ from scipy.spatial.transform import Rotation
 
 from smoother.recording import CameraFrame
 from smoother.simulation import ArmSimulation, MocapSimulation, SimulatedArm, capture, simulate_arm
-from smoother.simulation.mocap import MarkerCapture, optical_axes
+from smoother.simulation.mocap import MarkerCapture
+from smoother.simulation.motion import optical_axes
 
 CLEAN = MocapSimulation(marker_noise_m=0.0, marker_lost=0.0)
 #: Axes (x right, y down, z forward) in the axes of each frame, written out from their definitions.
