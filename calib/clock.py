@@ -54,8 +54,8 @@ class ClockLink:
 
     from_clock: str  # Names of the nodes
     to_clock: str  # Names of the nodes
-    offset_s: float  # Offset at `at_s` with its standard deviation
-    sigma_s: float  # Offset at `at_s` with its standard deviation
+    offset_s: float  # Offset at `at_s`
+    sigma_s: float  # Its standard deviation
     skew_ppm: float = 0.0  # ppm: how fast it grows; sigma is 500 where nothing was measured
     skew_sigma_ppm: float = 1e6 * SKEW_SIGMA  # ppm: how fast it grows
     at_s: float = 0.0  # Time on `from_clock` for which the offset is stated

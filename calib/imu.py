@@ -84,10 +84,10 @@ class Rests:
     """Times in which a sensor lay still."""
 
     ranges: np.ndarray  # (n, 2): first sample of each, and the one after the last
-    acc: FloatArray  # (n, 3): means, m/s^2 and rad/s
-    gyro: FloatArray  # (n, 3): means, m/s^2 and rad/s
-    acc_sigma: FloatArray  # (3,): standard deviation of a sample at rest
-    gyro_sigma: FloatArray  # (3,): standard deviation of a sample at rest
+    acc: FloatArray  # (n, 3) m/s^2: means
+    gyro: FloatArray  # (n, 3) rad/s: means
+    acc_sigma: FloatArray  # (3,) m/s^2: standard deviation of a sample at rest
+    gyro_sigma: FloatArray  # (3,) rad/s: standard deviation of a sample at rest
     pose: np.ndarray  # (n,): number of the pose; rests in the same direction share one
 
     def __len__(self) -> int:

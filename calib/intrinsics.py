@@ -32,10 +32,10 @@ class Intrinsics:
 
     width: int  # pixels: of the images that these hold for
     height: int  # pixels: of the images that these hold for
-    fx: float  # pixels: focal lengths and principal point
-    fy: float  # pixels: focal lengths and principal point
-    cx: float  # pixels: focal lengths and principal point
-    cy: float  # pixels: focal lengths and principal point
+    fx: float  # pixels: focal lengths
+    fy: float  # pixels: focal lengths
+    cx: float  # pixels: principal point
+    cy: float  # pixels: principal point
     distortion: tuple[float, ...] = ()  # k1, k2, p1, p2, k3; fewer where the rest is zero, empty for none
     focal_share: float = 0.0  # Standard error of the focal length, as a part of it
 

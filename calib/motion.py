@@ -51,7 +51,7 @@ class ForearmFrame:
     length_m: float  # Elbow to wrist
     length_sigma_m: float  # Elbow to wrist
     distance_m: float  # Of the IMU from the line between elbow and wrist
-    distance_sigma_m: float  # Of the IMU from the line between elbow and wrist
+    distance_sigma_m: float  # Its standard deviation
     roll_sigma_rad: float  # Of the angle about the forearm's axis; inf where the IMU is too near to the line
     R_F_A: FloatArray | None  # (3, 3): none where the roll or the direction is not known well enough
 
@@ -109,8 +109,8 @@ class ClockOffset:
     """A recording's clock offset, t_imu = t_camera + offset; it belongs to that recording alone."""
 
     recording: str
-    offset_s: float = float("nan")  # Mean offset and its standard deviation
-    sigma_s: float = float("nan")  # Mean offset and its standard deviation
+    offset_s: float = float("nan")  # Mean offset
+    sigma_s: float = float("nan")  # Its standard deviation
     drift_s: float = float("nan")  # How far the offset wandered
 
 

@@ -43,8 +43,8 @@ class LengthFactor:
     length_s: float
     count: int  # Gaps behind it: of this length, or of all lengths together where `pooled`
     pooled: bool  # The gaps of this length alone are too few
-    factor_50: float  # By which sigma has to be multiplied for the 50 and the 95 % region to hold
-    factor_95: float  # By which sigma has to be multiplied for the 50 and the 95 % region to hold
+    factor_50: float  # By which sigma has to be multiplied for the 50 % region to hold
+    factor_95: float  # By which for the 95 % region
     level: float  # What `factor_95` holds: 0.95, or less where there are too few gaps even together
     factor: float  # What sigma is to be multiplied by: below 1 only on firm evidence
 

@@ -126,8 +126,8 @@ class WorldPose:
     covariance: FloatArray  # (3, 3): of its rotation vector, rad^2 in {K}
     panel: Rest  # The IMUs at rest
     base: Rest  # The IMUs at rest
-    panel_turn: Turn | None = None  # Their rotation since the pose before, or None
-    base_turn: Turn | None = None  # Their rotation since the pose before, or None
+    panel_turn: Turn | None = None  # The panel's rotation since the pose before, or None
+    base_turn: Turn | None = None  # The base's, or None
 
     @property
     def has_north(self) -> bool:
@@ -139,10 +139,10 @@ class WorldPose:
 class Attitudes:
     """The unknowns."""
 
-    R_K_B: Rotation  # Camera from base IMU, panel from its IMU
-    R_P_I: Rotation  # Camera from base IMU, panel from its IMU
-    R_W_B: Rotation  # The IMUs in the world (z up), one per pose
-    R_W_I: Rotation  # The IMUs in the world (z up), one per pose
+    R_K_B: Rotation  # Camera from base IMU
+    R_P_I: Rotation  # Panel from its IMU
+    R_W_B: Rotation  # The base's IMU in the world (z up), one per pose
+    R_W_I: Rotation  # The panel's, one per pose
     rest: FloatArray  # (14,): biases
 
     def moved(self, step: FloatArray) -> Attitudes:

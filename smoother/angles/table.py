@@ -36,7 +36,7 @@ class AngleTable:
     t_s: FloatArray  # (N,) s: as in the recovery
     angles: tuple[JointAngle, ...]  # Its rows, in the order of columns
     values: Angles  # dict of (N,) deg: by the angles' names
-    sigmas: Angles  # dict of (N,) deg: by the angles' names
+    sigmas: Angles  # dict of (N,) deg: their standard deviations
     reasons: dict[str, str]  # Why an angle is empty, throughout or in part, or has no row
 
     def __len__(self) -> int:

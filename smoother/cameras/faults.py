@@ -35,8 +35,8 @@ class Move:
 
     t_s: float  # On the first camera's clock, to some seconds
     between_s: tuple[float, float]  # The middles of the parts before and after
-    turned_rad: float  # By how much; the second where it sees the arm
-    shifted_m: float  # By how much; the second where it sees the arm
+    turned_rad: float  # By how much
+    shifted_m: float  # By how much, where it sees the arm
     misfit_m: float  # Median distance of the joints, each part at its own place
 
     def sentence(self, first: str) -> str:

@@ -43,8 +43,8 @@ SIZE = OFFSETS.stop
 class Placement:
     """A camera's pose and clock as the joints tell them."""
 
-    R: FloatArray  # (3, 3) and (3,) m: `R_K_C`, and {C}'s origin in {K}
-    p: FloatArray  # (3, 3) and (3,) m: `R_K_C`, and {C}'s origin in {K}
+    R: FloatArray  # (3, 3): `R_K_C`
+    p: FloatArray  # (3,) m: the origin of {C} in {K}
     clock: RelativeClock
     offset_m: FloatArray  # (5, 3) m: the first camera's joints less this one's in {K}: their constant errors
     centre_m: FloatArray  # (3,) m: mean place of the joints in {K}, that the turn is about

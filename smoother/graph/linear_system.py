@@ -26,7 +26,7 @@ class Jacobian:
     """The entries that are not zero, factor by factor."""
 
     row: IntArray  # int (m,): rows in the order of the graph's factors
-    column: IntArray  # int (m,): rows in the order of the graph's factors
+    column: IntArray  # int (m,): columns of the variables, in the order of `columns`
     value: FloatArray  # (m,)
     rhs: FloatArray  # (r,): the right-hand side: minus the whitened errors
     columns: Mapping[int, slice]  # Columns of each variable, by key

@@ -61,8 +61,8 @@ class LiveOutput:
     state: LiveState  # At the present
     now: LiveEstimate | None = None  # Predicted to the present; None while calibrating, or with the IMU lost
     settled: LiveEstimate | None = None  # `lag_s` before the present
-    clock_offset_s: float = float("nan")  # t_imu = t_camera + offset, and its standard deviation
-    clock_sigma_s: float = float("nan")  # t_imu = t_camera + offset, and its standard deviation
+    clock_offset_s: float = float("nan")  # t_imu = t_camera + offset
+    clock_sigma_s: float = float("nan")  # The offset's standard deviation
     camera_latency_s: float = float("nan")  # From a frame's moment to its arrival, median of the last frames
     # What never took part since the beginning, by why: late, there before, not finite, skipped to catch up
     dropped: dict[str, int] = field(default_factory=dict)

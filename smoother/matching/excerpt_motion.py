@@ -117,8 +117,8 @@ class LimbMotion:
     direction: FloatArray  # (n, 3): along the segment; 0 where not seen
     acceleration: FloatArray  # (n, 3) m/s^2: of the point nearest to an IMU; 0 where not seen
     measured: FloatArray  # (n, 3) m: that point as the camera measured it, not low-passed
-    has_direction: BoolArray  # bool (n,): Where they are known
-    has_point: BoolArray  # bool (n,): Where they are known
+    has_direction: BoolArray  # bool (n,): where directions are known
+    has_point: BoolArray  # bool (n,): where points are known
 
 
 @dataclass(frozen=True)

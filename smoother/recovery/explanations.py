@@ -141,8 +141,8 @@ class Likelihood:
     directions: FloatArray  # (3, 3, 3): mean of d_i R_jk, times its weight
     accelerations: FloatArray  # (3, 3): mean of a_i b_j, times its weight
     by_lever: FloatArray  # (3, 3, 3): mean of a_i T_jk, times its weight
-    lever_matrix: FloatArray  # (3, 3) and (3,): of the quadratic form in l that does not depend on Q
-    lever_vector: FloatArray  # (3, 3) and (3,): of the quadratic form in l that does not depend on Q
+    lever_matrix: FloatArray  # (3, 3): of the quadratic form in l that does not depend on Q
+    lever_vector: FloatArray  # (3,): its linear part
     gravity: FloatArray  # (3, 3): outer product of the frame's down and the answer's, times its weight
     constant: float  # What depends on neither
 

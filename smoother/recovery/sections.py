@@ -37,8 +37,8 @@ VISIBILITY_PENALTY = 5.0
 class Section:
     """About a minute of a segment, with what is read around it."""
 
-    samples: slice  # Rows of the recording's IMU and camera, context included
-    frames: slice  # Rows of the recording's IMU and camera, context included
+    samples: slice  # Rows of the recording's IMU, context included
+    frames: slice  # Rows of its camera, context included
     start_s: float  # The time to answer for, on the IMU's clock; infinite at the stretch's ends
     end_s: float  # The time to answer for, on the IMU's clock; infinite at the stretch's ends
     length_s: float  # Of that time
@@ -49,8 +49,8 @@ class SectionData:
     """A section with its samples: what travels to a worker process."""
 
     section: Section
-    imu: ImuStream  # Its samples and frames, in memory
-    arm: JointTracks  # Its samples and frames, in memory
+    imu: ImuStream  # Its samples, in memory
+    arm: JointTracks  # Its frames, in memory
     even_t_imu: FloatArray  # (n,) s: the samples' dejittered times
     traits: SegmentTraits  # Of the recording
     # Of IMUs on other segments, by the segment's name, on the forearm IMU's clock, between their pauses

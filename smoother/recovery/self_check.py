@@ -54,8 +54,8 @@ class HiddenStretch:
     start_s: float  # On the IMU's clock
     end_s: float  # On the IMU's clock
     samples: int = 0  # Camera samples that were compared; 0 where it could not be recovered
-    rms_m: float = float("nan")  # 3D error, and what was stated of it, the camera's noise included
-    stated_m: float = float("nan")  # 3D error, and what was stated of it, the camera's noise included
+    rms_m: float = float("nan")  # 3D error
+    stated_m: float = float("nan")  # What was stated of it, the camera's noise included
     inside: int = 0  # Samples inside the 95 % region
     nees: float = float("nan")  # Mean squared error in sigmas / 3
     error_m: tuple[float, ...] = ()  # 3D error of each sample

@@ -29,11 +29,11 @@ class Point:
 
     name: str  # "sensor" (the IMU on the forearm) or a joint
     position: FloatArray  # (n, 3) m: in {K}, at the recovery's times
-    sigma: FloatArray  # (n, 3) m: in {K}, at the recovery's times
-    camera_t_s: FloatArray  # (f,) and (f, 3) s and m: what the camera tracked, on the IMU's clock
-    camera: FloatArray  # (f,) and (f, 3) s and m: what the camera tracked, on the IMU's clock
-    truth_t_s: FloatArray  # (m,) and (m, 3) s and m: the reference, empty without one
-    truth: FloatArray  # (m,) and (m, 3) s and m: the reference, empty without one
+    sigma: FloatArray  # (n, 3) m: of the position, along the axes of {K}
+    camera_t_s: FloatArray  # (f,) s: frames that tracked it, on the IMU's clock
+    camera: FloatArray  # (f, 3) m: what the camera tracked
+    truth_t_s: FloatArray  # (m,) s: of the reference, empty without one
+    truth: FloatArray  # (m, 3) m: the reference
 
 
 def points(recovery: Recovery, truth: Truth | None) -> list[Point]:

@@ -34,8 +34,8 @@ class Excerpt:
 
     start_s: float  # What it looks at, on the IMU's clock
     end_s: float  # What it looks at, on the IMU's clock
-    samples: slice  # Rows of the IMU and of the camera, context included
-    frames: slice  # Rows of the IMU and of the camera, context included
+    samples: slice  # Rows of the IMU, context included
+    frames: slice  # Rows of the camera, context included
 
 
 def spread_excerpts(

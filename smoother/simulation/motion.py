@@ -29,9 +29,9 @@ POSTURE_SIZE = 8
 class BodyMeasures:
     """One person's arm and how the IMU sits on it."""
 
-    upper_arm: float  # m: shoulder to elbow, elbow to wrist, wrist to the hand's centre
-    forearm: float  # m: shoulder to elbow, elbow to wrist, wrist to the hand's centre
-    hand: float  # m: shoulder to elbow, elbow to wrist, wrist to the hand's centre
+    upper_arm: float  # m: shoulder to elbow
+    forearm: float  # m: elbow to wrist
+    hand: float  # m: wrist to the hand's centre
     strap_to_wrist: float  # m: along the forearm
     imu_in_forearm: FloatArray  # (3,) m: the IMU in {F}
     R_F_A: FloatArray  # (3, 3): IMU axes to forearm axes

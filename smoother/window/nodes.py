@@ -127,8 +127,8 @@ def group_frames_of_cameras(
 class RelativeMotion:
     """The IMU's motion from each frame's node to the frame, in {K}."""
 
-    R_node: FloatArray  # (k, 3, 3): orientations `R_K_A`
-    R_frame: FloatArray  # (k, 3, 3): orientations `R_K_A`
+    R_node: FloatArray  # (k, 3, 3): `R_K_A` at the node
+    R_frame: FloatArray  # (k, 3, 3): `R_K_A` at the frame
     position_change: FloatArray  # (k, 3) m: of the IMU
     velocity_change: FloatArray  # (k, 3) m/s: of the IMU
     rate: FloatArray  # (k, 3) rad/s: angular rate at the frame in {A}

@@ -174,8 +174,8 @@ class FieldMeasurements:
 class NoiseModel:
     """Densities and losses that all windows share."""
 
-    accelerometer_density: float  # White noise of the still sensor
-    gyroscope_density: float  # White noise of the still sensor
+    accelerometer_density: float  # White noise of the still sensor, m/s^2/sqrt(Hz)
+    gyroscope_density: float  # White noise of the still sensor, rad/s/sqrt(Hz)
     # What scale and mounting errors of the sensor cost, as a share of the specific force beyond gravity and
     # of the angular rate: the noise grows with the motion
     accelerometer_share: float

@@ -48,7 +48,7 @@ class StrapFound:
 
     t_s: FloatArray  # (n,) s: times of the colour images looked at, after the first
     position: FloatArray  # (n, 3) m: of the sensor in {K}; nan where rejected
-    sigma_m: FloatArray  # (n, 3) m: of the sensor in {K}; nan where rejected
+    sigma_m: FloatArray  # (n, 3) m: its standard deviation
     along: FloatArray  # (n,): part of the way from elbow to wrist
     reasons: list[str]  # "" where it was found
     topics: tuple[str, str] = ("", "")
