@@ -16,6 +16,8 @@ from typing import Any
 import numpy as np
 import pytest
 import typer
+from markdown_it import MarkdownIt
+from markdown_it.token import Token
 
 from calib import read_calibration
 from smoother.io.result.write import write_recovery
@@ -36,47 +38,37 @@ def text_of(document: str | Path) -> str:
     return (ROOT / document).read_text(encoding="utf-8")
 
 
-def split(text: str) -> tuple[list[tuple[str, str]], str]:
-    """Fenced blocks of a document as (language, content), and the rest of it."""
-    blocks: list[tuple[str, str]] = []
-    rest: list[str] = []
-    fence, language, inside = "", "", [""]
-    for line in text.splitlines():
-        marks = re.match(r"\s*(`{3,})(.*)", line)
-        if not fence and marks:
-            fence, language, inside = marks[1], marks[2].strip(), []
-        elif fence and marks and marks[1] == fence and not marks[2].strip():
-            blocks.append((language, "\n".join(inside)))
-            fence = ""
-        else:
-            (inside if fence else rest).append(line)
-    assert not fence, "a fenced block has no end"
-    return blocks, "\n".join(rest)
+@cache
+def tokens(text: str) -> list[Token]:
+    """All of a document, flat, as CommonMark has it."""
+    parsed = MarkdownIt().enable("table").parse(text)
+    return [each for token in parsed for each in (token, *(token.children or ()))]
 
 
-def without_code(text: str) -> str:
-    """A document without its fenced blocks and inline code."""
-    return re.sub(r"`[^`\n]+`", "", split(text)[1])
+def blocks(text: str, *languages: str) -> list[str]:
+    """Fenced blocks in some languages."""
+    return [each.content for each in tokens(text) if each.type == "fence" and each.info.strip() in languages]
 
 
 @cache
 def anchors(path: Path) -> set[str]:
     """What `#..` may name in a document: its headings as GitHub and MyST write them."""
-    blocks, text = split(path.read_text(encoding="utf-8"))
     names: set[str] = set()
-    for title in re.findall(r"^#{1,4} +(.+)$", text, re.MULTILINE):
-        title = re.sub(r"\[([^]]*)\]\([^)]*\)", r"\1", title)
-        slug = re.sub(r"[^\w\- ]", "", title.strip().lower()).replace(" ", "-")
-        names.add(slug if slug not in names else f"{slug}-1")
-    for language, _ in blocks:
-        if language.startswith("{include}"):
-            names |= anchors((path.parent / language.split()[1]).resolve())
+    found = tokens(path.read_text(encoding="utf-8"))
+    for heading, title in zip(found, [*found[1:], None], strict=True):
+        if heading.type == "heading_open" and heading.tag <= "h4":
+            text = "".join(each.content for each in title.children or () if each.type != "link_open")
+            slug = re.sub(r"[^\w\- ]", "", text.strip().lower()).replace(" ", "-")
+            names.add(slug if slug not in names else f"{slug}-1")
+        elif heading.type == "fence" and heading.info.startswith("{include}"):
+            names |= anchors((path.parent / heading.info.split()[1]).resolve())
     return names
 
 
 @pytest.mark.parametrize("document", DOCUMENTS)
-def test_links_lead_somewhere(document: str):
-    for target in re.findall(r"\]\(([^)\s]+)\)", without_code(text_of(document))):
+def test_links_lead_somewhere(document: str) -> None:
+    links = [each for each in tokens(text_of(document)) if each.type in ("link_open", "image")]
+    for target in (str(each.attrs.get("href", each.attrs.get("src"))) for each in links):
         if re.match(r"[a-z]+:", target):  # another site: not followed, but an address all the same
             assert re.fullmatch(r"https://[a-z0-9.-]+\.[a-z]+(/\S*)?", target), f"{document}: {target}"
             continue
@@ -84,19 +76,18 @@ def test_links_lead_somewhere(document: str):
         path = (ROOT / document).parent / name if name else ROOT / document
         assert path.exists(), f"{document} links to {target}: there is no such file"
         if anchor and path.suffix == ".md":
-            assert anchor in anchors(path.resolve()), (
-                f"{document} links to {target}: there is no such heading"
-            )
+            assert anchor in anchors(path.resolve()), f"{document}: no heading {target}"
 
 
 def code_lines(text: str) -> Iterator[str]:
-    """Lines of code in a document: fenced, indented by four, and between backticks on a line of text."""
-    blocks, rest = split(text)
-    for language, block in blocks:
-        if language in ("", "sh", "{code-cell} ipython3"):
-            yield from (line.strip() for line in re.sub(r"\\\n\s*", " ", block).splitlines())
-    yield from re.findall(r"^    (unocclude .*)$", rest, re.MULTILINE)
-    yield from (" ".join(code.split()) for code in re.findall(r"(?<!`)`([^`]+)`(?!`)", rest))
+    """Lines of code in a document: fenced, indented, and between backticks on a line of text."""
+    for each in tokens(text):
+        if each.type == "fence" and each.info.strip() in ("", "sh", "{code-cell} ipython3"):
+            yield from (line.strip() for line in re.sub(r"\\\n\s*", " ", each.content).splitlines())
+        elif each.type == "code_block":
+            yield from each.content.splitlines()
+        elif each.type == "code_inline":
+            yield " ".join(each.content.split())
 
 
 @cache
@@ -195,8 +186,7 @@ def test_the_tutorial_runs_as_it_stands(tmp_path: Path, monkeypatch: pytest.Monk
     for words in commands:
         assert run(words) == 0, words
     printed = numberless(capsys.readouterr().out)
-    blocks, _ = split(text)
-    answers = [line for language, block in blocks if language == "text" for line in block.splitlines()]
+    answers = [line for block in blocks(text, "text") for line in block.splitlines()]
     assert len(answers) >= 3
     for answer in answers:
         assert numberless(answer) in printed, answer
@@ -213,14 +203,9 @@ def test_figures_of_the_readme_are_those_of_the_results():
         assert row and any(Counter(row) <= Counter(other) for other in results), row
 
 
-def blocks(document: str, language: str) -> list[str]:
-    """Code blocks of a document in a language."""
-    return [block for own, block in split(text_of(document))[0] if own == language]
-
-
 @pytest.mark.slow
 def test_notebook_in_six_lines(monkeypatch):
-    (code,) = blocks("docs/api.md", "python")
+    (code,) = blocks(text_of("docs/api.md"), "python")
     statements = [line for line in code.splitlines() if line.strip()]
     assert len(statements) <= 6
     monkeypatch.chdir(ROOT)
@@ -233,7 +218,7 @@ def test_notebook_in_six_lines(monkeypatch):
 
 
 def test_examples_of_files(tmp_path):
-    description, calibration = blocks("docs/formats.md", "toml")
+    description, calibration = blocks(text_of("docs/formats.md"), "toml")
     assert _Description.model_validate(tomllib.loads(description)).camera.frame == "kinect"
     (tmp_path / "cal.toml").write_text(calibration, encoding="utf-8")
     arm = read_calibration(tmp_path / "cal.toml").arm("right")

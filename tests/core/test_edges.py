@@ -6,17 +6,17 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scenes import ALONE, OVER_CONFIDENT, Scene, arm, assert_accurate, point, recovered
+from scenes import OVER_CONFIDENT, Scene, answer, arm, assert_accurate, blind, moving, point, recovered
 
+from smoother import Recovery
 from smoother.errors import SolveError
 from smoother.evaluation.advice import advice
 from smoother.evaluation.validate import sample_errors
 from smoother.linalg import interpolate
 from smoother.measurements.segment import Timeline
-from smoother.recording import JOINTS, JointState, Recording, Truth
+from smoother.recording import JOINTS, JointState
 from smoother.recovery.samples import LINEAR_RAD, widen_turns
 from smoother.selfcal.excerpts import CONTEXT_S, WANTED, spread_excerpts
-from smoother.smoothing import smooth
 
 OPEN_S = 2.0
 
@@ -30,43 +30,31 @@ def open_ended(request: pytest.FixtureRequest) -> Scene:
     return recovered(made, replace(made.recording, arm=made.recording.arm.hide(hidden)))
 
 
-def test_open_gaps_are_marked(open_ended: Scene) -> None:
-    gaps = open_ended.recovery.gaps
-    assert [gap.open_start for gap in gaps] == [True] + [False] * (len(gaps) - 1)
-    assert [gap.open_end for gap in gaps] == [False] * (len(gaps) - 1) + [True]
-    t = open_ended.recovery.t_s
-    assert open_ended.recovery.occluded[t < gaps[0].end_s].all()
-    assert open_ended.recovery.occluded[t > gaps[-1].start_s].all()
-
-
-def test_sigma_grows_away_from_the_camera(open_ended: Scene) -> None:
+def test_open_gaps_are_marked_and_sigma_grows_away_from_the_camera(open_ended: Scene) -> None:
     """Every quarter of a second farther out is less sure, and the end far less than the border."""
     recovery = open_ended.recovery
-    sigma = recovery.sigma_m.max(axis=1)
-    for gap, outwards in ((recovery.gaps[0], -1), (recovery.gaps[-1], 1)):
-        border = gap.end_s if outwards < 0 else gap.start_s
+    gaps, t, sigma = recovery.gaps, recovery.t_s, recovery.sigma_m.max(axis=1)
+    assert [gap.open_start for gap in gaps] == [True] + [False] * (len(gaps) - 1)
+    assert [gap.open_end for gap in gaps] == [False] * (len(gaps) - 1) + [True]
+    assert recovery.occluded[(t < gaps[0].end_s) | (t > gaps[-1].start_s)].all()
+    for border, outwards in ((gaps[0].end_s, -1), (gaps[-1].start_s, 1)):
         steps = border + outwards * np.arange(0.0, OPEN_S - 0.1, 0.25)
-        along = np.interp(steps, recovery.t_s, sigma)
+        along = np.interp(steps, t, sigma)
         assert (np.diff(along) > 0).all()
         assert along[-1] > 5 * along[0]
 
 
-def test_sigma_covers_the_error_of_open_gaps(open_ended: Scene) -> None:
-    recovery, truth = open_ended.recovery, open_ended.recording.truth
-    errors = sample_errors(recovery, truth)
-    for gap in (recovery.gaps[0], recovery.gaps[-1]):
-        inside = (recovery.t_s >= gap.start_s) & (recovery.t_s <= gap.end_s)
+def test_sigma_covers_the_error_of_open_gaps_and_the_rest_does_not_suffer(open_ended: Scene) -> None:
+    recovery, t = open_ended.recovery, open_ended.recovery.t_s
+    errors = sample_errors(recovery, open_ended.recording.truth)
+    first, last = recovery.gaps[0], recovery.gaps[-1]
+    for gap in (first, last):
+        inside = (t >= gap.start_s) & (t <= gap.end_s)
         assert np.isfinite(errors.distance_m[inside]).all()
         assert np.mean(errors.squared_sigmas[inside]) / 3 < OVER_CONFIDENT
         # free integration from one side: 2 s cost up to 12 cm here, 17 to 33 on real data
         assert errors.distance_m[inside].max() < 0.30
-
-
-def test_the_rest_does_not_suffer_from_open_ends(open_ended: Scene) -> None:
-    recovery, truth = open_ended.recovery, open_ended.recording.truth
-    distance = sample_errors(recovery, truth).distance_m
-    inner = (recovery.t_s > recovery.gaps[0].end_s) & (recovery.t_s < recovery.gaps[-1].start_s)
-    assert np.nanmax(distance[inner]) < 0.02
+    assert np.nanmax(errors.distance_m[(t > first.end_s) & (t < last.start_s)]) < 0.02
 
 
 @pytest.mark.slow
@@ -121,15 +109,9 @@ def test_small_angles_keep_their_sigma_and_large_ones_take_positions_along() -> 
 def test_a_recording_that_starts_late_and_drops_frames() -> None:
     """Stamps far from zero and a tenth of the frames lost, jitter on the rest."""
     made = arm(0, dropped_frames=0.1, frame_jitter_s=0.002)
-    shift = 5000.0
-    recording = made.recording
-    moved = replace(
-        recording,
-        imu=replace(recording.imu, t_s=recording.imu.t_s + shift),
-        arm=replace(recording.arm, t_s=recording.arm.t_s + shift),
-        truth=replace(recording.truth, t_s=recording.truth.t_s + shift),
-    )
-    assert_accurate(recovered(made, moved))
+    streams = {name: getattr(made.recording, name) for name in ("imu", "arm", "truth")}
+    later = {name: replace(stream, t_s=stream.t_s + 5000.0) for name, stream in streams.items()}
+    assert_accurate(recovered(made, replace(made.recording, **later)))
 
 
 @pytest.mark.parametrize("sentence", ["never tracked", "overlap"])
@@ -141,88 +123,73 @@ def test_nothing_seen_and_clocks_that_never_meet_are_one_sentence(sentence: str)
         state = np.full_like(recording.arm.state, JointState.INFERRED)
         recording = replace(recording, arm=replace(recording.arm, state=state))
     with pytest.raises(SolveError, match=sentence):
-        smooth(recording, None, ALONE)
-
-
-def sound(seed: int = 0, duration_s: float = 30.0) -> Recording:
-    return arm(seed, protocol="random", duration_s=duration_s).recording
-
-
-def position_errors(recovery, truth: Truth) -> tuple[np.ndarray, float]:
-    """Distances (n,), m, and NEES of the IMU's position."""
-    difference = recovery.position - interpolate(truth.t_s, truth.position, recovery.t_s)
-    known = np.isfinite(difference).all(axis=1)
-    spread = recovery.pose_covariance[known, :3, :3]
-    squared = np.einsum("na,nab,nb->n", difference[known], np.linalg.inv(spread), difference[known])
-    return np.linalg.norm(difference[known], axis=1), float(squared.mean() / 3.0)
+        answer(recording)
 
 
 @pytest.mark.slow
 def test_a_sensor_that_drops_out_again_and_again() -> None:
     """Its own place on the arm is hardly known, which sigma and verdict say; the joints are right."""
-    recording = sound(1)
-    kept = recording.imu.select(np.mod(recording.imu.t_s, 1.0) > 0.15)
-    recovery = smooth(replace(recording, imu=kept, truth=None), processes=1)
-    _, nees = position_errors(recovery, recording.truth)
-    assert nees < 2.0
+    made = moving(1, "white")
+    kept = made.recording.imu.select(np.mod(made.recording.imu.t_s, 1.0) > 0.15)
+    scene = blind(made, replace(made.recording, imu=kept))
+    recovery, truth = scene.recovery, scene.recording.truth
+    assert scene.validation.all.nees < 2.0
     assert any("drops out every" in caution for caution in recovery.estimates.cautions)
-    wrist = recording.truth.joints["wrist"]
-    visible = ~recovery.occluded
-    off = recovery.joints["wrist"] - interpolate(recording.truth.t_s, wrist, recovery.t_s)
+    off = recovery.joints["wrist"] - interpolate(truth.t_s, truth.joints["wrist"], recovery.t_s)
     # 8 mm of noise on the camera's joints; the sum over three axes
-    assert np.sqrt(np.nanmean(np.sum(off[visible] ** 2, axis=1))) < 0.012
+    assert np.sqrt(np.nanmean(np.sum(off[~recovery.occluded] ** 2, axis=1))) < 0.012
 
 
 @pytest.mark.slow
 def test_a_pause_within_a_gap_has_its_caution() -> None:
-    recording = sound(0)
+    recording = moving(0, "white").recording
     hidden = recording.arm.hide((recording.arm.t_s > 12.0) & (recording.arm.t_s < 16.0))
-    paused = (recording.imu.t_s > 12.9) & (recording.imu.t_s < 14.5)
-    one = replace(recording, arm=hidden, imu=recording.imu.select(~paused), truth=None)
-    recovery = smooth(one, processes=1)
-    # the frames within the pause, thirty a second
-    cautions = [text for text in recovery.estimates.cautions if "paused while the arm was hidden" in text]
-    assert len(cautions) == 1 and ("(12.9 to" in cautions[0] or "(13.0 to" in cautions[0])
+
+    def paused(start_s: float, end_s: float) -> tuple[Recovery, str]:
+        t = recording.imu.t_s
+        recovery = answer(
+            replace(recording, arm=hidden, imu=recording.imu.select((t < start_s) | (t > end_s)))
+        )
+        cautions = recovery.estimates.cautions
+        (said,) = (text for text in cautions if "paused while the arm was hidden" in text)
+        return recovery, said
+
+    recovery, said = paused(12.9, 14.5)
+    assert "(12.9 to" in said or "(13.0 to" in said  # the frames within the pause, thirty a second
     assert any("The IMU paused once, for 1.6 s" in sentence for sentence in advice(recovery, None))
-    longer = (recording.imu.t_s > 11.0) & (recording.imu.t_s < 17.0)
-    cautions = list(smooth(replace(one, imu=recording.imu.select(~longer)), processes=1).estimates.cautions)
     # the pause begins before the gap, what is unseen does not
-    (caution,) = (text for text in cautions if "paused while the arm was hidden" in text)
-    assert "(12.0 to" in caution
+    assert "(12.0 to" in paused(11.0, 17.0)[1]
 
 
 @pytest.mark.slow
 def test_short_segments_that_show_one_joint_only() -> None:
     """Between two pauses the elbow is never seen: gravity alone says how the IMU is turned there."""
-    recording = sound(0)
-    t = recording.arm.t_s
+    made = moving(0, "white")
+    recording, t, t_imu = made.recording, made.recording.arm.t_s, made.recording.imu.t_s
     no_elbow = recording.arm.hide((t > 12.0) & (t < 16.0), ("elbow",))
-    lost = [(recording.imu.t_s > at) & (recording.imu.t_s < at + 0.2) for at in (12.9, 15.1)]
-    one = replace(recording, arm=no_elbow, imu=recording.imu.select(~(lost[0] | lost[1])), truth=None)
-    recovery = smooth(one, processes=1)
-    distance_m, _ = position_errors(recovery, recording.truth)
-    assert recovery.estimates.trusted and distance_m.max() < 0.03
+    lost = np.any([(t_imu > at) & (t_imu < at + 0.2) for at in (12.9, 15.1)], axis=0)
+    scene = blind(made, replace(recording, arm=no_elbow, imu=recording.imu.select(~lost)))
+    assert scene.recovery.estimates.trusted and scene.validation.all.position_max_m < 0.03
 
 
 def test_a_wrist_that_is_hardly_seen() -> None:
     """Elbow and wrist come together in a few frames: no direction of the forearm, and no error."""
-    recording = sound(0, 20.0)
+    recording = moving(0, "white", 20.0).recording
     rarely = recording.arm.hide(recording.arm.t_s > recording.arm.t_s[0] + 0.3, ("wrist",))
-    recovery = smooth(replace(recording, arm=rarely, truth=None), processes=1)
-    assert recovery.answered.mean() > 0.9
+    assert answer(replace(recording, arm=rarely)).answered.mean() > 0.9
 
 
 @pytest.mark.slow
 def test_a_joint_that_the_excerpts_did_not_see_takes_no_part() -> None:
     """Where its place on the arm is unknown its samples must not pull the IMU to themselves."""
-    recording = sound(0, 180.0)
+    recording = moving(0, "white", 180.0).recording
     hand, t = JOINTS.index("hand"), recording.arm.t_s
-    nowhere = replace(recording, arm=recording.arm.hide(np.ones(len(t), bool), ("hand",)), truth=None)
+    nowhere = replace(recording, arm=recording.arm.hide(np.ones(len(t), bool), ("hand",)))
     excerpts = spread_excerpts(nowhere, Timeline.of(nowhere), WANTED, CONTEXT_S)
     inside = np.any([(t > each.start_s - 1.5) & (t < each.end_s + 1.5) for each in excerpts], axis=0)
-    elsewhere = replace(recording, arm=recording.arm.hide(inside, ("hand",)), truth=None)
+    elsewhere = replace(recording, arm=recording.arm.hide(inside, ("hand",)))
     assert (elsewhere.arm.state[:, hand] == JointState.TRACKED).sum() > 500
-    without, with_it = (smooth(one, processes=1) for one in (nowhere, elsewhere))
+    without, with_it = answer(nowhere), answer(elsewhere)
     assert with_it.residuals is not None and np.isnan(with_it.joints["hand"]).all()
     assert not with_it.residuals.used[:, hand].any()
     moved_m = np.linalg.norm(with_it.position - without.position, axis=1)

@@ -10,35 +10,48 @@ from scipy.optimize import nnls
 from scipy.signal import find_peaks
 from scipy.spatial import transform
 
+from smoother.array_types import FloatArray
 from smoother.filters import gaussian_smoothed, moving_mean, moving_median
 from smoother.linalg import by_columns, largest_trace, nearest_rotation, nonnegative_pair, peaks
 from smoother.rotation import Rotation, Slerp, chained
 from smoother.splines import PiecewiseCubic, natural_spline
 
 
-@pytest.mark.parametrize("seed", range(20))
-def test_peaks_are_scipys(seed: int) -> None:
+@pytest.mark.parametrize("width", [1, 2, 3, 8, 25])
+def test_means_and_medians_are_scipys(width: int) -> None:
+    x = np.random.default_rng(width).normal(5.0, 1.0, (60, 3))
+    mean = ndimage.uniform_filter1d(x[:, 0], width, mode="nearest")
+    np.testing.assert_allclose(moving_mean(x[:, 0], width), mean, atol=1e-12)
+    if width % 2:
+        median = ndimage.median_filter(x, size=(width, 1), mode="nearest")
+        np.testing.assert_array_equal(moving_median(x, width), median)
+
+
+@pytest.mark.parametrize("derivative", [False, True])
+@pytest.mark.parametrize("sigma", [0.8, 3.0, 6.2])
+def test_gaussians_are_scipys(sigma: float, derivative: bool) -> None:
+    x = np.random.default_rng(0).normal(size=(80, 2))
+    theirs = ndimage.gaussian_filter1d(x, sigma, axis=0, order=int(derivative))
+    np.testing.assert_allclose(gaussian_smoothed(x, sigma, derivative), theirs, atol=1e-12)
+
+
+@pytest.mark.parametrize("seed", range(40))
+def test_peaks_and_nonnegative_pairs_are_scipys(seed: int) -> None:
     rng = np.random.default_rng(seed)
     y = np.convolve(rng.normal(size=400), np.ones(5), "valid")
     rows, _ = find_peaks(y, height=1.0, distance=12)
     highest = rows[np.argsort(-y[rows], kind="stable")]
     np.testing.assert_array_equal(peaks(y, 1.0, 12, 8), highest[:8])
-
-
-def test_no_peaks() -> None:
-    assert len(peaks(np.arange(9.0), 0.0, 1, 5)) == 0
-    assert len(peaks(np.zeros(9), 0.0, 1, 5)) == 0
-    assert peaks(np.array([0.0, 1, 1, 0]), 0.0, 1, 5).tolist() == [1]
-
-
-@pytest.mark.parametrize("seed", range(40))
-def test_nonnegative_pair_is_scipys(seed: int) -> None:
-    rng = np.random.default_rng(seed)
     A, y = rng.normal(size=(12, 2)), rng.normal(size=12)
     x, misfit = nonnegative_pair(A, y)
     theirs, their_misfit = nnls(A, y)
     np.testing.assert_allclose(x, theirs, atol=1e-10)
     assert misfit == pytest.approx(their_misfit)
+
+
+@pytest.mark.parametrize(("y", "rows"), [(np.arange(9.0), []), (np.zeros(9), []), ([0.0, 1, 1, 0], [1])])
+def test_ends_and_flat_places(y: FloatArray, rows: list[int]) -> None:
+    assert peaks(np.array(y), 0.0, 1, 5).tolist() == rows
 
 
 def test_the_largest_trace_is_that_of_the_nearest_rotation() -> None:
@@ -54,30 +67,6 @@ def test_the_largest_trace_is_that_of_the_nearest_rotation() -> None:
     assert largest_trace(np.zeros((3, 3))) == 0.0
     # no reflection, half a turn about any axis: a triple root, which keeps a third of the digits
     np.testing.assert_allclose(largest_trace(-np.eye(3)), 1.0, atol=1e-4)
-
-
-@pytest.mark.parametrize("width", [1, 2, 3, 8, 25])
-def test_means_are_scipys(width: int) -> None:
-    x = np.random.default_rng(width).normal(5.0, 1.0, 60)
-    np.testing.assert_allclose(
-        moving_mean(x, width), ndimage.uniform_filter1d(x, width, mode="nearest"), atol=1e-12
-    )
-
-
-@pytest.mark.parametrize("width", [3, 7])
-def test_medians_are_scipys(width: int) -> None:
-    x = np.random.default_rng(width).normal(size=(30, 3))
-    np.testing.assert_array_equal(
-        moving_median(x, width), ndimage.median_filter(x, size=(width, 1), mode="nearest")
-    )
-
-
-@pytest.mark.parametrize("derivative", [False, True])
-@pytest.mark.parametrize("sigma", [0.8, 3.0, 6.2])
-def test_gaussians_are_scipys(sigma: float, derivative: bool) -> None:
-    x = np.random.default_rng(0).normal(size=(80, 2))
-    theirs = ndimage.gaussian_filter1d(x, sigma, axis=0, order=int(derivative))
-    np.testing.assert_allclose(gaussian_smoothed(x, sigma, derivative), theirs, atol=1e-12)
 
 
 #: Products of numbers up to one; near a half turn an angle loses half of the digits.
@@ -116,21 +105,10 @@ def test_rotation_vectors_come_back() -> None:
     np.testing.assert_allclose(Rotation.from_rotvec(tiny).as_rotvec(), tiny, rtol=1e-12)
 
 
-@pytest.mark.parametrize("first", [np.array([1.0, 0, 0, 0]), np.array([0, 0, -2.0, 0])])
-def test_quaternions_of_any_length(first: np.ndarray) -> None:
-    q = np.vstack([first, RNG.normal(size=(30, 4))])
-    np.testing.assert_allclose(
-        Rotation.from_quat(q, scalar_first=True).as_matrix(),
-        transform.Rotation.from_quat(q, scalar_first=True).as_matrix(),
-        atol=ROUNDING,
-    )
-    with pytest.raises(ValueError, match="length zero"):
-        Rotation.from_quat(np.zeros(4))
-
-
 def test_products_and_application() -> None:
     ours, theirs = Rotation.from_rotvec(ROTVECS), transform.Rotation.from_rotvec(ROTVECS)
-    vectors = RNG.normal(size=(40, 3))
+    vectors, q = RNG.normal(size=(40, 3)), RNG.normal(size=(32, 4))
+    q[:2] = [[1.0, 0, 0, 0], [0, 0, -2.0, 0]]  # quaternions of any length
     pairs = [
         (ours.apply(vectors), theirs.apply(vectors)),
         (ours.apply(vectors[3]), theirs.apply(vectors[3])),
@@ -142,10 +120,16 @@ def test_products_and_application() -> None:
             Rotation.about_z(ANGLES).as_matrix(),
             transform.Rotation.from_euler("z", ANGLES[:, None]).as_matrix(),
         ),
+        (
+            Rotation.from_quat(q, scalar_first=True).as_matrix(),
+            transform.Rotation.from_quat(q, scalar_first=True).as_matrix(),
+        ),
     ]
     for mine, reference in pairs:
         np.testing.assert_allclose(mine, reference, atol=4 * ROUNDING)
     assert len(ours) == 40
+    with pytest.raises(ValueError, match="length zero"):
+        Rotation.from_quat(np.zeros(4))
 
 
 def test_between_two_at_a_constant_rate() -> None:
@@ -179,9 +163,6 @@ def test_splines_are_scipys(count: int) -> None:
         scale = np.abs(theirs(at, 1)).max() + 1.0  # rounding, of values and slopes of this size
         np.testing.assert_allclose(ours(at), theirs(at), atol=1e-11 * scale)
         np.testing.assert_allclose(ours(at, 1), theirs(at, 1), atol=1e-10 * scale)
-
-
-def test_knots_that_stand_still() -> None:
     with pytest.raises(ValueError, match="knots"):
         natural_spline(np.zeros(5), np.zeros((5, 1)))
 

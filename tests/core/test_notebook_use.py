@@ -8,17 +8,17 @@ import made_results
 import numpy as np
 import pyarrow as pa
 import pytest
-from scenes import ALONE
+from scenes import ALONE, moving
 
 from smoother import JointState, Recording, Recovery, UnoccludeError
 from smoother.recording import JOINTS
-from smoother.simulation import ArmSimulation, SimulatedArm, simulate_arm
+from smoother.simulation import SimulatedArm
 from smoother.smoothing import smooth
 
 
 @pytest.fixture(scope="module")
 def made() -> SimulatedArm:
-    return simulate_arm(ArmSimulation.preset("white", protocol="random", duration_s=12.0), 4)
+    return moving(4, "white", 12.0)
 
 
 @pytest.fixture(scope="module")
@@ -49,9 +49,7 @@ def test_arrays_give_the_same_answer_as_the_recording(made: SimulatedArm, recove
 
 
 def test_without_states_a_finite_position_is_tracked(made: SimulatedArm) -> None:
-    given = arrays(made)
-    del given["states"]
-    built = Recording.from_arrays(**given)
+    built = Recording.from_arrays(**{name: given for name, given in arrays(made).items() if name != "states"})
     finite = np.isfinite(built.arm.joint("wrist")).all(axis=1)
     np.testing.assert_array_equal(built.arm.tracked("wrist"), finite)
     assert set(np.unique(built.arm.state)) <= {JointState.NOT_TRACKED, JointState.TRACKED}

@@ -15,7 +15,7 @@ from scenes import ALONE, POINT_MAX_M, POINT_RMS_M, Scene, arm, assert_accurate,
 
 import smoother
 from smoother import Recoveries, smooth_arms, write_recovery
-from smoother.array_types import BoolArray, FloatArray
+from smoother.array_types import BoolArray
 from smoother.errors import RecordingError, SolveError
 from smoother.measurements.visibility import MISSING_FRAMES, MISSING_S
 from smoother.recording import FOREARM_JOINTS, JOINTS, JointState, Recording
@@ -37,24 +37,19 @@ def test_a_point_alone(white_point: Scene) -> None:
 
 def occluded_by_definition(scene: Scene) -> BoolArray:
     """A loop: a sample is visible at, or between neighbouring, visible frames with nothing lost between."""
-    recovery = scene.recovery
     forearm = [JOINTS.index(joint) for joint in FOREARM_JOINTS]
-    used = recovery.residuals.used[:, forearm]
+    residuals = scene.recovery.residuals
     present = (scene.recording.arm.state[:, forearm] == JointState.TRACKED).any(axis=0).sum()
-    seen = used.sum(axis=1) >= min(2, present)
-    frames = recovery.residuals.t_s
+    seen, frames = residuals.used[:, forearm].sum(axis=1) >= min(2, present), residuals.t_s
     limit = max(MISSING_S, MISSING_FRAMES * float(np.median(np.diff(frames))))
     answer = []
-    for t in recovery.t_s:
+    for t in scene.recovery.t_s:
         before, after = np.flatnonzero(frames <= t), np.flatnonzero(frames >= t)
         if not len(before) or not len(after):  # before the first frame, after the last
             end = after[0] if len(after) else before[-1]
             answer.append(not (seen[end] and abs(frames[end] - t) <= limit))
-            continue
-        a, b = before[-1], after[0]
-        if a == b:
-            answer.append(not seen[a])
-        else:
+        else:  # two frames, or one that is at the sample
+            a, b = before[-1], after[0]
             answer.append(not (seen[a] and seen[b] and frames[b] - frames[a] <= limit))
     return np.array(answer)
 
@@ -69,17 +64,12 @@ def test_the_occluded_column_is_the_definition(white_arm: Scene, white_point: Sc
         assert scene.recovery.residuals.used.sum() > 0.99 * tracked.sum()
 
 
-def test_gaps_are_what_the_camera_could_not_see(white_arm: Scene) -> None:
+def test_times_and_gaps_are_those_of_the_streams(white_arm: Scene) -> None:
     """Simulated occlusions against the answer's gaps: apart by the elbow's lag and a frame at most."""
-    hidden = white_arm.recording.arm.t_s[white_arm.made.occluded]
-    inside = [((hidden > gap.start_s) & (hidden < gap.end_s)) for gap in white_arm.recovery.gaps]
+    recovery, hidden = white_arm.recovery, white_arm.recording.arm.t_s[white_arm.made.occluded]
+    inside = [((hidden > gap.start_s) & (hidden < gap.end_s)) for gap in recovery.gaps]
     assert np.any(inside, axis=0).mean() > 0.99
-    for a, b in itertools.pairwise(white_arm.recovery.gaps):
-        assert a.end_s < b.start_s
-
-
-def test_times_and_quaternions(white_arm: Scene) -> None:
-    recovery = white_arm.recovery
+    assert all(a.end_s < b.start_s for a, b in itertools.pairwise(recovery.gaps))
     np.testing.assert_array_equal(recovery.t_s, white_arm.recording.imu.t_s)  # the IMU's own stamps
     np.testing.assert_allclose(np.linalg.norm(recovery.quaternion, axis=1), 1.0, atol=1e-9)
     arrays = recovery.to_arrays()
@@ -87,22 +77,14 @@ def test_times_and_quaternions(white_arm: Scene) -> None:
     assert all(len(values) == len(recovery) for values in arrays.values())
 
 
-def test_joints_in_the_gaps(white_arm: Scene) -> None:
-    """Elbow, wrist and shoulder against truth; their sigmas are in test_sigmas.py."""
-    truth, recovery = white_arm.recording.truth, white_arm.recovery
+def test_joints_velocity_gravity_offset_and_biases_are_found(white_arm: Scene) -> None:
+    """Joints in the gaps against truth; their sigmas are in test_sigmas.py."""
+    truth, recovery, drawn = white_arm.recording.truth, white_arm.recovery, white_arm.made.parameters
     for joint, limit in (("elbow", 0.012), ("wrist", 0.010), ("shoulder", 0.020)):
         error = recovery.joints[joint] - truth.joints[joint]
         assert np.sqrt((error**2).sum(axis=1)[recovery.occluded].mean()) < limit
-
-
-def test_velocity_is_in_the_camera_frame(white_arm: Scene) -> None:
-    recovery, truth = white_arm.recovery, white_arm.recording.truth
     slope = np.gradient(truth.position, truth.t_s, axis=0)
     assert np.sqrt(((recovery.velocity - slope)[5:-5] ** 2).sum(axis=1).mean()) < 0.03
-
-
-def test_gravity_offset_and_biases_are_found(white_arm: Scene) -> None:
-    recovery, drawn = white_arm.recovery, white_arm.made.parameters
     down = drawn["gravity"] / np.linalg.norm(drawn["gravity"])
     assert np.degrees(np.arccos(np.clip(recovery.gravity_direction @ down, -1, 1))) < 1.0
     assert abs(recovery.clock_offset_s) < 0.003  # measured under 0.5 ms; a frame is 33 ms
@@ -137,17 +119,10 @@ def test_data_without_any_error(make: Callable[[int, str], SimulatedArm]) -> Non
 
 def test_progress_is_told() -> None:
     made, heard = point(2, duration_s=6.0, occlusion_lengths_s=()), []
-
-    def listen(fraction: float, text: str) -> None:
-        heard.append((fraction, text))
-
-    smooth(made.recording, None, ALONE, listen)
-    fractions: FloatArray = np.array([fraction for fraction, _ in heard])
-    assert len(heard) >= 3
-    assert (np.diff(fractions) >= 0).all()
-    assert fractions[0] >= 0
-    assert fractions[-1] == 1.0
-    assert all(text for _, text in heard)
+    smooth(made.recording, None, ALONE, lambda *told: heard.append(told))
+    fractions, texts = zip(*heard, strict=True)
+    assert len(heard) >= 3 and all(texts)
+    assert (np.diff(fractions) >= 0).all() and fractions[0] >= 0 and fractions[-1] == 1.0
 
 
 @pytest.fixture(scope="module")

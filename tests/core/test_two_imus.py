@@ -6,17 +6,16 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scenes import Scene, answer, blind, moving, recovered
 from scipy.spatial.transform import Rotation
 
 from smoother.angles import shoulder_angles
 from smoother.io.recording.names import role, role_among
 from smoother.io.recording.streams import ImuSamples
 from smoother.joint_angles import arm_angles, wrapped_deg
-from smoother.linalg import interpolate
-from smoother.recording import JOINTS, ImuStream, Recording
+from smoother.recording import JOINTS, ImuStream
 from smoother.result import Recovery
 from smoother.simulation import ArmSimulation, SimulatedArm, simulate_arm
-from smoother.smoothing import smooth
 
 GAP_S = 8.0
 
@@ -32,22 +31,13 @@ def simulated(preset: str = "white", **changes: object) -> SimulatedArm:
     return simulate_arm(ArmSimulation.preset(preset, **(settings | changes)), seed=2)
 
 
-def blind(made: SimulatedArm) -> Recording:
-    return replace(made.recording, truth=None)
+def error_m(scene: Scene) -> float:
+    """Rms error of the forearm's IMU in gaps."""
+    return scene.validation.occluded.position_rms_m
 
 
-def error_m(recovery: Recovery, made: SimulatedArm, chosen: np.ndarray | None = None) -> float:
-    """Rms error of the forearm's IMU, occluded samples unless others are chosen."""
-    truth = made.recording.truth
-    off = np.linalg.norm(recovery.position - interpolate(truth.t_s, truth.position, recovery.t_s), axis=1)
-    return float(np.sqrt(np.mean(off[recovery.occluded if chosen is None else chosen] ** 2)))
-
-
-def nees(recovery: Recovery, made: SimulatedArm) -> float:
-    """Mean squared error in sigmas of the forearm's IMU in gaps, an axis."""
-    off = (recovery.position - made.recording.truth.position)[recovery.occluded]
-    covariance = recovery.pose_covariance[recovery.occluded, :3, :3]
-    return float(np.einsum("ni,nij,nj->n", off, np.linalg.inv(covariance), off).mean() / 3.0)
+def one_imu(made: SimulatedArm) -> Scene:
+    return blind(made, made.recording.with_imu("upper_arm", None))
 
 
 @pytest.fixture(scope="module")
@@ -56,16 +46,21 @@ def made() -> SimulatedArm:
 
 
 @pytest.fixture(scope="module")
-def two(made: SimulatedArm) -> Recovery:
-    return smooth(blind(made), processes=1)
+def scene(made: SimulatedArm) -> Scene:
+    return blind(made)
+
+
+@pytest.fixture
+def two(scene: Scene) -> Recovery:
+    return scene.recovery
 
 
 @pytest.mark.slow
-def test_better_than_one_and_as_good_as_it_says(made: SimulatedArm, two: Recovery) -> None:
-    one = smooth(blind(made).with_imu("upper_arm", None), processes=1)
-    assert one.upper is None and not one.calibration.upper_imu  # type: ignore[union-attr]
-    assert error_m(two, made) < min(0.006, 1.02 * error_m(one, made))  # 0.3 cm as measured
-    assert nees(two, made) < 1.5
+def test_better_than_one_and_as_good_as_it_says(made: SimulatedArm, scene: Scene) -> None:
+    one = one_imu(made)
+    assert one.recovery.upper is None and not one.recovery.calibration.upper_imu
+    assert error_m(scene) < min(0.006, 1.02 * error_m(one))  # 0.3 cm as measured
+    assert scene.validation.occluded.nees < 1.5
 
 
 @pytest.mark.slow
@@ -101,51 +96,48 @@ def test_the_upper_arms_pose_and_the_shoulders_angles(made: SimulatedArm, two: R
 def test_one_imu_where_the_other_pauses(made: SimulatedArm, two: Recovery) -> None:
     """Ten seconds without upper-arm samples, a gap's end among them."""
     upper = made.recording.upper_imu
-    (gap, *_) = [g for g in two.gaps if g.length_s > 1.0]
+    end_s = next(gap.end_s for gap in two.gaps if gap.length_s > 1.0)
     t = upper.t_s - 0.08
-    paused = upper.select((t < gap.end_s - 1.0) | (t > gap.end_s + 9.0))
-    recovery = smooth(blind(made).with_imu("upper_arm", paused), processes=1)
+    paused = upper.select((t < end_s - 1.0) | (t > end_s + 9.0))
+    found = blind(made, made.recording.with_imu("upper_arm", paused))
+    recovery, t = found.recovery, found.recovery.t_s
     assert recovery.upper is not None and np.isfinite(recovery.position).all()
-    inside = (recovery.t_s > gap.end_s + 0.5) & (recovery.t_s < gap.end_s + 8.5)
-    assert np.isnan(recovery.upper.position[inside]).all()
-    assert np.isfinite(recovery.upper.position[recovery.t_s < gap.end_s - 1.5]).all()
-    assert np.isfinite(recovery.upper.position[recovery.t_s > gap.end_s + 9.5][:-5]).all()
-    assert error_m(recovery, made) < 0.01
+    known = np.isfinite(recovery.upper.position[:-5, 0])
+    assert not known[((t > end_s + 0.5) & (t < end_s + 8.5))[:-5]].any()
+    assert known[((t < end_s - 1.5) | (t > end_s + 9.5))[:-5]].all()
+    assert error_m(found) < 0.01
 
 
 @pytest.mark.slow
 def test_every_sample_of_a_gap_at_the_end_is_answered() -> None:
     made = simulated(occlusion_lengths_s=(), end_gap_s=15.0)
-    recovery = smooth(blind(made), processes=1)
-    assert recovery.answered.all()
-    assert error_m(recovery, made) < 0.01
-    sigma = recovery.worst_sigma_m
+    both, one = blind(made), one_imu(made)
+    sigma = both.recovery.worst_sigma_m
+    assert both.recovery.answered.all() and one.recovery.answered.all()
+    assert error_m(both) < 0.01 and error_m(one) < 0.05  # 1 cm as measured
     assert sigma[-200:-20].max() < 0.02 < 0.2  # it does not grow with the time
     # one IMU answers to the end as well, and says that it is less certain
-    one = smooth(blind(made).with_imu("upper_arm", None), processes=1)
-    assert one.answered.all()
-    assert one.worst_sigma_m[-20:].min() > 1.5 * sigma[-20:].max()
-    assert nees(one, made) < 1.5 and error_m(one, made) < 0.05  # 1 cm as measured
+    assert one.recovery.worst_sigma_m[-20:].min() > 1.5 * sigma[-20:].max()
+    assert one.validation.occluded.nees < 1.5
 
 
 @pytest.mark.slow
 def test_a_wrist_that_is_hidden_for_half_a_minute() -> None:
-    made = simulated(duration_s=52.0, occlusion_lengths_s=(30.0,), occlusion_every_s=38.0)
-    recovery = smooth(blind(made), processes=1)
+    found = blind(simulated(duration_s=52.0, occlusion_lengths_s=(30.0,), occlusion_every_s=38.0))
+    recovery = found.recovery
     assert max(gap.length_s for gap in recovery.gaps) > 29.0
-    assert recovery.answered.all() and error_m(recovery, made) < 0.008  # 0.3 cm as measured
+    assert recovery.answered.all() and error_m(found) < 0.008  # 0.3 cm as measured
     assert recovery.worst_sigma_m[recovery.occluded].max() < 0.02
 
 
 @pytest.mark.slow
 def test_a_hidden_shoulder_loses_the_room_but_not_the_arm() -> None:
-    made = simulated(shoulder_lost=1.0)
-    recovery = smooth(blind(made), processes=1)
-    truth = made.recording.truth
-    inside = recovery.occluded
-    answer = (recovery.joints["wrist"] - recovery.joints["shoulder"])[inside]
-    true = (truth.joints["wrist"] - truth.joints["shoulder"])[inside]
-    assert np.sqrt(np.mean(np.sum((answer - true) ** 2, axis=1))) < 0.01
+    found = blind(simulated(shoulder_lost=1.0))
+    recovery, inside = found.recovery, found.recovery.occluded
+    wrist, true = (
+        (each.joints["wrist"] - each.joints["shoulder"])[inside] for each in (recovery, found.recording.truth)
+    )
+    assert np.sqrt(np.mean(np.sum((wrist - true) ** 2, axis=1))) < 0.01
     assert np.nanmax(recovery.worst_sigma_m[inside]) > 0.03  # and says so
 
 
@@ -153,58 +145,51 @@ def test_a_hidden_shoulder_loses_the_room_but_not_the_arm() -> None:
 def test_a_shoulder_that_is_never_seen(made: SimulatedArm) -> None:
     """Nothing says how the upper-arm IMU sits: it is left out, in a sentence, and one IMU answers."""
     hidden = made.recording.arm.hide(np.ones(len(made.recording.arm), bool), ("shoulder",))
-    recording = replace(blind(made), arm=hidden)
-    recovery = smooth(recording, processes=1)
+    recording = replace(made.recording, arm=hidden)
+    recovery = answer(recording)
     assert recovery.upper is None
     assert any("left out" in note and "upper_arm_right" in note for note in recovery.notes)
-    one = smooth(recording.with_imu("upper_arm", None), processes=1)
+    one = answer(recording.with_imu("upper_arm", None))
     np.testing.assert_array_equal(recovery.position, one.position)
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("whose", ["nobody", "somebody else"])
-def test_an_imu_that_is_not_on_this_upper_arm(made: SimulatedArm, whose: str) -> None:
+@pytest.mark.parametrize(
+    ("whose", "words"),
+    [("nobody", "left out"), ("somebody else", "check that it was on this upper arm")],
+)
+def test_an_imu_that_is_not_on_this_upper_arm(made: SimulatedArm, whose: str, words: str) -> None:
     """It lies on the table, or wrist and upper arm are mixed up: it must not spoil the answer."""
     rng, t = np.random.default_rng(0), made.recording.imu.t_s
-    settings = ArmSimulation(imus="wrist,upper-arm", protocol="random", duration_s=30.0)
     force = np.array([0.0, 0.0, 9.81]) + rng.normal(0, 0.03, (len(t), 3))
-    other = (
-        simulate_arm(settings, seed=77).recording.upper_imu
-        if whose == "somebody else"
-        else ImuStream("/imu/upper_arm_right", t, force, rng.normal(0, 0.003, (len(t), 3)))
-    )
-    recovery = smooth(blind(made).with_imu("upper_arm", other), processes=1)
-    assert recovery.upper is None
-    words = "check that it was on this upper arm" if whose == "somebody else" else "left out"
-    assert any(words in note for note in recovery.notes)
+    other = ImuStream("/imu/upper_arm_right", t, force, rng.normal(0, 0.003, (len(t), 3)))
+    if whose == "somebody else":
+        settings = ArmSimulation(imus="wrist,upper-arm", protocol="random", duration_s=30.0)
+        other = simulate_arm(settings, seed=77).recording.upper_imu
+    recovery = answer(made.recording.with_imu("upper_arm", other))
+    assert recovery.upper is None and any(words in note for note in recovery.notes)
 
 
 @pytest.mark.slow
 def test_calibrated_beforehand(made: SimulatedArm) -> None:
-    recovery = smooth(blind(made), made.calibration, processes=1)
-    assert error_m(recovery, made) < 0.005
-    off = recovery.calibration.upper_imu["elbow"].position_m - made.calibration.upper_imu["elbow"].position_m
-    assert np.linalg.norm(off) < 0.004
-    assert JOINTS[0] in recovery.joints
+    found = recovered(made)
+    assert error_m(found) < 0.005
+    elbow, true = (
+        each.upper_imu["elbow"].position_m for each in (found.recovery.calibration, made.calibration)
+    )
+    assert np.linalg.norm(elbow - true) < 0.004
+    assert JOINTS[0] in found.recovery.joints
 
 
 @pytest.fixture(scope="module")
 def hand_arm() -> SimulatedArm:
-    config = ArmSimulation.preset(
-        "realistic",
-        protocol="random",
-        duration_s=24.0,
-        imus="wrist,hand",
-        wrist_deg=18.0,
-        hand_clock_s=0.15,
-        occlusion_lengths_s=(1.0, 2.0),
-    )
-    return simulate_arm(config, 4)
+    worn = {"imus": "wrist,hand", "wrist_deg": 18.0, "hand_clock_s": 0.15}
+    return moving(4, duration_s=24.0, occlusion_lengths_s=(1.0, 2.0), **worn)
 
 
 @pytest.fixture(scope="module")
 def recovery(hand_arm: SimulatedArm) -> Recovery:
-    return smooth(replace(hand_arm.recording, truth=None), processes=1, draws=32)
+    return answer(hand_arm.recording, draws=32)
 
 
 def off(recovery: Recovery, hand_arm: SimulatedArm, joint: str) -> tuple[float, float]:
@@ -228,8 +213,7 @@ def test_wrist_and_hand_in_gaps(recovery: Recovery, hand_arm: SimulatedArm) -> N
 
 @pytest.mark.slow
 def test_without_its_imu_the_hand_is_worse(recovery: Recovery, hand_arm: SimulatedArm) -> None:
-    bare = replace(hand_arm.recording, truth=None).with_imu("hand", None)
-    alone = smooth(bare, processes=1)
+    alone = answer(hand_arm.recording.with_imu("hand", None))
     hand_m, nees = off(alone, hand_arm, "hand")
     assert hand_m > 1.6 * off(recovery, hand_arm, "hand")[0]  # 2 to 3 times on eight arms
     assert 0.2 < nees < 2.0  # and it says so: 2 to 4 where the hand treated as rigid with the forearm
@@ -263,8 +247,7 @@ def test_drawn_hands_have_the_stated_covariance(recovery: Recovery) -> None:
 
 def test_one_that_stops_early_is_left_out(hand_arm: SimulatedArm) -> None:
     imu = hand_arm.recording.further_imus["hand"]
-    short = replace(hand_arm.recording, truth=None).with_imu("hand", imu.select(imu.t_s < 4.0))
-    alone = smooth(short, processes=1)
+    alone = answer(hand_arm.recording.with_imu("hand", imu.select(imu.t_s < 4.0)))
     assert not alone.segments and np.isfinite(alone.joints["hand"]).all(axis=1).mean() > 0.99
     assert any("has samples in 16 % of the recording only" in note for note in alone.notes)
 

@@ -17,7 +17,7 @@ from small_window import BIAS_LENGTH_S, LEVERS, UPPER_FIRST, UPPER_NODES, small_
 import smoother.graph.build
 from smoother.array_types import FloatArray
 from smoother.body import UPPER_ARM
-from smoother.graph.build import MOST_BIASES, bias_of_intervals, build, stacked_measurements
+from smoother.graph.build import MOST_BIASES, bias_of_intervals, build
 from smoother.graph.factors import DENSITY_STEP, INTEGRATION_VARIANCE, PARENT_TIE_M, TISSUE_S
 from smoother.graph.linear_system import Jacobian
 from smoother.graph.shared_prior import shared_factors
@@ -96,29 +96,6 @@ def node_by_node(measured: JointMeasurements, k: float) -> Iterator[tuple[int, F
             weights.append(1.0 / (1.0 + (off / k) ** 2) / measured.sigma_m[row] ** 2)
         mean = sum(w * x for w, x in zip(weights, at, strict=True)) / sum(weights)
         yield node, mean, 1.0 / np.sqrt(sum(weights))
-
-
-def test_samples_of_a_node_are_one(window: Window) -> None:
-    elbow, wrist, _ = window.joint_measurements
-    node, position, sigma = stacked_measurements(elbow, 2.5)
-    expected = list(node_by_node(elbow, 2.5))
-    assert node.tolist() == [each[0] for each in expected]
-    np.testing.assert_allclose(position, [each[1] for each in expected], atol=1e-12)
-    np.testing.assert_allclose(sigma, [each[2] for each in expected], atol=5.01e-7)
-    assert (np.round(sigma, 6) == sigma).all()
-    # the wrong one of four hardly counts, and none is averaged where each node has its own
-    assert np.linalg.norm(position[2] - np.median((elbow.position - elbow.shift)[3:7], axis=0)) < 0.01
-    node, position, sigma = stacked_measurements(wrist, 2.5)
-    assert node is wrist.node and sigma is wrist.sigma_m
-    np.testing.assert_array_equal(position, wrist.position - wrist.shift)
-
-
-def test_two_samples_cannot_outvote_each_other() -> None:
-    node, far = np.zeros(2, dtype=int), np.array([[0.0, 0.0, 2.0], [0.0, 0.4, 2.0]])
-    measured = JointMeasurements("wrist", np.zeros(2), node, far, np.full(2, 0.01), 0 * far, 0 * far)
-    _, position, sigma = stacked_measurements(measured, 2.5)
-    np.testing.assert_allclose(position, [[0.0, 0.2, 2.0]])
-    np.testing.assert_allclose(sigma, [0.01 / np.sqrt(2.0)], atol=1e-6)
 
 
 def levels(increments: ImuIncrements, dt: FloatArray, noise: NoiseModel) -> Iterator[tuple[float, float]]:
@@ -314,27 +291,23 @@ def test_the_graph_begins_at_the_initial_values(window: Window) -> None:
     values = build(window).values
     layout, mean = window.priors.layout, window.priors.shared.mean
     (run,) = window.further
-    for i in range(len(window.t)):
-        R, p = matrix(values.atPose3(X(i)))
-        np.testing.assert_allclose(R, window.forearm.start.R[i], atol=1e-12)
-        np.testing.assert_array_equal(p, window.forearm.start.p[i])
-        np.testing.assert_array_equal(values.atVector(V(i)), window.forearm.start.v[i])
-    for k in range(UPPER_NODES):
-        R, p = matrix(values.atPose3(Y(UPPER_FIRST + k)))
-        np.testing.assert_allclose(R, run.start.R[k], atol=1e-12)
-        np.testing.assert_array_equal(p, run.start.p[k])
-        np.testing.assert_array_equal(values.atVector(W(UPPER_FIRST + k)), run.start.v[k])
-        elbow = run.start.p[k] + run.start.R[k] @ mean[layout.lever("elbow", UPPER_ARM.name)]
-        np.testing.assert_allclose(values.atPoint3(E(UPPER_FIRST + k)), elbow)
-    for k in range(6):
-        np.testing.assert_array_equal(values.atPoint3(S(k)), window.shoulder.start[k])
+    for pose_key, velocity_key, body in ((X, V, window.forearm), (Y, W, run)):
+        for k, (R, p, v) in enumerate(zip(body.start.R, body.start.p, body.start.v, strict=True)):
+            pose = values.atPose3(pose_key(body.first + k))
+            np.testing.assert_allclose(pose.rotation().matrix(), R, atol=1e-12)
+            np.testing.assert_array_equal(pose.translation(), p)
+            np.testing.assert_array_equal(values.atVector(velocity_key(body.first + k)), v)
+    elbow = run.start.p + run.start.R @ mean[layout.lever("elbow", UPPER_ARM.name)]
+    points = {E(UPPER_FIRST + k): elbow[k] for k in range(UPPER_NODES)}
+    points |= {S(k): window.shoulder.start[k] for k in range(6)}
+    points |= {M(JOINTS.index(joint)): mean[rows] for joint, rows in layout.levers(UPPER_ARM.name).items()}
+    for key, place in points.items():
+        np.testing.assert_allclose(values.atPoint3(key), place)
     for k in range(2):
         np.testing.assert_allclose(values.atConstantBias(B(k)).vector(), mean[:6])
         np.testing.assert_allclose(values.atConstantBias(C(k)).vector(), mean[layout.bias_of(UPPER_ARM.name)])
     np.testing.assert_allclose(values.atUnit3(G(0)).point3(), layout.down(mean), atol=1e-12)
     assert values.atDouble(U(0)) == 0.0
-    for joint, rows in layout.levers(UPPER_ARM.name).items():
-        np.testing.assert_array_equal(values.atPoint3(M(JOINTS.index(joint))), mean[rows])
     letters = Counter(chr(gtsam.Symbol(key).chr()) for key in sorted(values.keys()))
     assert letters == {
         "x": 10, "v": 10, "b": 2, "g": 1, "u": 1, "l": 2, "s": 6, "y": 6, "w": 6, "e": 6, "m": 2, "c": 2,

@@ -10,9 +10,8 @@ import pytest
 from gtsam.symbol_shorthand import G, L
 from scenes import arm, first_window
 
-from smoother.graph import optimise as module
 from smoother.graph.build import build
-from smoother.graph.optimise import optimise
+from smoother.graph.optimise import Optimum, optimise
 from smoother.graph.shared_prior import gaussian_factor, gravity_axes, have_turned, turned_with_axes
 from smoother.graph.solved import SolvedWindow
 from smoother.window.problem import Window
@@ -57,13 +56,6 @@ def covariance_K(factors: list[gtsam.NonlinearFactor], at: gtsam.Values) -> np.n
 
 
 BEFORE, AFTER = np.array([0.001, -1.0, 0.002]), np.array([0.002, -1.0, 0.001])
-
-
-def test_a_hair_turns_the_axes() -> None:
-    before, after = gravity_axes(values(BEFORE)), gravity_axes(values(AFTER))
-    assert have_turned(before, after) and have_turned(after, before)
-    near = gravity_axes(values(BEFORE + np.array([0.05, 0.0, 0.1])))
-    assert not have_turned(before, near) and not have_turned(before, before)
 
 
 def test_a_gaussian_turns_with_them() -> None:
@@ -112,7 +104,7 @@ def _cost(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, window: Windo
     return float(error + 0.5 * off @ np.linalg.solve(shared.covariance, off))
 
 
-def _slope_sigmas(optimum: module.Optimum, window: Window) -> float:
+def _slope_sigmas(optimum: Optimum, window: Window) -> float:
     """How far, in sigmas of the data and prior on it, gravity is from where the cost is lowest."""
     worst, step = 0.0, 1e-4
     for axis in np.eye(2):
@@ -126,11 +118,9 @@ def _slope_sigmas(optimum: module.Optimum, window: Window) -> float:
     return worst
 
 
-def test_the_prior_is_that_which_was_stated(window: Window, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_prior_is_that_which_was_stated(window: Window) -> None:
+    """Not so where `optimise` leaves the axes as they turn: 0.1 sigma and more."""
     graph, values, groups = build(window)
     right = optimise(graph, values, groups, window, 1e-10)
     assert have_turned(gravity_axes(values), gravity_axes(right.values))
     assert _slope_sigmas(right, window) < 0.02
-    monkeypatch.setattr(module, "MOST_TURNS", 0)
-    wrong = optimise(graph, values, groups, window, 1e-10)
-    assert _slope_sigmas(wrong, window) > 0.1  # what the test would show without

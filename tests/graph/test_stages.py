@@ -6,7 +6,6 @@ from dataclasses import replace
 from typing import Any
 
 import gtsam
-import numpy as np
 import pytest
 from scipy.stats import chi2
 from small_window import NOISE, small_window
@@ -126,27 +125,3 @@ def test_two_that_agree_are_enough(
 def test_the_limit_is_that_of_the_likelihood_ratio(knots: int) -> None:
     limit = 0.5 * chi2.isf(1e-5, knots)
     assert explained(limit * (1 - 1e-9), knots) and not explained(limit * (1 + 1e-9), knots)
-
-
-def test_the_order_of_the_strategies() -> None:
-    """Knots half a second apart in a gap of 2 s: sigmas stage by stage."""
-    since = np.array([0.0, 0.5, 1.0, 1.5, 2.0])
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(module, "STEP_S", 0.5)
-        patch.setattr(module, "FINE_STEP_S", 0.25)
-        gap = module._LongGap(np.arange(5), since, 2.0 - since)
-        strategies = [
-            [stage.tolist() for stage in stages] for stages in gap.strategies(np.full(5, 0.01), False)
-        ]
-        open_end = module._LongGap(np.arange(5), since, np.full(5, np.inf))
-        backwards = [stage.tolist() for stage in list(open_end.strategies(np.full(5, 0.01), False))[3]]
-    tight, free = 0.01, 1.0
-    assert strategies == [
-        [[tight, tight, free, tight, tight]],
-        [[0.2] * 5, [0.05] * 5],
-        [[tight] * (k + 2) + [free] * (3 - k) for k in range(3)],
-        [[free] * (3 - k) + [tight] * (k + 2) for k in range(3)],
-        [[tight, free, free, free, tight]] + [[tight, tight, free, tight, tight]] * 2,
-    ]
-    assert backwards == []  # no end to begin from
-    assert next(gap.strategies(np.full(5, 0.01), True)) == []  # an earlier answer is tried as it is first

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from functools import cache
 from pathlib import Path
 from typing import Any
 from unittest.mock import patch
@@ -60,25 +61,44 @@ class Scene:
         return validate(self.recovery, self.recording.truth)
 
 
+@cache
 def arm(seed: int = 0, preset: str = "white", **changes: Any) -> SimulatedArm:
     return simulate_arm(ArmSimulation.preset(preset, **changes), seed=seed)
+
+
+def moving(
+    seed: int = 0, preset: str = "realistic", duration_s: float = 30.0, **changes: Any
+) -> SimulatedArm:
+    """An arm that moves at random."""
+    return arm(seed, preset, protocol="random", duration_s=duration_s, **changes)
 
 
 def point(seed: int = 0, preset: str = "white", **changes: Any) -> SimulatedArm:
     return simulate_point(PointSimulation.preset(preset, **changes), seed=seed)
 
 
+def answer(recording: Recording, calibration: ArmCalibration | None = None, **more: Any) -> Recovery:
+    """What `smooth` makes of a recording, its truth taken away, in this process."""
+    return smooth(replace(recording, truth=None), calibration, ALONE, **more)
+
+
+@cache
+def solved(seed: int, preset: str = "realistic", duration_s: float = 30.0) -> Recovery:
+    """The answer of an arm that moves at random, nothing calibrated; once a test run."""
+    return answer(moving(seed, preset, duration_s).recording)
+
+
 def recovered(made: SimulatedArm, recording: Recording | None = None) -> Scene:
     """Smooth a simulated recording (or a changed copy of it) with its true calibration."""
     recording = recording or made.recording
     made = replace(made, recording=recording)
-    return Scene(made, smooth(replace(recording, truth=None), made.calibration, ALONE))
+    return Scene(made, answer(recording, made.calibration))
 
 
 def blind(made: SimulatedArm, recording: Recording | None = None) -> Scene:
     """Smooth a simulated recording with nothing calibrated beforehand."""
     made = replace(made, recording=recording or made.recording)
-    return Scene(made, smooth(replace(made.recording, truth=None), None, ALONE))
+    return Scene(made, answer(made.recording))
 
 
 def with_field(recording: Recording, extra_A: FloatArray | float = 0.0, noise: float = 0.01) -> Recording:
@@ -109,7 +129,7 @@ def first_window(recording: Recording, calibration: ArmCalibration | None) -> Wi
         raise Found
 
     with suppress(Found), patch("smoother.recovery.solve_section.optimise_window", listen):
-        smooth(replace(recording, truth=None), calibration, ALONE)
+        answer(recording, calibration)
     return given[0]
 
 
@@ -119,17 +139,17 @@ class Found(Exception):
 
 def section_windows(recording: Recording, calibration: ArmCalibration | None) -> list[Job]:
     """The windows that give the answer, one a section, in the order of time."""
-    solved: list[Job] = []
+    jobs: list[Job] = []
 
     def listen(optimised: WindowOptimum, with_covariance: bool, **more: Any) -> Solution:
         solution = solution_of(optimised, with_covariance, **more)
         if with_covariance:
-            solved.append(Job(optimised.window, solution))
+            jobs.append(Job(optimised.window, solution))
         return solution
 
     with patch("smoother.recovery.solve_section.solution_of", listen):
-        smooth(replace(recording, truth=None), calibration, ALONE)
-    return solved
+        answer(recording, calibration)
+    return jobs
 
 
 def plain(window: Window, cauchy: float = 1e6) -> Window:

@@ -21,46 +21,50 @@ def delivered(seed: int, pauses: tuple[float, ...] = (), count: int = 12_000) ->
     return t, np.where(rng.random(count) < 0.6, t + rng.normal(0, 0.002, count), late)
 
 
-@pytest.mark.parametrize("pauses", [(), (3.0,), (1.0, 0.5, 7.0)])
-def test_bursts(pauses: tuple[float, ...]):
-    for seed in range(3):
-        t, stamps = delivered(seed, pauses)
-        assert (np.diff(stamps) <= 0).mean() > 0.3 and needs_counting(stamps)
-        even = even_times(stamps)
-        assert even is not None and even.pauses == len(pauses) and even.clock_resets == 0
-        # A constant delay does no harm, a wandering one does: 1 ms is a tenth of a period.
-        assert np.std(even.t_s - t) < 1e-3 and abs(np.median(even.t_s - t)) < 0.005
-        assert (np.diff(even.t_s) > 0).all()
+def seconds(count: int = 6000) -> np.ndarray:
+    """Of a sensor of 100 Hz."""
+    return np.arange(count) / 100.0
 
 
-def test_a_stall_that_is_caught_up_is_no_pause():
-    t = np.arange(6000) / 100.0
-    stamps = t + np.random.default_rng(0).normal(0, 1e-3, len(t))
-    stamps[3000:3200] = stamps[3200]  # 2 s of samples at once
+def caught_up() -> np.ndarray:
+    """Two seconds of samples that come at once after a stall."""
+    stamps = seconds() + np.random.default_rng(0).normal(0, 1e-3, 6000)
+    stamps[3000:3200] = stamps[3200]
+    return stamps
+
+
+@pytest.mark.parametrize(
+    ("t", "stamps", "pauses", "resets", "sigma_s", "most_s"),
+    # a constant delay does no harm, a wandering one does: 1 ms is a tenth of a period
+    [
+        *(
+            (*delivered(seed, pauses), len(pauses), 0, 1e-3, np.inf)
+            for pauses in ((), (3.0,), (1.0, 0.5, 7.0))
+            for seed in range(3)
+        ),
+        (seconds(), caught_up(), 0, 0, 1e-3, 2e-3),
+        (seconds(), np.floor(seconds()), 0, 0, 1e-3, np.inf),  # whole seconds
+        (seconds(), seconds() - 4.0 * (np.arange(6000) >= 3000), 0, 1, 1e-3, 1e-6),  # a clock set back
+    ],
+)
+def test_stamps_that_repeat_are_counted(
+    t: np.ndarray, stamps: np.ndarray, pauses: int, resets: int, sigma_s: float, most_s: float
+) -> None:
     even = even_times(stamps)
-    assert even is not None and even.pauses == 0 and np.abs(even.t_s - t).max() < 2e-3
+    assert even is not None and (even.pauses, even.clock_resets) == (pauses, resets)
+    assert np.std(even.t_s - t) < sigma_s and np.abs(even.t_s - t).max() < most_s
+    assert (np.diff(even.t_s) > 0).all()
+    if len(t) > 6000:
+        assert needs_counting(stamps)
+        assert (np.diff(stamps) <= 0).mean() > 0.3 and abs(np.median(even.t_s - t)) < 0.005
 
 
-def test_whole_seconds_and_a_clock_set_back():
-    t = np.arange(6000) / 100.0
-    even = even_times(np.floor(t))
-    assert even is not None and np.std(even.t_s - t) < 1e-3
-    stamps = t.copy()
-    stamps[3000:] -= 4.0
-    even = even_times(stamps)
-    assert even is not None and even.clock_resets == 1 and np.abs(even.t_s - t).max() < 1e-6
-
-
-def test_an_uneven_sensor_is_not_made_even():
+def test_what_is_uneven_is_not_made_even_and_good_stamps_need_nothing() -> None:
     rng = np.random.default_rng(1)
     steps = rng.exponential(0.01, 6000)
     steps[rng.random(6000) < 0.02] = 0.0
-    assert even_times(np.cumsum(steps)) is None
-    assert even_times(np.zeros(6000)) is None and even_times(np.arange(10.0)) is None
-
-
-def test_good_stamps_need_nothing():
-    rng = np.random.default_rng(2)
+    for stamps in (np.cumsum(steps), np.zeros(6000), np.arange(10.0)):
+        assert even_times(stamps) is None
     t = np.cumsum(rng.uniform(0.006, 0.014, 3000))
     t[1500:] += 3.0
     assert not needs_counting(t)
@@ -74,14 +78,13 @@ def test_wraps(wrap_s: float):
     assert unwrapped(np.array([0.0, 1.0, 0.5]))[1] == 0
 
 
-def test_counters():
+def test_counters() -> None:
     number = np.delete(np.arange(70_000), [500, 501, 40_000])
     counts, restarts = counted((number + 65_000) % 65_536, 65_536)
     assert np.array_equal(counts, number) and restarts == 2
-    assert np.array_equal(
-        counted(np.array([0, 4, 8, 16]), 0)[0], [0, 1, 2, 4]
-    )  # counts ticks of a faster clock
-    assert np.array_equal(counted(np.array([900, 901, 5, 6]), 65_536)[0], [0, 1, 2, 3])  # started anew
+    # one that counts ticks of a faster clock, and one that was started anew
+    for ticks, wrap, expected in (([0, 4, 8, 16], 0, [0, 1, 2, 4]), ([900, 901, 5, 6], 65_536, [0, 1, 2, 3])):
+        np.testing.assert_array_equal(counted(np.array(ticks), wrap)[0], expected)
 
 
 def test_a_counter_and_bad_stamps():

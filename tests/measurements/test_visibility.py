@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import itertools
 from dataclasses import replace
-from functools import cache
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scenes import moving
 from simulated_points import PointSimulation, simulate_point
 
 from smoother.measurements.allowance import allowance
@@ -21,7 +21,6 @@ from smoother.measurements.visibility import (
     visible_frames,
 )
 from smoother.recording import FOREARM_JOINTS, JOINTS, JointState, JointTracks, Recording
-from smoother.simulation import ArmSimulation, simulate_arm
 
 masks = st.lists(st.booleans(), min_size=1, max_size=80)
 
@@ -117,26 +116,20 @@ def test_nothing_seen_is_one_gap_open_on_both_sides() -> None:
     assert find_gaps(np.zeros(0), np.zeros(0, dtype=bool), 0.0, 1.0) == (Gap(0.0, 1.0, True, True),)
 
 
-@cache
 def arm() -> Recording:
-    settings = ArmSimulation.preset("realistic", protocol="random", duration_s=30.0)
-    return replace(simulate_arm(settings, 1).recording, truth=None)
+    return replace(moving(1).recording, truth=None)
 
 
-def slower(recording: Recording, every: int) -> Recording:
-    return replace(recording, imu=recording.imu.select(slice(None, None, every)))
-
-
-def test_a_slow_imu_allows_less_and_then_nothing():
-    usual, slow, still_slower = (allowance(slower(arm(), every)) for every in (1, 3, 8))
+def test_a_slow_imu_allows_less_and_then_nothing() -> None:
+    imu = arm().imu
+    usual, slow, still_slower = (
+        allowance(replace(arm(), imu=imu.select(slice(None, None, every)))) for every in (1, 3, 8)
+    )
     assert slow.ready and slow.longest_s < usual.longest_s
     assert any("slow" in sentence for sentence in slow.undetermined)
     assert not still_slower.ready and "samples per second" in still_slower.sentence
-
-
-def test_a_point_is_no_arm():
-    found = allowance(simulate_point(PointSimulation(duration_s=20.0), 1).recording)
-    assert found.ready and not any("roll" in sentence for sentence in found.undetermined)
+    point = allowance(simulate_point(PointSimulation(duration_s=20.0), 1).recording)  # it is no arm
+    assert point.ready and not any("roll" in sentence for sentence in point.undetermined)
 
 
 @pytest.mark.parametrize(
@@ -157,23 +150,26 @@ def test_what_nothing_determines(change, words: str):
     assert found.longest_s is None or found.within_m > 0.02 or found.longest_s < allowance(arm()).longest_s
 
 
-def test_nothing_tracked_and_no_common_time():
+def test_nothing_tracked_and_no_common_time() -> None:
     tracks = arm().arm
-    nothing = allowance(replace(arm(), arm=tracks.hide(np.ones(len(tracks), bool), FOREARM_JOINTS)))
-    assert "never tracked" in nothing.sentence and not nothing.ready
-    apart = allowance(replace(arm(), arm=replace(tracks, t_s=tracks.t_s + 1000.0)))
-    assert "in common" in apart.sentence and not apart.ready
+    hidden, later = (
+        tracks.hide(np.ones(len(tracks), bool), FOREARM_JOINTS),
+        replace(tracks, t_s=tracks.t_s + 1e3),
+    )
+    for changed, words in ((hidden, "never tracked"), (later, "in common")):
+        found = allowance(replace(arm(), arm=changed))
+        assert words in found.sentence and not found.ready
 
 
 def test_what_one_camera_without_depth_leaves_open_is_said() -> None:
-    settings = {"protocol": "random", "duration_s": 20.0, "rgb": "all", "cameras": (75.0,)}
-    recording = simulate_arm(ArmSimulation.preset("realistic", **settings), 5).recording
-    both, alone = allowance(recording), allowance(replace(recording, cameras=()))
-    assert both.ready
-    assert "one camera without depth" not in both.sentence
-    assert alone.ready
-    assert "one camera without depth: how far away the arm is shows" in alone.sentence
+    recording = moving(5, duration_s=20.0, rgb="all", cameras=(75.0,)).recording
     nowhere = tuple(replace(camera, pose=None) for camera in recording.cameras)
-    assert "do not show how far away the arm is" in allowance(replace(recording, cameras=nowhere)).sentence
-    elbow_alone = replace(recording.arm.hide(np.ones(len(recording.arm), bool), ("wrist", "hand")))
+    both, alone, unplaced = (
+        allowance(replace(recording, cameras=cameras)) for cameras in (recording.cameras, (), nowhere)
+    )
+    assert both.ready and alone.ready
+    assert "one camera without depth" not in both.sentence
+    assert "one camera without depth: how far away the arm is shows" in alone.sentence
+    assert "do not show how far away the arm is" in unplaced.sentence
+    elbow_alone = recording.arm.hide(np.ones(len(recording.arm), bool), ("wrist", "hand"))
     assert not allowance(replace(recording, arm=elbow_alone, cameras=())).ready

@@ -6,16 +6,15 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scenes import ALONE
+from scenes import answer
 
 from smoother import Recovery
 from smoother.array_types import BoolArray
 from smoother.measurements.clock import constant_clock
 from smoother.measurements.segment import Timeline
 from smoother.recording import JointTracks, Recording
-from smoother.recovery.sections import CONTEXT_S, SECTION_S, Sections
+from smoother.recovery.sections import CONTEXT_S, SECTION_S, Section, Sections
 from smoother.simulation import SimulatedArm
-from smoother.smoothing import smooth
 
 #: The answer reaches so far in these tests, and the camera is away from and until here, s.
 REACH_S, AWAY_S = 6.0, (60.0, 130.0)
@@ -31,7 +30,11 @@ def stopped(recording: Recording, away_s: tuple[float, float] = AWAY_S) -> Recor
     """A camera that was stopped: there are no frames at all."""
     t = recording.arm.t_s
     rows = np.flatnonzero((t < away_s[0]) | (t > away_s[1]))
-    return replace(recording, arm=recording.arm.select(rows), truth=None)
+    return replace(recording, arm=recording.arm.select(rows))
+
+
+def sections_of(recording: Recording) -> list[Section]:
+    return Sections(recording, Timeline.of(recording), constant_clock(0.0)).all
 
 
 def apart(recovery: Recovery, made: SimulatedArm, rows: BoolArray) -> float:
@@ -42,7 +45,7 @@ def apart(recovery: Recovery, made: SimulatedArm, rows: BoolArray) -> float:
 
 @pytest.mark.slow
 def test_a_stopped_camera_parts_the_recording(three_minutes: SimulatedArm, sectioned: Recovery) -> None:
-    recovery = smooth(stopped(three_minutes.recording), three_minutes.calibration, ALONE)
+    recovery = answer(stopped(three_minutes.recording), three_minutes.calibration)
     t = recovery.t_s
     beyond = (t > AWAY_S[0] + REACH_S) & (t < AWAY_S[1] - REACH_S)
     assert not recovery.answered[beyond].any() and recovery.answered[~beyond].mean() > 0.995
@@ -59,10 +62,10 @@ def test_a_stopped_camera_parts_the_recording(three_minutes: SimulatedArm, secti
 @pytest.mark.slow
 def test_an_imu_that_outlasts_the_camera_is_read_no_farther(three_minutes: SimulatedArm) -> None:
     early = stopped(three_minutes.recording, (30.0, np.inf))
-    sections = Sections(early, Timeline.of(early), constant_clock(0.0)).all
+    sections = sections_of(early)
     last = max(section.samples.stop for section in sections)
     assert early.imu.t_s[last - 1] == pytest.approx(30.0 + REACH_S + CONTEXT_S, abs=0.1)
-    recovery = smooth(early, three_minutes.calibration, ALONE)
+    recovery = answer(early, three_minutes.calibration)
     (note,) = [note for note in recovery.notes if "nothing is recovered" in note]
     assert note.startswith("from 36.0 s to 180.0 s ")
 
@@ -73,8 +76,8 @@ def test_nothing_is_left_out_where_something_is_seen(three_minutes: SimulatedArm
     t = recording.arm.t_s
     away = (t > AWAY_S[0]) & (t < AWAY_S[1])
     arm: JointTracks = recording.arm.hide(away & (np.arange(len(t)) % 30 > 0), ("elbow", "wrist", "hand"))
-    some = replace(recording, arm=arm.hide(away, ("wrist", "hand")), truth=None)
-    sections = Sections(some, Timeline.of(some), constant_clock(0.0)).all
+    some = replace(recording, arm=arm.hide(away, ("wrist", "hand")))
+    sections = sections_of(some)
     assert sections[0].samples.start == 0
     assert sections[-1].samples.stop == len(recording.imu)
     assert len([section for section in sections if section.start_s == -np.inf]) == 1
@@ -86,9 +89,9 @@ def test_sections_stay_short_where_one_joint_is_seen(three_minutes: SimulatedArm
     recording = three_minutes.recording
     t = recording.arm.t_s
     away = (t > AWAY_S[0]) & (t < AWAY_S[1])
-    some = replace(recording, arm=recording.arm.hide(away, ("wrist", "hand")), truth=None)
-    recovery = smooth(some, three_minutes.calibration, ALONE)
-    sections = Sections(some, Timeline.of(some), constant_clock(0.0)).all
+    some = replace(recording, arm=recording.arm.hide(away, ("wrist", "hand")))
+    recovery = answer(some, three_minutes.calibration)
+    sections = sections_of(some)
     assert len(sections) == 3 and max(section.length_s for section in sections) < 1.5 * SECTION_S
     assert max(gap.length_s for gap in recovery.gaps) > 69.0
     inside = (recovery.t_s > AWAY_S[0] + 1.0) & (recovery.t_s < AWAY_S[1] - 1.0)

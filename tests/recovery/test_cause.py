@@ -6,21 +6,20 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scenes import ALONE
+from scenes import answer, moving
 
 from smoother.calibration import ArmCalibration, LeverArm
 from smoother.errors import CalibrationError, SolveError
 from smoother.measurements.clock import constant_clock
 from smoother.measurements.remedy import Remedy
 from smoother.recording import CameraFrame, Recording
-from smoother.recovery.cause import diagnose_failures, likeliest_cause
+from smoother.recovery.cause import diagnose_failures, likeliest_cause, on_upper_arm
 from smoother.recovery.trust import sensor_at_elbow, swapped_joints
 from smoother.selfcal.mounting import closed_form
 from smoother.selfcal.pairing import pair
-from smoother.simulation import ArmSimulation, SimulatedArm, simulate_arm, simulate_both_arms
-from smoother.smoothing import smooth
+from smoother.simulation import ArmSimulation, simulate_both_arms
 from tools.reliability import setup_errors
-from tools.reliability.setup_errors import Job
+from tools.reliability.setup_errors import Job, Setup
 
 #: Options that undo a case; of several either one may be meant.
 OFFERED = {
@@ -67,17 +66,12 @@ def test_each_mistake_has_its_cause(case: str, preset: str) -> None:
 def test_a_recording_without_any_answer_is_refused_with_its_cause() -> None:
     setup = Job(setup_errors.metres_called_millimetres, 1262876031, "white", 29.4).setup()
     with pytest.raises(SolveError, match=r"in no part of the recording.*1000 times too small"):
-        smooth(replace(setup.recording, truth=None), setup.calibration, processes=1)
+        answer(setup.recording, setup.calibration)
 
 
 @pytest.fixture(scope="module")
-def arm() -> SimulatedArm:
-    return simulate_arm(ArmSimulation.preset("realistic", protocol="random", duration_s=24.0), 3)
-
-
-@pytest.fixture(scope="module")
-def sound(arm: SimulatedArm) -> Recording:
-    return replace(arm.recording, truth=None)
+def sound() -> Recording:
+    return replace(moving(3, duration_s=24.0).recording, truth=None)
 
 
 def test_what_is_right_is_far_from_what_is_wrong(sound: Recording) -> None:
@@ -88,14 +82,17 @@ def test_what_is_right_is_far_from_what_is_wrong(sound: Recording) -> None:
     assert right.down_deg(CameraFrame.KINECT.down) < 20.0
 
 
-def test_without_a_shoulder_no_names_are_doubted(sound: Recording) -> None:
-    assert not list(swapped_joints(sound.arm))
-    swapped = setup_errors.elbow_and_wrist_swapped(
-        Job(setup_errors.sound, 5, "realistic", 14.0).setup()
-    ).recording.arm
-    assert list(swapped_joints(swapped))
-    hidden = swapped.hide(np.ones(len(swapped), bool), ("shoulder", "hand"))
-    assert not list(swapped_joints(hidden))
+def test_names_of_joints_are_doubted_by_shoulder_and_hand(sound: Recording) -> None:
+    """Swapped ones show where a shoulder or a hand is seen, and nothing is said where neither is."""
+    swap = Remedy(swap=("elbow", "wrist"))
+    every = np.ones(len(sound.arm), bool)
+    for hidden, is_said in (((), True), (("shoulder",), True), (("shoulder", "hand"), False)):
+        seen = replace(sound, arm=sound.arm.hide(every, hidden)) if hidden else sound
+        assert not list(swapped_joints(seen.arm))
+        said = list(swapped_joints(swap.applied(seen).arm))
+        assert bool(said) == is_said
+        if hidden == ("shoulder",):
+            assert "the hand is nearer to the elbow than to the wrist" in said[0].sentence
 
 
 @pytest.mark.parametrize(
@@ -118,18 +115,10 @@ def test_an_option_that_is_not_needed_is_to_be_left_out(sound: Recording, needle
 def test_two_options_that_cancel_each_other_are_not_trusted(sound: Recording) -> None:
     """They make a sound motion its mirror image, half a metre off, and camera and IMU agree on it."""
     both = Remedy(mirror="x", negate=("accelerometer",))
-    mirrored = smooth(both.applied(sound), processes=1)
-    assert mirrored.estimates.trusted is False and len(mirrored.estimates.reasons) == 1
-    assert "--mirror x and --negate accelerometer" in mirrored.estimates.reasons[0]
+    (reason,) = (found := answer(both.applied(sound)).estimates).reasons
+    assert found.trusted is False and "--mirror x and --negate accelerometer" in reason
     truly = both.applied(both.applied(sound))  # it was sound, and is again; but that only we know
-    assert smooth(replace(truly, applied_fixes=()), processes=1).estimates.trusted
-
-
-def test_a_hand_at_the_elbow_tells_swapped_joints(sound: Recording) -> None:
-    bent = replace(sound, arm=sound.arm.hide(np.ones(len(sound.arm), bool), ("shoulder",)))
-    assert not list(swapped_joints(bent.arm))
-    (swapped,) = swapped_joints(Remedy(swap=("elbow", "wrist")).applied(bent).arm)
-    assert "the hand is nearer to the elbow than to the wrist" in swapped.sentence
+    assert answer(replace(truly, applied_fixes=())).estimates.trusted
 
 
 def test_a_hand_between_elbow_and_wrist_tells_swapped_names(sound: Recording) -> None:
@@ -138,29 +127,30 @@ def test_a_hand_between_elbow_and_wrist_tells_swapped_names(sound: Recording) ->
     cause = likeliest_cause(replace(needless.applied(synchronised), applied_fixes=()))
     assert cause is not None and [remedy.options for remedy in cause.remedies] == ["--swap wrist,hand"]
     assert cause.sentence.startswith("wrist and hand seem swapped")
-    recovery = smooth(needless.applied(sound), processes=1)
-    assert recovery.estimates.trusted is False
-    assert recovery.estimates.reasons[0].endswith("run again without --swap wrist,hand")
+    found = answer(needless.applied(sound)).estimates
+    assert found.trusted is False and found.reasons[0].endswith("run again without --swap wrist,hand")
 
 
-def test_a_refusal_names_its_cause(sound: Recording) -> None:
-    wrong = replace(sound, imu=replace(sound.imu, gyro=-sound.imu.gyro))
-    named = r"nothing is left; the gyroscope's sign .* --negate gyroscope"
-    with pytest.raises(SolveError, match=named), diagnose_failures(wrong, ArmCalibration()):
-        raise SolveError("nothing is left.")
-    with pytest.raises(SolveError, match=r"^nothing is left$"), diagnose_failures(sound, ArmCalibration()):
-        raise SolveError("nothing is left")
+def test_a_refusal_names_its_cause(sound: Recording, exchanged: Recording) -> None:
+    negated = replace(sound, imu=replace(sound.imu, gyro=-sound.imu.gyro))
+    for recording, error, named in (
+        (negated, SolveError, r"^nothing is left; the gyroscope's sign .* --negate gyroscope"),
+        (exchanged, CalibrationError, r"^nothing is left; left and right .* --swap left,right$"),
+        (sound, SolveError, r"^nothing is left\.?$"),
+    ):
+        with pytest.raises(error, match=named), diagnose_failures(recording, ArmCalibration()):
+            raise error("nothing is left.")
 
 
 @pytest.mark.slow
-def test_a_clock_of_another_session(arm: SimulatedArm, sound: Recording) -> None:
-    offset_s = arm.parameters["clock_offset_s"]
-    right = smooth(sound, None, ALONE, clock=constant_clock(offset_s, 0.002)).estimates
+def test_a_clock_of_another_session(sound: Recording) -> None:
+    offset_s = moving(3, duration_s=24.0).parameters["clock_offset_s"]
+    right = answer(sound, clock=constant_clock(offset_s, 0.002)).estimates
     assert right.trusted and right.cause is None
     for wrong_s, word in ((0.1, "moves the clock that was given"), (3.0, "the clock that was given")):
-        wrong = smooth(sound, None, ALONE, clock=constant_clock(offset_s + wrong_s, 0.002))
-        assert wrong.estimates.trusted is False
-        assert any(word in reason for reason in wrong.estimates.reasons), wrong.estimates.reasons
+        wrong = answer(sound, clock=constant_clock(offset_s + wrong_s, 0.002)).estimates
+        assert wrong.trusted is False
+        assert any(word in reason for reason in wrong.reasons), wrong.reasons
 
 
 @pytest.fixture(scope="module")
@@ -184,14 +174,6 @@ def test_exchanged_sides_are_named_and_mended(exchanged: Recording) -> None:
     assert alone is not None and alone.remedies == () and "--side" in alone.sentence
 
 
-def test_clocks_that_the_wrong_arm_leaves_open_end_with_the_cause(exchanged: Recording) -> None:
-    with (
-        pytest.raises(CalibrationError, match=r"^no clock; left and right .* --swap left,right$"),
-        diagnose_failures(exchanged, ArmCalibration()),
-    ):
-        raise CalibrationError("no clock.")
-
-
 def test_a_sensor_at_the_joint_called_elbow_tells_swapped_joints(sound: Recording) -> None:
     every = np.ones(len(sound.arm), bool)
     far, near = (LeverArm(np.array([0.0, y, 0.03]), np.full(3, 0.01)) for y in (-0.2, 0.05))
@@ -213,6 +195,21 @@ def test_a_sensor_at_the_joint_called_elbow_tells_swapped_joints(sound: Recordin
 def test_elbow_and_wrist_exchanged_without_a_shoulder(sound: Recording) -> None:
     bare = replace(sound, arm=sound.arm.hide(np.ones(len(sound.arm), bool), ("shoulder", "hand")))
     swap = Remedy(swap=("elbow", "wrist"))
-    swapped = smooth(replace(swap.applied(bare), applied_fixes=()), processes=1).estimates
+    swapped = answer(replace(swap.applied(bare), applied_fixes=())).estimates
     assert swapped.trusted is False and swapped.remedies == ("--swap elbow,wrist",)
-    assert smooth(bare, processes=1).estimates.trusted
+    assert answer(bare).estimates.trusted
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("flexion_rad", [(0.5, 2.0), (0.5, 0.9)], ids=["lively elbow", "stiff elbow"])
+def test_an_imu_on_the_upper_arm_is_found_though_it_fits_the_forearm(
+    flexion_rad: tuple[float, float],
+) -> None:
+    made = moving(7, flexion_rad=flexion_rad)
+    config = ArmSimulation.preset("realistic", protocol="random", duration_s=30.0, flexion_rad=flexion_rad)
+    recording = replace(made.recording, truth=None)
+    assert on_upper_arm(recording) is None
+    wrong = setup_errors.sensor_on_the_upper_arm(Setup(made, config, np.random.default_rng(7), recording))
+    estimates = answer(wrong.recording).estimates
+    assert estimates.trusted is False
+    assert estimates.cause is not None and "on the upper arm" in estimates.cause

@@ -1,113 +1,255 @@
-"""What changes while a recording runs: strap, camera, skeleton."""
+"""What changes while a recording runs, and blocks of another body: they cost a gap's trust or the whole's."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
-from functools import cache
+from functools import cache, partial
 
 import numpy as np
 import pytest
-from scenes import ALONE
+from scenes import answer, moving, solved
 from scipy.spatial.transform import Rotation
 
-from smoother import Recording
-from smoother.config import Anatomy
+from smoother import Recording, Recovery
 from smoother.evaluation.validate import sample_errors
+from smoother.linalg import runs
 from smoother.measurements.outliers import interpolated
+from smoother.measurements.visibility import Rejection
 from smoother.recording import JOINTS, JointState
-from smoother.recovery.trust import with_verdict
-from smoother.result import Recovery
-from smoother.simulation import ArmSimulation, SimulatedArm, simulate_arm
-from smoother.smoothing import smooth
+from smoother.recovery.camera_blocks import Excluded, Suspect, left_out
+from smoother.recovery.change_signs import changed_for_good
+from smoother.result import Estimates
+from smoother.result.verdict import EVER, finding
+from smoother.simulation import SimulatedArm
+from smoother.window.solution import Step
+
+SHOULDER, ELBOW, WRIST, HAND = (JOINTS.index(joint) for joint in ("shoulder", "elbow", "wrist", "hand"))
+FOREARM = ("elbow", "wrist", "hand")
+#: Makes a recording; puts a fault into it at a time, s on the camera's clock.
+Maker = Callable[[], SimulatedArm]
+Fault = Callable[[SimulatedArm, float], Recording]
 
 
-@cache
-def made(seed: int = 1, preset: str = "realistic") -> SimulatedArm:
-    return simulate_arm(ArmSimulation.preset(preset, protocol="random", duration_s=40.0), seed)
+def one_gap(preset: str, seed: int) -> SimulatedArm:
+    """Forty seconds in view but for two about the middle."""
+    made = moving(seed, preset, 40.0, occlusion_lengths_s=())
+    arm = made.recording.arm
+    arm = arm.hide(np.abs(arm.t_s - 20.0) < 1.0, FOREARM)
+    return replace(made, recording=replace(made.recording, arm=arm))
 
 
-def slipped(arm: SimulatedArm, degrees: float) -> Recording:
-    """The strap turns about the forearm half-way, between two samples."""
-    imu, R_F_A = arm.recording.imu, arm.calibration.R_F_A
-    turn = Rotation.from_rotvec(degrees * R_F_A[1], degrees=True).inv()
-    late = (imu.t_s > np.mean(imu.t_s[[0, -1]]))[:, None]
-    acc, gyro = (np.where(late, turn.apply(values), values) for values in (imu.acc, imu.gyro))
-    return replace(arm.recording, imu=replace(imu, acc=acc, gyro=gyro), truth=None)
+def gaps(made: SimulatedArm, least_s: float = 0.0) -> list[tuple[float, float]]:
+    """Where the camera loses the forearm, and the first frame after it, s."""
+    arm = made.recording.arm
+    hidden = [run for run in runs(~arm.forearm_tracked) if run.stop < len(arm)]
+    ends = [(float(arm.t_s[run.start]), float(arm.t_s[run.stop])) for run in hidden]
+    return [gap for gap in ends if gap[1] - gap[0] > least_s]
 
 
-def pushed(arm: SimulatedArm, degrees: float) -> Recording:
-    """The camera tilts half-way."""
-    tracks = arm.recording.arm
-    turn = Rotation.from_euler("z", degrees, degrees=True).as_matrix()
-    late = (tracks.t_s > np.mean(tracks.t_s[[0, -1]]))[:, None, None]
-    position = np.where(late, tracks.position @ turn.T, tracks.position)
-    return replace(arm.recording, arm=replace(tracks, position=position), truth=None)
+def middle_gap(made: SimulatedArm) -> tuple[float, float]:
+    return min(gaps(made, 0.8), key=lambda gap: abs(sum(gap) - 30.0))
 
 
-def filled(arm: SimulatedArm) -> Recording:
-    """Straight lines through all gaps, called tracked."""
-    tracks = arm.recording.arm
-    position, state = tracks.position.copy(), tracks.state.copy()
-    for joint in tracks.present:
-        seen, column = tracks.tracked(joint), JOINTS.index(joint)
-        for axis in range(3):
-            position[:, column, axis] = np.interp(tracks.t_s, tracks.t_s[seen], position[seen, column, axis])
-        state[:, column] = JointState.TRACKED
-    return replace(arm.recording, arm=replace(tracks, position=position, state=state), truth=None)
+def halfway(made: SimulatedArm) -> float:
+    return float(np.mean(made.recording.imu.t_s[[0, -1]]))
 
 
-def in_one_frame(recovery: Recovery) -> bool:
-    """No reason says that positions before and after a moment are not."""
-    return not any("not in one frame" in reason for reason in recovery.estimates.reasons)
+def after_gap(made: SimulatedArm) -> float:
+    return min((end_s for _, end_s in gaps(made)), key=lambda end_s: abs(end_s - 20.0)) - 0.01
+
+
+def camera(axis: str, degrees: float, move_m: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> Fault:
+    """The camera is turned and moved."""
+
+    def fault(made: SimulatedArm, at_s: float) -> Recording:
+        arm, turn = made.recording.arm, Rotation.from_euler(axis, degrees, degrees=True).as_matrix()
+        late = (arm.t_s > at_s)[:, None, None]
+        position = np.where(late, arm.position @ turn.T + move_m, arm.position)
+        return replace(made.recording, arm=replace(arm, position=position))
+
+    return fault
+
+
+def strap(degrees: float, axis_A: tuple[float, float, float] | None = None) -> Fault:
+    """The strap turns between two samples: about an axis, or about the forearm."""
+
+    def fault(made: SimulatedArm, at_s: float) -> Recording:
+        imu, axis = made.recording.imu, -made.calibration.R_F_A[1] if axis_A is None else np.array(axis_A)
+        turn, late = Rotation.from_rotvec(degrees * axis, degrees=True), (imu.t_s > at_s)[:, None]
+        acc, gyro = (np.where(late, turn.apply(values), values) for values in (imu.acc, imu.gyro))
+        return replace(made.recording, imu=replace(imu, acc=acc, gyro=gyro))
+
+    return fault
+
+
+STEPS = {
+    "pitch": camera("x", 12.0),
+    "yaw": camera("y", 15.0),
+    "push": camera("x", 0.0, (0.25, 0.0, 0.0)),
+    "strap": strap(15.0, (1.0, 0.0, 0.0)),
+}
+#: Recordings in which a strap slips half-way; 47, 56 and 10 cm off in the short ones.
+SLIPS = [
+    ("realistic", 2, 40.0), ("azure", 4, 40.0), ("white", 8, 40.0), ("white", 14, 12.0), ("azure", 14, 12.0),
+    ("white", 15, 16.0), ("realistic", 1489077380, 25.1),  # an upright forearm, on which down hardly jumps
+]  # fmt: skip
+#: Which recording, when and what happens, and words that are said of it.
+LASTING: dict[str, tuple[Maker, float | Callable[[SimulatedArm], float], Fault, tuple[str, ...]]] = {
+    **{
+        f"{kind}-{preset}": (
+            partial(one_gap, preset, seed),
+            20.0,
+            STEPS[kind],
+            ("at about 20 s", "the camera was moved, or the strap slipped", "not in one frame"),
+        )
+        for preset, seed, kinds in (
+            ("realistic", 31, ("pitch", "yaw", "push", "strap")),
+            ("azure", 32, ("pitch", "yaw", "strap")),
+        )
+        for kind in kinds
+    },
+    **{
+        f"slip-{preset}-{seed}": (partial(moving, seed, preset, length_s), halfway, strap(15.0), ())
+        for preset, seed, length_s in SLIPS
+    },
+    "pushed in view": (
+        partial(moving, 1, "realistic", 40.0), halfway, camera("z", 6.0), ("not in one frame",),
+    ),
+    "turned after a gap": (
+        partial(moving, 12, "realistic", 40.0), after_gap, camera("y", 15.0), ("not in one frame",),
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("make", "at", "fault", "words"), LASTING.values(), ids=LASTING)
+def test_a_change_that_lasts_distrusts_the_recording(
+    make: Maker, at: float | Callable[[SimulatedArm], float], fault: Fault, words: tuple[str, ...]
+) -> None:
+    made = make()
+    found = answer(fault(made, at(made) if callable(at) else at)).estimates
+    assert found.trusted is False
+    assert any(all(word in reason for word in words) for reason in found.reasons), found.reasons
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("seed", "preset", "duration_s"),
+    ("make", "is_clean"),
     [
-        (2, "realistic", 40.0),
-        (4, "azure", 40.0),
-        (8, "white", 40.0),
-        # 47, 56 and 10 cm off in short recordings
-        (14, "white", 12.0),
-        (14, "azure", 12.0),
-        (15, "white", 16.0),
-        # an upright forearm, on which down hardly jumps
-        (1489077380, "realistic", 25.1),
+        *((partial(one_gap, *each), True) for each in (("realistic", 31), ("azure", 32), ("white", 33))),
+        *((partial(moving, seed, preset, length_s), False) for preset, seed, length_s in SLIPS),
+        (partial(moving, 1, "realistic", 40.0), False),
+        (partial(moving, 12, "realistic", 40.0), True),
     ],
-)
-def test_a_strap_that_slips_is_not_trusted(seed: int, preset: str, duration_s: float):
-    arm = simulate_arm(ArmSimulation.preset(preset, protocol="random", duration_s=duration_s), seed)
-    sound = smooth(replace(arm.recording, truth=None), config=ALONE)
-    assert sound.estimates.trusted and in_one_frame(sound)
-    assert smooth(slipped(arm, 15.0), config=ALONE).estimates.trusted is False
+)  # fmt: skip
+def test_nothing_changed(make: Maker, is_clean: bool) -> None:
+    recovery = answer(make().recording)
+    found = recovery.estimates
+    assert found.trusted and not any("not in one frame" in reason for reason in found.reasons)
+    if is_clean:
+        assert found.verdict == "Usable." and not found.untrusted and recovery.trusted.all()
+        assert not (recovery.residuals.reason == Rejection.CONTRADICTED).any()
 
 
 @pytest.mark.slow
-def test_a_slip_that_is_left_out_distrusts_its_gap():
+def test_scale_errors_of_the_gyroscope_are_no_slip() -> None:
+    reasons = answer(moving(81, imu_scale=0.03).recording).estimates.reasons
+    assert not any("not in one frame" in reason for reason in reasons)
+
+
+@pytest.mark.slow
+def test_a_slip_that_is_left_out_distrusts_its_gap() -> None:
     """Both sides of it were left out as blocks; what is trusted is right."""
-    recovery, truth = smooth(slipped(made(), 15.0), config=ALONE), made().recording.truth
+    made = moving(1, "realistic", 40.0)
+    recovery = answer(strap(15.0)(made, halfway(made)))
     assert recovery.estimates.trusted is False or not all(each.trusted for each in recovery.gap_verdicts)
-    assert np.nanmax(sample_errors(recovery, truth).distance_m[recovery.trusted]) < 0.04
+    assert np.nanmax(sample_errors(recovery, made.recording.truth).distance_m[recovery.trusted]) < 0.04
+
+
+def nearer_on_both_sides(made: SimulatedArm, at_s: float) -> Recording:
+    """Seen 25 cm nearer for 1.2 s before and after the gap."""
+    arm, position = made.recording.arm, made.recording.arm.position.copy()
+    start_s, end_s = middle_gap(made)
+    near = np.flatnonzero((arm.t_s > start_s - 1.2) & (arm.t_s < end_s + 1.2))
+    position[np.ix_(near, [ELBOW, WRIST, HAND], [2])] -= 0.25
+    return replace(made.recording, arm=replace(arm, position=position))
 
 
 @pytest.mark.slow
-def test_a_camera_that_is_pushed_is_not_trusted():
-    assert solved().estimates.trusted and not solved().estimates.untrusted
-    recovery = smooth(pushed(made(), 6.0), config=ALONE)
-    assert recovery.estimates.trusted is False and not in_one_frame(recovery)
+@pytest.mark.parametrize(
+    ("fault", "seed", "settings", "words", "whole"),
+    [
+        (camera("x", 12.0), 3, {}, "the camera was moved", True),
+        (camera("x", -6.0), 5, {}, "the camera was moved", True),
+        (camera("x", 0.0, (0.25, 0.0, 0.1)), 3, {"cameras": (60.0,)}, "the camera was moved", True),
+        (nearer_on_both_sides, 3, {}, "nothing on either side confirms", False),
+    ],
+    ids=["tilted", "tilted a little", "first of two cameras moved", "blocks on both sides"],
+)
+def test_a_sign_distrusts_the_gaps_it_touches(
+    fault: Fault, seed: int, settings: dict[str, object], words: str, whole: bool
+) -> None:
+    made = moving(seed, **settings)
+    at_s = float(np.mean(middle_gap(made)))
+    recovery = answer(fault(made, at_s))
+    found = recovery.estimates
+    (verdict,) = [each for each in recovery.gap_verdicts if each.start_s - 0.2 < at_s < each.end_s + 0.2]
+    assert any(words in reason for reason in verdict.reasons), (verdict, found)
+    assert (found.trusted is False) == whole
+    assert whole or any(each.trusted for each in recovery.gap_verdicts)
+    said = {each.sentence: each.severity for each in found.findings}
+    assert {said[reason] for reason in found.reasons} <= {"recording", "times"}
+    assert all(said[why] == "times" for each in found.untrusted for why in each.reasons)
+    of_gaps = [caution for caution in found.cautions if not caution.endswith("not to be trusted")]
+    assert {said[caution] for caution in of_gaps} <= {"caution"}
+
+
+@pytest.mark.parametrize(
+    ("times", "trusted", "cautions", "untrusted"),
+    [(None, True, 1, 0), ((2.0, 3.0), True, 0, 1), (EVER, False, 0, 0)],
+)
+def test_what_a_sign_contradicts(
+    times: tuple[float, float] | None, trusted: bool, cautions: int, untrusted: int
+) -> None:
+    found = Estimates(trusted=True).with_findings([finding("so", "it is so", times)] * 2)
+    assert (found.trusted, len(found.cautions), len(found.untrusted)) == (trusted, cautions, untrusted)
+    assert found.reasons == (() if trusted else ("it is so",))
+    (one,) = found.findings
+    assert (one.code, one.sentence, one.start_s is None) == ("so", "it is so", untrusted == 0)
+
+
+def test_what_chance_gives_is_no_step() -> None:
+    """The bound grows with the number of moments that were tried; what another body's block leaves counts."""
+    step = Step("camera", 10.0, np.zeros(6), 25.0)
+    usual = [Step("camera", 1.0 * k, np.zeros(6), 5.0) for k in range(2000)]
+    assert list(changed_for_good([step], [step]))
+    assert not list(changed_for_good([step, *usual], [step, *usual]))
+    (doubt,) = changed_for_good([step], usual)
+    assert (doubt.start_s, doubt.end_s) == pytest.approx((9.0, 11.0))
+    # a tracked point has no mounting to step: its columns are zero, and chance gives that always
+    assert not list(changed_for_good([Step("mounting", 10.0, np.zeros(6), 0.0)], []))
 
 
 @pytest.mark.slow
-def test_a_filled_skeleton_counts_as_not_seen():
-    recovery = smooth(filled(made()), config=ALONE)
+def test_a_filled_skeleton_counts_as_not_seen() -> None:
+    """Straight lines through all gaps, called tracked."""
+    recording, sound = moving(1, "realistic", 40.0).recording, solved(1, "realistic", 40.0)
+    arm = recording.arm
+    position, state = arm.position.copy(), arm.state.copy()
+    for joint in arm.present:
+        seen, column = arm.tracked(joint), JOINTS.index(joint)
+        for axis in range(3):
+            position[:, column, axis] = np.interp(arm.t_s, arm.t_s[seen], position[seen, column, axis])
+        state[:, column] = JointState.TRACKED
+    recovery = answer(replace(recording, arm=replace(arm, position=position, state=state)))
     assert any("a program filled gaps" in caution for caution in recovery.estimates.cautions)
-    longest = max(gap.length_s for gap in recovery.gaps)
-    assert longest == pytest.approx(max(gap.length_s for gap in solved().gaps), abs=0.2)
+    longest_s = max(gap.length_s for gap in recovery.gaps)
+    assert longest_s == pytest.approx(max(gap.length_s for gap in sound.gaps), abs=0.2)
 
 
 @pytest.mark.parametrize("kind", ["line", "cubic", "by frame"])
-def test_fillings_are_found_and_what_is_seen_is_kept(kind: str):
+def test_fillings_are_found_and_what_is_seen_is_kept(kind: str) -> None:
     rng = np.random.default_rng(5)
     t = np.sort(np.arange(0.0, 20.0, 1 / 30) + rng.uniform(0, 0.004, 600))
     x = np.column_stack([0.3 * np.sin((1 + k) * t) for k in range(3)]) + 0.004 * rng.normal(size=(600, 3))
@@ -117,59 +259,80 @@ def test_fillings_are_found_and_what_is_seen_is_kept(kind: str):
     for axis in range(3):
         line = np.polyfit(at[ends] - at[215], clean[ends, axis], len(ends) - 1)
         x[gap, axis] = np.polyval(line, at[gap] - at[215])
-    found = interpolated(t, x, np.ones(600, bool))
+    everywhere = np.ones(600, bool)
+    found = interpolated(t, x, everywhere)
     assert found[gap].mean() > 0.9
     found[197:233] = False  # the samples that the cubic was drawn through lie on it too
     assert not found.any()
-    assert not interpolated(t, clean, np.ones(600, bool)).any()
+    # neither noise nor a curve without any, of a simulation or a reference
+    for sound in (clean, np.column_stack([t, t**2, 0 * t])):
+        assert not interpolated(t, sound, everywhere).any()
 
 
-def test_no_sign_without_noise():
-    """A curve without noise is a simulation or a reference, not a filled camera's."""
-    t = np.arange(0.0, 10.0, 1 / 30)
-    assert not interpolated(t, np.column_stack([t, t**2, 0 * t]), np.ones(len(t), bool)).any()
+#: Blocks after a gap are so long, s.
+LENGTH_S = 3.0
 
 
-def judged_with(**changes: object) -> tuple[bool | None, str]:
-    """The verdict on a sound recovery of an arm whose calibration or IMU is another."""
-    recording = replace(made().recording, truth=None)
-    recovery = solved()
-    if "imu" in changes:
-        recording = replace(recording, imu=changes["imu"])
-    if "calibration" in changes:
-        recovery = replace(recovery, calibration=changes["calibration"])
-    estimates = with_verdict(recovery, recording, Anatomy.ADULT).estimates
-    return estimates.trusted, estimates.verdict
+def drape(seen: np.ndarray, noise: np.ndarray) -> np.ndarray:
+    """The forearm 18 cm nearer to the camera."""
+    seen[:, [ELBOW, WRIST, HAND], 2] -= 0.18
+    return seen
+
+
+def hanging_arm(seen: np.ndarray, noise: np.ndarray) -> np.ndarray:
+    """Another arm: from a shoulder beside this one, hanging, hardly moving."""
+    shoulder = np.nanmedian(seen[:, SHOULDER], axis=0) + np.array([0.36, 0.0, 0.0])
+    for joint, below in ((SHOULDER, 0.0), (ELBOW, 0.28), (WRIST, 0.53), (HAND, 0.6)):
+        seen[:, joint] = shoulder - np.array([0.0, below, 0.0]) + 0.008 * noise[:, joint]
+    return seen
+
+
+def twelfth() -> SimulatedArm:
+    return moving(12, "realistic", 40.0)
 
 
 @cache
-def solved() -> Recovery:
-    return smooth(replace(made().recording, truth=None), config=ALONE)
-
-
-def test_a_hand_called_the_wrist_is_asked_for():
-    arm = solved().calibration
-    assert arm is not None and arm.upper_arm is not None
-    hand = arm.lever_arms["hand"]
-    without = {joint: lever for joint, lever in arm.lever_arms.items() if joint != "hand"}
-    assert "hand labelled as the wrist" not in judged_with(calibration=replace(arm, lever_arms=without))[1]
-    swapped = replace(arm, lever_arms=without | {"wrist": hand})
-    assert "hand labelled as the wrist" in judged_with(calibration=swapped)[1]
-
-
-@pytest.mark.parametrize(("limit", "trusted", "words"), [(13.0, True, "less certain"), (9.0, False, "wider")])
-def test_a_range_that_is_too_small(limit: float, trusted: bool, words: str):
-    imu = made().recording.imu
-    acc = np.clip(imu.acc, -limit, limit)
-    verdict = judged_with(imu=replace(imu, acc=acc))
-    share = float((np.abs(acc) == limit).any(axis=1).mean())
-    assert (share > 0.02) is not trusted and share > 0.001
-    assert verdict[0] is trusted and words in verdict[1]
+def with_block(position: Callable[[np.ndarray, np.ndarray], np.ndarray]) -> Recovery:
+    """With what the camera says after a gap in the middle replaced."""
+    recording, arm, start_s = twelfth().recording, twelfth().recording.arm, after_gap(twelfth())
+    frames = (arm.t_s >= start_s) & (arm.t_s < start_s + 0.01 + LENGTH_S)
+    values = arm.position.copy()
+    noise = np.random.default_rng(12).normal(size=values[frames].shape)
+    values[frames] = position(values[frames], noise)
+    return answer(replace(recording, arm=replace(arm, position=values)))
 
 
 @pytest.mark.slow
-def test_scale_errors_of_the_gyroscope_are_no_slip():
-    config = ArmSimulation.preset("realistic", protocol="random", duration_s=30.0)
-    arm = simulate_arm(config.model_copy(update={"imu_scale": 0.03}), 81)
-    recovery = smooth(replace(arm.recording, truth=None), config=ALONE)
-    assert in_one_frame(recovery)
+@pytest.mark.parametrize("position", [drape, hanging_arm])
+def test_a_wrong_block_is_left_out_and_the_gap_recovered(
+    position: Callable[[np.ndarray, np.ndarray], np.ndarray],
+) -> None:
+    """This seed is 2 cm off at most; of eight others with a drape or an arm exchanged the worst was 12."""
+    recovery, recording, start_s = with_block(position), twelfth().recording, after_gap(twelfth())
+    assert np.nanmax(sample_errors(recovery, recording.truth).distance_m[recovery.trusted]) < 0.06
+    assert any("contradict the IMU" in caution for caution in recovery.estimates.cautions)
+    rows = recovery.residuals.reason[:, WRIST] == Rejection.CONTRADICTED
+    camera_t = recovery.arm.t_s[rows] - recovery.clock_offset_s
+    assert rows.sum() > 0.7 * 30 * LENGTH_S
+    assert camera_t.min() > start_s - 1.0 and camera_t.max() < start_s + LENGTH_S + 1.5
+    # what was left out is still what the camera said
+    np.testing.assert_array_equal(recovery.arm.state, recording.arm.state)
+
+
+@pytest.mark.slow
+def test_a_suspect_takes_what_lies_beside_it_along_but_not_over_a_gap() -> None:
+    recording, start_s = twelfth().recording, after_gap(twelfth())
+    recovery = replace(with_block(drape), arm=recording.arm)
+    excluded = left_out(recording, recovery, [Suspect(start_s + 1.0, start_s + 1.5)])
+    frames = recording.arm.t_s[excluded.frames]
+    assert frames.min() == pytest.approx(start_s, abs=0.05) and frames.max() < start_s + 1.5 + 3.1
+
+
+def test_nothing_left_out_leaves_the_states_as_they_are() -> None:
+    recording = twelfth().recording
+    nothing = Excluded.nothing(recording)
+    assert (nothing.applied(recording).arm.state == recording.arm.state).all()
+    assert nothing == Excluded(np.zeros_like(nothing.samples))
+    everything = Excluded(np.ones_like(nothing.samples))
+    assert (everything.applied(recording).arm.state == JointState.NOT_TRACKED).all()
+    assert everything != nothing

@@ -2,19 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
-from scenes import ALONE, arm
+from scenes import answer, moving
 
 from smoother import Recovery
 from smoother.errors import UnoccludeError
 from smoother.recovery.drawn_samples import _widened
 from smoother.recovery.samples import widen_turns
 from smoother.simulation import SimulatedArm
-from smoother.smoothing import smooth
-from smoother.splines import PiecewiseCubic
 
 DRAWS = 300
 
@@ -22,12 +18,12 @@ DRAWS = 300
 @pytest.fixture(scope="module")
 def made() -> SimulatedArm:
     """Two windows, with a gap in each."""
-    return arm(2, "realistic", protocol="random", duration_s=20.0, occlusion_lengths_s=(1.5,))
+    return moving(2, duration_s=20.0, occlusion_lengths_s=(1.5,))
 
 
 @pytest.fixture(scope="module")
 def drawn(made: SimulatedArm) -> Recovery:
-    return smooth(replace(made.recording, truth=None), made.calibration, ALONE, draws=DRAWS, seed=4)
+    return answer(made.recording, made.calibration, draws=DRAWS, seed=4)
 
 
 def whitened(drawn: np.ndarray, covariance: np.ndarray) -> np.ndarray:
@@ -71,8 +67,7 @@ def test_speeds_of_drawn_motions_vary_as_the_answer_states(drawn: Recovery) -> N
 def test_the_same_seed_gives_the_same_motions_and_the_answer_stays(
     made: SimulatedArm, drawn: Recovery
 ) -> None:
-    recording = replace(made.recording, truth=None)
-    few = smooth(recording, made.calibration, ALONE, draws=2, seed=4)
+    few = answer(made.recording, made.calibration, draws=2, seed=4)
     # the same but for the rounding of products that are as wide as there are draws
     np.testing.assert_allclose(few.draws.position, drawn.draws.position[:2], atol=1e-6)
     np.testing.assert_allclose(few.draws.rotation, drawn.draws.rotation[:2], atol=1e-6)
@@ -83,7 +78,7 @@ def test_the_same_seed_gives_the_same_motions_and_the_answer_stays(
 def test_numbers_below_zero_are_refused(made: SimulatedArm) -> None:
     for wrong in ({"draws": -1}, {"draws": 2, "seed": -1}):
         with pytest.raises(UnoccludeError, match="0 or more; not -1"):
-            smooth(made.recording, made.calibration, ALONE, **wrong)
+            answer(made.recording, made.calibration, **wrong)
 
 
 def test_wide_angles_are_widened_as_their_covariance_is() -> None:
@@ -97,13 +92,3 @@ def test_wide_angles_are_widened_as_their_covariance_is() -> None:
     np.testing.assert_allclose(np.einsum("nki,nkj->nij", both, both), widen_turns(covariance), rtol=1e-9)
     assert widen_turns(covariance)[2, 3, 3] > 2.0 * covariance[2, 3, 3]
     np.testing.assert_array_equal(both[0], draws[0])  # small angles stay
-
-
-def test_between_nodes_a_motion_of_constant_acceleration_is_exact() -> None:
-    nodes, t = np.array([0.0, 0.1, 0.3, 0.35]), np.linspace(0.0, 0.35, 15)
-
-    def path(at: np.ndarray) -> np.ndarray:
-        return np.stack([at, at**2, 1.0 - at**3], axis=-1)
-
-    speed = np.stack([np.ones(4), 2 * nodes, -3 * nodes**2], axis=-1)
-    np.testing.assert_allclose(PiecewiseCubic(nodes, path(nodes), speed)(t), path(t), atol=1e-12)

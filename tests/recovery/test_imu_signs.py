@@ -2,30 +2,27 @@
 
 from __future__ import annotations
 
-import os
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
+from scenes import answer, arm, moving, solved, there
+from scipy.io import loadmat
 
-from smoother.config import Config
 from smoother.recording import ImuStream, Recording
 from smoother.recovery import imu_signs as module
 from smoother.recovery.change_signs import imu_lies_still
 from smoother.recovery.imu_signs import clock_steps, doubtful_scale, force_scale, lost_samples, wrong_scale
 from smoother.result import Recovery
 from smoother.rotation import Rotation
-from smoother.simulation import ArmSimulation, simulate_arm
-from smoother.smoothing import smooth
 from smoother.units import STANDARD_GRAVITY
 
 NO_BIAS = np.zeros(3)
 
 
-def arm(protocol: str, seed: int = 1) -> ImuStream:
-    length = {"duration_s": 30.0} if protocol == "random" else {}
-    return simulate_arm(ArmSimulation.preset("realistic", protocol=protocol, **length), seed).recording.imu
+def worn(protocol: str, seed: int = 1) -> ImuStream:
+    made = moving(seed) if protocol == "random" else arm(seed, "realistic", protocol=protocol)
+    return made.recording.imu
 
 
 def poses(turns: list[np.ndarray], still_s: float = 5.0, rate_hz: float = 50.0) -> ImuStream:
@@ -51,7 +48,7 @@ def turned() -> ImuStream:
 @pytest.mark.parametrize("protocol", ["random", "hang", "behind"])
 def test_a_sound_accelerometer(protocol: str) -> None:
     for seed in (1, 2):
-        scale = force_scale(arm(protocol, seed), NO_BIAS)
+        scale = force_scale(worn(protocol, seed), NO_BIAS)
         assert scale is not None and abs(scale.ratio - 1.0) < 0.03
         assert [*wrong_scale(scale), *doubtful_scale(scale)] == []
 
@@ -60,14 +57,14 @@ def test_a_sound_accelerometer(protocol: str) -> None:
 @pytest.mark.parametrize("factor", [0.5, 0.75, 1.3, 2.0])
 def test_a_wrong_scale_is_not_to_be_trusted(protocol: str, factor: float) -> None:
     """0.5 to 2 g at rest were accepted."""
-    imu = arm(protocol)
+    imu = worn(protocol)
     (said,) = wrong_scale(force_scale(replace(imu, acc=factor * imu.acc), NO_BIAS))
     assert abs(float(said.split("reads ")[1].split()[0]) / STANDARD_GRAVITY / factor - 1.0) < 0.04
     assert (f"as if its range were {factor:g} times as wide" in said) == (factor in (0.5, 2.0))
 
 
 def test_a_scale_that_is_somewhat_off_is_a_caution() -> None:
-    imu = arm("behind")
+    imu = worn("behind")
     for factor, word in ((0.92, "little"), (1.09, "much")):
         scale = force_scale(replace(imu, acc=factor * imu.acc), NO_BIAS)
         assert [*wrong_scale(scale)] == []
@@ -84,72 +81,43 @@ def test_a_bias_is_no_scale(axis: int, sign: int) -> None:
     moved = turned()
     scale = force_scale(replace(moved, acc=moved.acc + bias), NO_BIAS)
     assert scale is not None and abs(scale.ratio - 1.0) < 0.02 and not scale.is_doubtful
-    for imu in (arm("random"), arm("hang"), poses([])):
+    for imu in (worn("random"), worn("hang"), poses([])):
         scale = force_scale(replace(imu, acc=imu.acc + bias), NO_BIAS)
         assert scale is not None and [*wrong_scale(scale)] == []
 
 
-def test_rest_gives_the_scale_itself() -> None:
-    scale = force_scale(turned(), NO_BIAS)
-    assert scale is not None and abs(scale.ratio - 1.0) < 1e-3 and scale.sigma < 0.01
-
-
-def test_a_gyroscope_at_fault_is_not_the_accelerometers() -> None:
-    imu = arm("random")
-    for gyro in (-imu.gyro, np.radians(imu.gyro), imu.gyro * [1, 1, -1]):
+def test_what_is_no_fault_of_the_accelerometer() -> None:
+    imu = worn("random")
+    for gyro in (-imu.gyro, np.radians(imu.gyro), imu.gyro * [1, 1, -1], np.clip(imu.gyro, -0.5, 0.5)):
         assert [*wrong_scale(force_scale(replace(imu, gyro=gyro), NO_BIAS))] == []
-
-
-def test_short_and_empty_streams() -> None:
-    imu = arm("random")
-    assert force_scale(imu.select(slice(0, 3)), NO_BIAS) is None
     for rows in (slice(0, 40), slice(0, 160)):
         assert [*wrong_scale(force_scale(imu.select(rows), NO_BIAS))] == []
+    assert force_scale(imu.select(slice(0, 3)), NO_BIAS) is None
     assert force_scale(replace(imu, acc=0.0 * imu.acc), NO_BIAS) is None
-    clipped = replace(imu, gyro=np.clip(imu.gyro, -0.5, 0.5))
-    assert [*wrong_scale(force_scale(clipped, NO_BIAS))] == []
+    at_rest = force_scale(turned(), NO_BIAS)  # which gives the scale itself
+    assert at_rest is not None and abs(at_rest.ratio - 1.0) < 1e-3 and at_rest.sigma < 0.01
 
 
 @pytest.mark.real
 def test_sensors_of_others_are_sound() -> None:
     """UTD-MHAD's has a bias of 0.095 g along one axis; its clips are of 2 to 6 s."""
-    folder = os.environ.get("UNOCCLUDE_DATASETS")
-    if folder is None:
-        pytest.skip("UNOCCLUDE_DATASETS is not set")
-    from scipy.io import loadmat
-
-    bias = np.radians([-2.2, 1.0, -1.0])
-    for path in sorted(Path(folder, "utd_mhad", "Inertial").glob("*_t1_inertial.mat"))[::4]:
-        samples = loadmat(path)["d_iner"]
-        imu = ImuStream(
-            path.name,
-            np.arange(len(samples)) / 50,
-            samples[:, :3] * STANDARD_GRAVITY,
-            np.radians(samples[:, 3:]),
-        )
-        scale = force_scale(imu, bias)
-        assert [*wrong_scale(scale), *doubtful_scale(scale)] == [], path.name
-    for path in sorted(Path(folder, "broad").glob("*.mat")):
+    streams = []
+    for path in sorted(there("utd_mhad", "Inertial").glob("*_t1_inertial.mat"))[::4]:
+        acc, gyro = np.split(loadmat(path)["d_iner"], 2, axis=1)
+        t, bias = np.arange(len(acc)) / 50, np.radians([-2.2, 1.0, -1.0])
+        streams.append((ImuStream(path.name, t, acc * STANDARD_GRAVITY, np.radians(gyro)), bias))
+    for path in sorted(there("broad").glob("*.mat")):
         trial = loadmat(path)
-        imu = ImuStream(
-            path.name, np.arange(len(trial["imu_acc"])) / 285.714, trial["imu_acc"], trial["imu_gyr"]
-        )
-        scale = force_scale(imu, NO_BIAS)
-        assert [*wrong_scale(scale), *doubtful_scale(scale)] == [], path.name
+        t = np.arange(len(trial["imu_acc"])) / 285.714
+        streams.append((ImuStream(path.name, t, trial["imu_acc"], trial["imu_gyr"]), NO_BIAS))
+    for imu, bias in streams:
+        scale = force_scale(imu, bias)
+        assert [*wrong_scale(scale), *doubtful_scale(scale)] == [], imu.name
 
 
-ONE_PROCESS = Config.model_validate({"windows": {"processes": 1}})
-
-
-def recorded(seed: int, duration_s: float = 40.0) -> Recording:
-    config = ArmSimulation.preset("realistic", protocol="random", duration_s=duration_s)
-    return replace(simulate_arm(config, seed).recording, truth=None)
-
-
-@pytest.fixture(scope="module")
+@pytest.fixture
 def sound() -> tuple[Recovery, Recording]:
-    recording = recorded(3)
-    return smooth(recording, config=ONE_PROCESS), recording
+    return solved(3, duration_s=40.0), moving(3, duration_s=40.0).recording
 
 
 def kept(count: int, first: int, lost: int) -> np.ndarray:
@@ -172,20 +140,25 @@ def test_a_sound_recording_has_no_step(sound: tuple[Recovery, Recording]) -> Non
     assert sound[0].estimates.untrusted == () and sound[0].estimates.trusted
 
 
-@pytest.mark.parametrize("at_s", [12.0, 22.5, 33.0])
-@pytest.mark.parametrize("lost_s", [0.075, 0.15, 0.3])
-def test_time_and_size(sound: tuple[Recovery, Recording], at_s: float, lost_s: float) -> None:
+def stamped(
+    recovery: Recovery, recording: Recording, at_s: float, lost_s: float
+) -> tuple[Recovery, Recording]:
     """What was recovered, stamped as the recording: only the comparison is looked at."""
-    recovery, recording = sound
     short = without(recording, at_s, lost_s)
     first, lost = int(np.searchsorted(recovery.t_s, at_s)), round(lost_s * recording.imu.rate_hz)
     rows = kept(len(recovery), first, lost)
-    stamped = replace(recovery.rows(rows), t_s=short.imu.t_s, residuals=recovery.residuals)
-    (step,) = clock_steps(stamped, short)
+    return replace(recovery.rows(rows), t_s=short.imu.t_s, residuals=recovery.residuals), short
+
+
+@pytest.mark.parametrize("at_s", [12.0, 22.5, 33.0])
+@pytest.mark.parametrize("lost_s", [0.075, 0.15, 0.3])
+def test_time_and_size(sound: tuple[Recovery, Recording], at_s: float, lost_s: float) -> None:
+    given = stamped(*sound, at_s, lost_s)
+    (step,) = clock_steps(*given)
     assert step.gain > module.STEP_GAIN
     assert abs(step.step_s + lost_s) < 2.0 * module.GRID_S  # each side to half a step, and noise
     assert abs(step.at_s - at_s) < 2.5
-    (sign,) = lost_samples(stamped, short)
+    (sign,) = lost_samples(*given)
     assert "samples of the IMU were lost there, and the stamps hide it" in sign.sentence
     assert (sign.severity == "recording") == (abs(step.step_s) >= module.LARGE_STEP_S)
 
@@ -203,35 +176,22 @@ def test_frames_that_were_lost(sound: tuple[Recovery, Recording]) -> None:
 def test_a_long_recording_is_looked_at_in_parts(
     sound: tuple[Recovery, Recording], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    recovery, recording = sound
     monkeypatch.setattr(module, "PART_S", 20.0)
     monkeypatch.setattr(module, "SHARED_S", 12.0)
-    short = without(recording, 22.5, 0.1)
-    rows = kept(len(recovery), int(np.searchsorted(recovery.t_s, 22.5)), 8)
-    stamped = replace(recovery.rows(rows), t_s=short.imu.t_s, residuals=recovery.residuals)
-    steps = clock_steps(stamped, short)
+    steps = clock_steps(*stamped(*sound, 22.5, 0.1))
     assert len(steps) > 2 and all(step.gain < 1.5 for step in steps if abs(step.at_s - 22.5) > 5.0)
     assert max(steps, key=lambda step: step.gain).step_s == pytest.approx(-0.1, abs=0.021)
 
 
 @pytest.mark.slow
-def test_smooth_does_not_trust_the_gap_of_the_loss() -> None:
+def test_smooth_does_not_trust_the_gap_of_the_loss(sound: tuple[Recovery, Recording]) -> None:
     """0.1 s lost in a gap: 23 cm at a sigma of 2, with other gaps as good as ever."""
-    recovery = smooth(without(recorded(3), 20.4, 0.1), config=ONE_PROCESS)
-    said = [
-        *recovery.estimates.reasons,
-        *(why for each in recovery.estimates.untrusted for why in each.reasons),
-    ]
+    recovery = answer(without(sound[1], 20.4, 0.1))
+    found = recovery.estimates
+    said = [*found.reasons, *(why for each in found.untrusted for why in each.reasons)]
     assert any("the stamps hide it" in why for why in said)
     hidden = next(gap for gap in recovery.gap_verdicts if gap.start_s < 20.4 < gap.end_s)
     assert not hidden.trusted
-
-
-@pytest.fixture(scope="module")
-def worn() -> tuple[Recovery, Recording]:
-    config = ArmSimulation.preset("realistic", protocol="random", duration_s=25.0)
-    recording = replace(simulate_arm(config, 6).recording, truth=None)
-    return smooth(recording, config=ONE_PROCESS), recording
 
 
 def taken_off(recording: Recording, at_s: float) -> Recording:
@@ -244,22 +204,14 @@ def taken_off(recording: Recording, at_s: float) -> Recording:
     return replace(recording, imu=replace(imu, acc=acc, gyro=gyro))
 
 
-def test_a_worn_imu_is_not_named(worn: tuple[Recovery, Recording]) -> None:
-    assert list(imu_lies_still(*worn, NO_BIAS)) == []
-
-
-def test_an_arm_at_rest_is_not_named(worn: tuple[Recovery, Recording]) -> None:
-    """Camera noise turns the forearm by some degrees."""
-    recovery, recording = worn
-    arm, rng = recording.arm, np.random.default_rng(1)
-    still = np.where(np.isfinite(arm.position), arm.position[:1], np.nan)
-    noisy = replace(arm, position=still + rng.normal(0.0, 0.03, still.shape))
-    resting = replace(taken_off(recording, 0.0), arm=noisy)
-    assert list(imu_lies_still(recovery, resting, NO_BIAS)) == []
-
-
-def test_from_when_on(worn: tuple[Recovery, Recording]) -> None:
-    recovery, recording = worn
+def test_an_imu_that_was_taken_off_is_named_from_when_on() -> None:
+    """Neither one that is worn, nor an arm at rest: camera noise turns the forearm by some degrees."""
+    recovery, recording = solved(6, duration_s=25.0), moving(6, duration_s=25.0).recording
+    assert list(imu_lies_still(recovery, recording, NO_BIAS)) == []
     (found,) = imu_lies_still(recovery, taken_off(recording, 14.0), NO_BIAS)
     assert found.severity == "times" and "is still" in found.sentence
     assert found.start_s == pytest.approx(14.0, abs=0.3) and found.end_s > 24.0
+    still = np.where(np.isfinite(recording.arm.position), recording.arm.position[:1], np.nan)
+    noise = np.random.default_rng(1).normal(0.0, 0.03, still.shape)
+    resting = replace(taken_off(recording, 0.0), arm=replace(recording.arm, position=still + noise))
+    assert list(imu_lies_still(recovery, resting, NO_BIAS)) == []

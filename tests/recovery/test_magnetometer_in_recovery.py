@@ -8,25 +8,20 @@ import numpy as np
 import pytest
 from scenes import FIELD_K, Scene, point, recovered, section_windows, with_field
 
+from smoother.array_types import FloatArray
 from smoother.graph.build import build
 from smoother.recovery.magnetometer import Field, middle_direction
-
-SEED = 3
+from smoother.simulation import SimulatedArm
 
 
 def note(scene: Scene) -> str:
     return " ".join(line for line in scene.recovery.notes if "magnetometer" in line)
 
 
-def orientation_deg(scene: Scene) -> float:
-    found = scene.validation.all.orientation_rms_deg
-    return found
-
-
 @pytest.fixture(scope="module")
-def made():
+def made() -> SimulatedArm:
     """A sensor that turns a lot and moves little: its heading is poorly known from motion."""
-    return point(SEED, "realistic", duration_s=30.0, speed=0.6)
+    return point(3, "realistic", duration_s=30.0, speed=0.6)
 
 
 @pytest.fixture(scope="module")
@@ -40,69 +35,67 @@ def helped(made) -> Scene:
 
 
 @pytest.mark.slow
-def test_an_undisturbed_field_makes_the_orientation_better(plain, helped):
+def test_an_undisturbed_field_makes_the_orientation_better(plain: Scene, helped: Scene) -> None:
     assert "magnetometer is used" in note(helped) and "left out" not in note(helped)
-    assert orientation_deg(helped) < orientation_deg(plain)
-    assert helped.validation.all.position_rms_m < 1.05 * plain.validation.all.position_rms_m
+    with_it, without = helped.validation.all, plain.validation.all
+    assert with_it.orientation_rms_deg < without.orientation_rms_deg
+    assert with_it.position_rms_m < 1.05 * without.position_rms_m
 
 
-def test_the_fields_direction_is_found(helped):
-    found = np.array(helped.recovery.estimates.magnetic_field_direction)
-    assert np.degrees(np.arccos(found @ FIELD_K / np.linalg.norm(FIELD_K))) < 2.0
+def off_deg(direction: FloatArray) -> float:
+    """Angle of a direction of the field from the true one."""
+    return float(np.degrees(np.arccos(np.array(direction) @ FIELD_K / np.linalg.norm(FIELD_K))))
 
 
-def test_a_magnet_that_comes_near_is_left_out_there(made, plain):
+def test_the_fields_direction_is_found_and_not_pulled_by_a_few(helped: Scene) -> None:
+    assert off_deg(helped.recovery.estimates.magnetic_field_direction) < 2.0
+    rng = np.random.default_rng(1)
+    good, bad = FIELD_K + rng.normal(0.0, 0.02, (60, 3)), rng.normal(0.0, 1.0, (20, 3))
+    assert off_deg(middle_direction(np.vstack([good, bad]))) < 2.0
+
+
+def test_magnets_are_left_out(made: SimulatedArm, plain: Scene) -> None:
+    """One that comes near for six seconds there, one on the sensor everywhere."""
     t = made.recording.imu.t_s
     near = ((t > 11.0) & (t < 17.0))[:, None] * np.array([0.35, -0.3, 0.25])
     scene = recovered(made, with_field(made.recording, near))
     assert "as it disagrees there" in note(scene)
-    assert orientation_deg(scene) < 1.02 * orientation_deg(plain)
-
-
-def test_a_magnet_on_the_sensor_leaves_it_out(made, plain):
+    assert scene.validation.all.orientation_rms_deg < 1.02 * plain.validation.all.orientation_rms_deg
     scene = recovered(made, with_field(made.recording, np.array([0.9, 0.6, -0.8])))
     assert "was left out" in note(scene)
     assert np.allclose(scene.recovery.position, plain.recovery.position, atol=1e-4, equal_nan=True)
 
 
 @pytest.mark.slow
-def test_samples_that_are_missing_are_no_iron(made, helped):
-    seen = with_field(made.recording)
-    missing = np.where(seen.imu.t_s[:, None] < 11.0, np.nan, seen.imu.mag)
-    scene = recovered(made, replace(seen, imu=replace(seen.imu, mag=missing)))
+def test_samples_that_are_missing_are_no_iron(made: SimulatedArm, helped: Scene) -> None:
+    def begins_at(start_s: float) -> Scene:
+        seen = with_field(made.recording)
+        mag = np.where(seen.imu.t_s[:, None] < start_s, np.nan, seen.imu.mag)
+        return recovered(made, replace(seen, imu=replace(seen.imu, mag=mag)))
+
+    scene = begins_at(11.0)
     assert "magnetometer is used" in note(scene) and "left out" not in note(scene)
     estimates = scene.recovery.estimates
     assert estimates.magnetometer_blocks_used == estimates.magnetometer_blocks
     # five means of two seconds have nothing, the windows overlap
     assert 8 <= estimates.magnetometer_blocks <= helped.recovery.estimates.magnetometer_blocks - 5
     # too little is left to know the direction by, which is no word of magnets either
-    missing = np.where(seen.imu.t_s[:, None] < 24.0, np.nan, seen.imu.mag)
-    scene = recovered(made, replace(seen, imu=replace(seen.imu, mag=missing)))
-    assert "has too few of its samples" in note(scene) and "iron" not in note(scene)
+    said = note(begins_at(24.0))
+    assert "has too few of its samples" in said and "iron" not in said
 
 
-def test_without_a_calibration_it_is_not_looked_at(made, plain):
+def test_without_a_calibration_it_is_not_looked_at(made: SimulatedArm, plain: Scene) -> None:
     raw = with_field(made.recording)
     scene = recovered(made, replace(raw, imu=replace(raw.imu, mag_calibrated=False)))
     assert not note(scene)
     assert np.array_equal(scene.recovery.position, plain.recovery.position, equal_nan=True)
 
 
-def test_a_short_recording_and_an_empty_magnetometer_are_noted():
-    made = point(SEED, "white", duration_s=9.0)
-    scene = recovered(made, with_field(made.recording))
-    assert "too short" in note(scene)
-    dead = with_field(made.recording)
-    dead = replace(dead, imu=replace(dead.imu, mag=np.full_like(dead.imu.acc, np.nan)))
-    assert "has no samples" in note(recovered(made, dead))
-
-
-def test_the_middle_of_directions_is_not_pulled_by_a_few():
-    rng = np.random.default_rng(1)
-    good = FIELD_K + rng.normal(0.0, 0.02, (60, 3))
-    bad = rng.normal(0.0, 1.0, (20, 3))
-    found = middle_direction(np.vstack([good, bad]))
-    assert np.degrees(np.arccos(found @ FIELD_K / np.linalg.norm(FIELD_K))) < 2.0
+def test_a_short_recording_and_an_empty_magnetometer_are_noted() -> None:
+    made = point(3, "white", duration_s=9.0)
+    seen = with_field(made.recording)
+    dead = replace(seen, imu=replace(seen.imu, mag=np.full_like(seen.imu.acc, np.nan)))
+    assert "too short" in note(recovered(made, seen)) and "has no samples" in note(recovered(made, dead))
 
 
 @pytest.mark.slow

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from unittest.mock import patch
 
 import numpy as np
 import pytest
-from scenes import ALONE, FIELD_K, section_windows, with_field
+from scenes import FIELD_K, answer, section_windows, with_field
 
 import smoother.recovery.solve_section
 from smoother import Recovery
@@ -26,49 +25,55 @@ from smoother.recovery.sections import (
     Section,
     SectionData,
     Sections,
-    _visible_times,
     section_borders,
 )
 from smoother.recovery.task import Task
 from smoother.rotation import Rotation
 from smoother.selfcal.excerpts import informative_excerpts
 from smoother.simulation import SimulatedArm
-from smoother.smoothing import smooth
 
 
 @pytest.fixture(scope="module")
 def whole(three_minutes: SimulatedArm) -> Recovery:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("smoother.recovery.sections.SECTION_S", 1e6)
-        return smooth(replace(three_minutes.recording, truth=None), three_minutes.calibration, ALONE)
+        return answer(three_minutes.recording, three_minutes.calibration)
 
 
 def sections_of(made: SimulatedArm) -> list[Section]:
     return Sections(made.recording, Timeline.of(made.recording), constant_clock(0.0)).all
 
 
-def test_every_sample_and_frame_is_in_one_section(three_minutes: SimulatedArm) -> None:
-    sections = sections_of(three_minutes)
+def test_every_sample_is_in_one_section_and_borders_only_where_something_is_seen(
+    three_minutes: SimulatedArm,
+) -> None:
+    sections, t = sections_of(three_minutes), three_minutes.recording.imu.t_s
     assert len(sections) == 3
     assert sections[0].start_s == -np.inf and sections[-1].end_s == np.inf
     for a, b in pairwise(sections):
         assert a.end_s == b.start_s
-        t = three_minutes.recording.imu.t_s
         assert t[a.samples.stop - 1] > a.end_s + 11 and t[b.samples.start] < b.start_s - 11  # context
+    for start_s, end_s, runs in (
+        (0.0, 240.0, [[0.0, 20.0], [220.0, 240.0]]),
+        (0.0, 240.0, np.zeros((0, 2))),
+        (0.0, SECTION_S, [[0.0, SECTION_S]]),
+    ):
+        assert section_borders(start_s, end_s, np.array(runs)) == []
 
 
 @pytest.mark.slow
-def test_borders_lie_in_visible_time(three_minutes: SimulatedArm, sectioned: Recovery) -> None:
-    borders = [section.start_s for section in sections_of(three_minutes)[1:]]
-    for border in borders:
+def test_borders_lie_in_visible_time_and_show_no_seam(
+    three_minutes: SimulatedArm, sectioned: Recovery
+) -> None:
+    """Second differences at the borders are no larger than elsewhere."""
+    jump = np.linalg.norm(np.diff(sectioned.position, n=2, axis=0), axis=1)
+    t = sectioned.t_s[1:-1]
+    near = np.zeros(len(t), dtype=bool)
+    for border in (section.start_s for section in sections_of(three_minutes)[1:]):
         assert all(not gap.start_s - 1.0 < border < gap.end_s + 1.0 for gap in sectioned.gaps)
-
-
-def test_no_border_where_nothing_is_seen() -> None:
-    runs = np.array([[0.0, 20.0], [220.0, 240.0]])
-    assert section_borders(0.0, 240.0, runs) == []
-    assert section_borders(0.0, 240.0, np.zeros((0, 2))) == []
-    assert section_borders(0.0, SECTION_S, np.array([[0.0, SECTION_S]])) == []
+        near |= np.abs(t - border) < 1.0
+    assert near.sum() > 300
+    assert jump[near].max() <= jump[~near].max()
 
 
 @pytest.mark.slow
@@ -85,32 +90,16 @@ def test_sections_answer_as_the_whole(sectioned: Recovery, whole: Recovery) -> N
 
 
 @pytest.mark.slow
-def test_no_seam_at_the_section_borders(three_minutes: SimulatedArm, sectioned: Recovery) -> None:
-    """Second differences at the borders are no larger than elsewhere."""
-    jump = np.linalg.norm(np.diff(sectioned.position, n=2, axis=0), axis=1)
-    t = sectioned.t_s[1:-1]
-    near = np.zeros(len(t), dtype=bool)
-    for section in sections_of(three_minutes)[1:]:
-        near |= np.abs(t - section.start_s) < 1.0
-    assert near.sum() > 300
-    assert jump[near].max() <= jump[~near].max()
-
-
-@pytest.mark.slow
 def test_a_border_in_a_gap_that_only_rejection_finds(three_minutes: SimulatedArm) -> None:
     """A camera that freezes for 6 s where the border was going to be: both sides bridge it, and agree."""
-    border = (
-        Sections(three_minutes.recording, Timeline.of(three_minutes.recording), constant_clock(0.0))
-        .all[1]
-        .start_s
-    )
+    border = sections_of(three_minutes)[1].start_s
     arm = three_minutes.recording.arm
     rows = np.flatnonzero((arm.t_s > border - 3.0) & (arm.t_s < border + 3.0))
     position = arm.position.copy()
     for joint in FOREARM_JOINTS:
         position[rows, JOINTS.index(joint)] = position[rows[0], JOINTS.index(joint)]
-    recording = replace(three_minutes.recording, arm=replace(arm, position=position), truth=None)
-    recovery = smooth(recording, three_minutes.calibration, ALONE)
+    recording = replace(three_minutes.recording, arm=replace(arm, position=position))
+    recovery = answer(recording, three_minutes.calibration)
     inside = [gap for gap in recovery.gaps if gap.start_s < border < gap.end_s]
     assert len(inside) == 1 and not inside[0].open_start and not inside[0].open_end
     truth = three_minutes.recording.truth
@@ -129,18 +118,6 @@ def test_gaps_of_two_sections_are_one() -> None:
         Gap(20.0, 21.0),
     ]
     assert merged_gaps([], (Gap(0.0, 1.0, open_start=True),)) == [Gap(0.0, 1.0, open_start=True)]
-
-
-def test_visible_time_by_its_gaps() -> None:
-    """In a gap of more than a minute also where one joint is seen, for long enough to hold a border."""
-    seen = np.concatenate(
-        [np.arange(a, b, 0.1) for a, b in ((0, 20), (30, 60), (80, 83), (90, 110), (170, 190))]
-    )
-    visible = seen[(seen < 60) | (seen > 165)]
-    times = _visible_times(visible, seen)
-    np.testing.assert_allclose(times, [[0, 19.9], [30, 59.9], [90, 109.9], [170, 189.9]])
-    assert _visible_times(np.zeros(0), np.zeros(0)).shape == (0, 2)
-    np.testing.assert_allclose(_visible_times(np.zeros(0), seen[seen > 85]), [[90, 109.9], [170, 189.9]])
 
 
 SHARE = np.array([0.0, 0.2, 0.5, 0.8, 1.0, 1.0])
@@ -179,22 +156,17 @@ AWAY_S = 13.0
 START, MIDDLE, END = (-1.0, 45.0), (60.0, 115.0), (135.0, 181.0)
 
 
-def without_camera(recording: Recording, start_s: float, end_s: float) -> Recording:
-    t = recording.arm.t_s
-    return replace(recording, arm=recording.arm.hide((t > start_s) & (t < end_s), JOINTS), truth=None)
-
-
-def with_one_frame(recording: Recording, start_s: float, end_s: float) -> Recording:
-    """As `without_camera`, but for a frame in the middle: one is too few to say anything."""
+def without_camera(recording: Recording, start_s: float, end_s: float, one_frame: bool = False) -> Recording:
+    """A frame in the middle may stay: one is too few to say anything."""
     t = recording.arm.t_s
     hidden = (t > start_s) & (t < end_s)
-    hidden[np.searchsorted(t, 0.5 * (start_s + end_s))] = False
-    return replace(recording, arm=recording.arm.hide(hidden, JOINTS), truth=None)
+    hidden[np.searchsorted(t, 0.5 * (start_s + end_s))] &= not one_frame
+    return replace(recording, arm=recording.arm.hide(hidden, JOINTS))
 
 
 def without_imu(recording: Recording, start_s: float, end_s: float) -> Recording:
     t = recording.imu.t_s
-    return replace(recording, imu=recording.imu.select((t < start_s) | (t > end_s)), truth=None)
+    return replace(recording, imu=recording.imu.select((t < start_s) | (t > end_s)))
 
 
 def paused(recording: Recording, start_s: float, end_s: float) -> Recording:
@@ -218,7 +190,6 @@ def smoothed(
     recording: Recording, made: SimulatedArm, excerpts_of: Recording | None = None
 ) -> tuple[Recovery, list[bool]]:
     """The recovery, and which sections were answered; self-calibrated on another's excerpts."""
-    solve_section: Callable[[SectionData, Task], SectionAnswer | None]
     solve_section, answered = smoother.recovery.solve_section.solve_section, []
 
     def listen(data: SectionData, task: Task) -> SectionAnswer | None:
@@ -232,13 +203,13 @@ def smoothed(
         patch("smoother.recovery.solve_section.solve_section", listen),
         patch("smoother.smoothing.informative_excerpts", lambda recording, timeline: excerpts),
     ):
-        return smooth(recording, made.calibration, ALONE), answered
+        return answer(recording, made.calibration), answered
 
 
 @pytest.fixture(scope="module", params=[START, END], ids=["start", "end"])
 def dropped(request: pytest.FixtureRequest, three_minutes: SimulatedArm) -> Dropped:
     start_s, end_s = request.param
-    hidden = with_one_frame(three_minutes.recording, start_s - AWAY_S, end_s + AWAY_S)
+    hidden = without_camera(three_minutes.recording, start_s - AWAY_S, end_s + AWAY_S, one_frame=True)
     recording = paused(hidden, start_s, end_s)
     shorter = without_imu(recording, start_s, end_s)
     recovery, answered = smoothed(recording, three_minutes, excerpts_of=shorter)

@@ -3,25 +3,24 @@
 from __future__ import annotations
 
 from contextlib import suppress
-from dataclasses import asdict, replace
+from dataclasses import asdict
 from unittest.mock import patch
 
 import numpy as np
 import pytest
-from scenes import ALONE, Found, arm
+from scenes import Found, answer, moving
 
 from smoother.recovery.sections import Sections
 from smoother.recovery.solve_section import solve_section, solve_sections
 from smoother.recovery.task import Task
 from smoother.runtime.pool import Pool
-from smoother.smoothing import smooth
 
 
 @pytest.fixture
 def cut(monkeypatch: pytest.MonkeyPatch) -> tuple[Sections, Task]:
     """The sections of 25 s, three of them, and what holds for all, with motions to draw."""
     monkeypatch.setattr("smoother.recovery.sections.SECTION_S", 8.0)
-    made = arm(3, protocol="random", duration_s=25.0, occlusion_lengths_s=(2.0,), occlusion_every_s=8.0)
+    made = moving(3, "white", 25.0, occlusion_lengths_s=(2.0,), occlusion_every_s=8.0)
     given: list[tuple[Sections, Task]] = []
 
     def listen(sections: Sections, task: Task, workers: Pool) -> None:
@@ -29,7 +28,7 @@ def cut(monkeypatch: pytest.MonkeyPatch) -> tuple[Sections, Task]:
         raise Found
 
     with suppress(Found), patch("smoother.smoothing.solve_sections", listen):
-        smooth(replace(made.recording, truth=None), made.calibration, ALONE, draws=3)
+        answer(made.recording, made.calibration, draws=3)
     return given[0]
 
 

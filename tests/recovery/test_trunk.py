@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from made_results import recovery as made_recovery
+from measured_arms import recovery_of
 from scipy.spatial.transform import Rotation
 
 from smoother.angles import shoulder_angles
@@ -35,29 +36,19 @@ def simulated(preset: str = "realistic", seed: int = 21, **changes: object) -> S
 
 def recovered(made: SimulatedArm) -> Recovery:
     """A recovery that is the truth, for the trunk to be put to."""
-    truth, recording, upper = made.recording.truth, made.recording, made.further_motions["upper_arm"]
-    n = len(truth)
-    R, position = upper.imu_pose(truth.t_s)
+    truth, recording = made.recording.truth, made.recording
+    R, position = made.further_motions["upper_arm"].imu_pose(truth.t_s)
     quaternion = Rotation.from_matrix(R).as_quat(scalar_first=True)
-    small = np.tile(1e-6 * np.eye(6), (n, 1, 1))
-    return Recovery(
-        method="truth",
-        t_s=truth.t_s,
-        occluded=np.zeros(n, bool),
+    small = np.tile(1e-6 * np.eye(6), (len(truth), 1, 1))
+    offset_s = made.parameters["clock_offset_s"]
+    return replace(
+        recovery_of(truth.t_s, dict(truth.joints), recording.side, unit(made.parameters["gravity"])),
         position=truth.position,
         quaternion=truth.quaternion,
-        velocity=np.zeros((n, 3)),
         pose_covariance=small,
-        velocity_covariance=small[:, :3, :3],
-        joints=truth.joints,
-        joint_covariance={joint: small[:, :3, :3] for joint in truth.joints},
-        gaps=(),
         calibration=made.calibration,
-        gravity_direction=unit(made.parameters["gravity"]),
-        clock_offset_s=made.parameters["clock_offset_s"],
-        clock_offset_sigma_s=0.001,
-        arm=replace(recording.arm, t_s=recording.arm.t_s + made.parameters["clock_offset_s"]),
-        side=recording.side,
+        clock_offset_s=offset_s,
+        arm=replace(recording.arm, t_s=recording.arm.t_s + offset_s),
         segments={"upper_arm": SegmentMotion(position, quaternion, small, np.full(3, 0.01))},
     )
 
@@ -81,23 +72,17 @@ def recovery(made: SimulatedArm) -> Recovery:
 
 
 @pytest.mark.slow
-def test_orientation_mounting_and_clock(made: SimulatedArm, recovery: Recovery) -> None:
-    error = errors_deg(recovery, made)
+def test_orientation_mounting_clock_and_sigma(made: SimulatedArm, recovery: Recovery) -> None:
+    error, trunk = errors_deg(recovery, made), recovery.trunk
     assert len(error) == len(recovery)
     tilt, heading = np.sqrt(np.mean(error[:, [0, 2]] ** 2)), np.sqrt(np.mean(error[:, 1] ** 2))
     assert tilt < 2.0 and heading < 5.0  # 0.5 to 1, and 2 as measured: a shoulder moves against the trunk
-    offset_s = recovery.trunk.clock_offset_s - recovery.clock_offset_s
-    assert offset_s == pytest.approx(0.12, abs=0.1)
-    off = Rotation.from_matrix(recovery.trunk.R_T_D @ made.trunk_motion.R_T_D.T).magnitude()
+    assert trunk.clock_offset_s - recovery.clock_offset_s == pytest.approx(0.12, abs=0.1)
+    off = Rotation.from_matrix(trunk.R_T_D @ made.trunk_motion.R_T_D.T).magnitude()
     assert np.degrees(off) < 6.0
-
-
-@pytest.mark.slow
-def test_sigma_holds(made: SimulatedArm, recovery: Recovery) -> None:
-    trunk = recovery.trunk
-    error = np.radians(errors_deg(recovery, made))
     R = Rotation.from_quat(trunk.quaternion, scalar_first=True).as_matrix()
     covariance = np.swapaxes(R, 1, 2) @ trunk.covariance @ R + np.diag(trunk.mount_sigma_rad**2)
+    error = np.radians(error)
     squares = np.einsum("ni,nij,nj->n", error, np.linalg.inv(covariance), error) / 3.0
     assert squares.mean() < 2.0
     assert trunk.sigma_deg.max() < 5.0
@@ -138,24 +123,18 @@ def test_a_pause_of_the_trunks_imu_is_left_open() -> None:
 
 
 def test_what_it_cannot_do_without_is_said() -> None:
-    made = simulated(duration_s=20.0)
-    trunk, truth = made.recording.trunk, recovered(made)
-    alone = with_trunk(truth, replace(made.recording, trunk=TrunkSensors(trunk.imu)))
-    assert alone.trunk is None and "needs both shoulders" in alone.notes[-1]
-    hidden = trunk.other_arm.hide(np.ones(len(trunk.other_arm), bool), ("shoulder",))
-    unseen = with_trunk(truth, replace(made.recording, trunk=replace(trunk, other_arm=hidden)))
-    assert unseen.trunk is None and "hardly saw both shoulders" in unseen.notes[-1]
-    assert with_trunk(truth, replace(made.recording, trunk=None)) is truth
-
-
-def test_an_imu_that_is_not_on_the_trunk() -> None:
-    """The wrist's, by another name: the line of shoulders does not turn as it does."""
+    """Both shoulders; and an IMU that turns as their line does, not the wrist's by another name."""
     made = simulated(duration_s=40.0)
-    trunk = made.recording.trunk
-    assert trunk is not None
-    recording = replace(made.recording, trunk=replace(trunk, imu=made.recording.imu))
-    recovery = with_trunk(recovered(made), recording)
-    assert recovery.trunk is None and "check that it was on the trunk" in recovery.notes[-1]
+    trunk, truth = made.recording.trunk, recovered(made)
+    hidden = trunk.other_arm.hide(np.ones(len(trunk.other_arm), bool), ("shoulder",))
+    for sensors, said in (
+        (TrunkSensors(trunk.imu), "needs both shoulders"),
+        (replace(trunk, other_arm=hidden), "hardly saw both shoulders"),
+        (replace(trunk, imu=made.recording.imu), "check that it was on the trunk"),
+    ):
+        alone = with_trunk(truth, replace(made.recording, trunk=sensors))
+        assert alone.trunk is None and said in alone.notes[-1]
+    assert with_trunk(truth, replace(made.recording, trunk=None)) is truth
 
 
 UP = np.array([0.1, 0.97, -0.2]) / np.linalg.norm([0.1, 0.97, -0.2])
@@ -221,12 +200,10 @@ def test_hidden_shoulders_leave_nothing_a_second_later() -> None:
 
 def test_what_does_not_show_it() -> None:
     made, recording, _ = turning("right")
-    assert trunk_by_shoulders(made, replace(recording, opposite=None)) is None
-    assert trunk_by_shoulders(made, replace(recording, side="")) is None
-    blind = replace(made, gravity_direction=np.full(3, np.nan))
-    assert trunk_by_shoulders(blind, recording) is None
     never = recording.opposite.hide(np.ones(len(recording.opposite), bool), ("shoulder",))
-    assert trunk_by_shoulders(made, replace(recording, opposite=never)) is None
+    for without in ({"opposite": None}, {"side": ""}, {"opposite": never}):
+        assert trunk_by_shoulders(made, replace(recording, **without)) is None
+    assert trunk_by_shoulders(replace(made, gravity_direction=np.full(3, np.nan)), recording) is None
 
 
 def test_a_file_keeps_where_it_comes_from(tmp_path: Path) -> None:
@@ -236,10 +213,8 @@ def test_a_file_keeps_where_it_comes_from(tmp_path: Path) -> None:
     (back,) = read_recovery(tmp_path / "a.mcap")
     assert back.trunk is not None and made.trunk is not None and not back.trunk.by_imu
     np.testing.assert_allclose(back.trunk.quaternion, made.trunk.quaternion, atol=1e-12)
-    table = back.angles()
-    assert (
-        "shoulder_plane_trunk" in table.values and "shoulder_plane_trunk_deg" in back.to_table().schema.names
-    )
+    assert "shoulder_plane_trunk" in back.angles().values
+    assert "shoulder_plane_trunk_deg" in back.to_table().schema.names
 
 
 def test_measures_still_count_the_trunk_as_upright() -> None:

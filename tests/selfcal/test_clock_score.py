@@ -1,4 +1,4 @@
-"""The clock from residuals, step by step: the score sample by sample, the models against dense Gaussians."""
+"""The clock from residuals: the score sample by sample, the clock against dense Gaussians."""
 
 from __future__ import annotations
 
@@ -13,109 +13,13 @@ from smoother.array_types import FloatArray
 from smoother.body import FOREARM
 from smoother.measurements.clock import LARGEST_OFFSET_S, Clock
 from smoother.selfcal import clock_fit
-from smoother.selfcal.clock_fit import (
-    ClockScore,
-    _likeliest,
-    _line,
-    _local_level,
-    clock_score,
-    joined_scores,
-    refined_clock,
-)
+from smoother.selfcal.clock_fit import ClockScore, clock_score, joined_scores, refined_clock
 from smoother.window.problem import States, Window
 from smoother.window.solution import SegmentSolution, Solution
 
 PRIOR_S = 0.07
 NOTHING = ClockScore(np.zeros(0), np.zeros(0), np.zeros(0))
-
-
-def observations(
-    seed: int, walk: float = 0.0, skew: float = 0.0, count: int = 30
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """(t, x, variance): uneven times, noise from 2 to 20 ms."""
-    rng = np.random.default_rng(seed)
-    t = 3.0 + np.cumsum(rng.uniform(0.5, 4.0, count))
-    variance = rng.uniform(0.002, 0.02, count) ** 2
-    level = 0.03 + np.cumsum(walk * np.sqrt(np.diff(t, prepend=t[0])) * rng.normal(size=count))
-    return t, level + skew * (t - t[0]) + np.sqrt(variance) * rng.normal(size=count), variance
-
-
-def evidence(x: FloatArray, prior: FloatArray, variance: FloatArray) -> float:
-    """Log-likelihood of values with a Gaussian prior and noise, without the constant of pi."""
-    logpdf = multivariate_normal(np.zeros(len(x)), prior + np.diag(variance)).logpdf(x)
-    return float(logpdf) + 0.5 * len(x) * np.log(2 * np.pi)
-
-
-@pytest.mark.parametrize("walk", [0.0, 0.004])
-@pytest.mark.parametrize("count", [1, 2, 30])
-def test_the_local_level_with_any_prior(walk: float, count: int) -> None:
-    t, x, variance = observations(1, walk, count=count)
-    loglik, level, sigma, local = _local_level(t, x, variance, walk, PRIOR_S)
-    prior = PRIOR_S**2 + walk**2 * np.minimum(t[:, None] - t[0], t - t[0])
-    gain = prior @ np.linalg.inv(prior + np.diag(variance))
-    assert loglik == pytest.approx(evidence(x, prior, variance), abs=1e-8)
-    np.testing.assert_allclose(level, gain @ x, atol=1e-10)
-    assert sigma == pytest.approx((PRIOR_S**-2 + np.sum(1 / variance)) ** -0.5)
-    spread = np.diag(prior - gain @ prior).mean()
-    assert local**2 == pytest.approx(max(spread - sigma**2, 0.0), abs=1e-12)
-
-
-@pytest.mark.parametrize("skew", [0.0, 3e-4])
-def test_the_line_is_the_dense_regression(skew: float) -> None:
-    t, x, variance = observations(2, skew=skew)
-    found = _line(t, x, 1 / variance, PRIOR_S)
-    loglik, offset, slope, spread = found
-    centre = np.sum(t / variance) / np.sum(1 / variance)
-    H = np.column_stack([np.ones(len(t)), t - centre])
-    P = np.diag([PRIOR_S**2, 5e-4**2])
-    S = H @ P @ H.T + np.diag(variance)
-    mean = P @ H.T @ np.linalg.solve(S, x)
-    posterior = P - P @ H.T @ np.linalg.solve(S, H @ P)
-    assert loglik == pytest.approx(evidence(x, H @ P @ H.T, variance), abs=1e-7)
-    np.testing.assert_allclose(offset, H @ mean, atol=1e-12)
-    assert slope == pytest.approx(mean[1], rel=1e-9)
-    assert spread == pytest.approx(np.sqrt(posterior[1, 1] * np.mean((t - centre) ** 2)), rel=1e-9)
-
-
-def test_it_is_too_soon_for_a_line() -> None:
-    information = np.full(5, 1e4)
-    t = np.array([0.0, 1.0, 2.0, 3.0, 30.0])
-    assert _line(t, 0 * t, information, PRIOR_S) is not None
-    assert _line(t * 0.999, 0 * t, information, PRIOR_S) is None
-    assert _line(t[1:] * 2, 0 * t[1:], information[1:], PRIOR_S) is None
-
-
-@pytest.mark.parametrize("synthetic", [False, True])
-@pytest.mark.parametrize("walk", [0.0, 0.0003, 0.001, 0.003, 0.01, 0.02, 0.04])
-def test_the_likeliest_walk(synthetic: bool, walk: float) -> None:
-    """Of all that are tried; for measured stamps only where six in the log-likelihood speak for it."""
-    walks = (0.0, 0.001, 0.003, 0.01, 0.02, 0.04) if synthetic else (0.0, 0.0003, 0.001)
-    for seed in range(4):
-        given = observations(seed, walk, count=60)
-        answers = [_local_level(*given, each, PRIOR_S) for each in walks]
-        gains = [
-            answer[0] - answers[0][0] - (0.0 if synthetic or k == 0 else 6.0)
-            for k, answer in enumerate(answers)
-        ]
-        best = int(np.argmax(gains))
-        answer, chosen = _likeliest(*given, synthetic, PRIOR_S)
-        assert chosen == walks[best] and answer[0] == answers[best][0]
-        np.testing.assert_array_equal(answer[1], answers[best][1])
-
-
-def test_all_walks_are_found() -> None:
-    """Each of the walks that are tried is the likeliest of some series."""
-    for synthetic in (False, True):
-        walks = clock_fit.WALKS_SYNTHETIC if synthetic else clock_fit.WALKS
-        chosen = {
-            _likeliest(*observations(seed, walk, count=200), synthetic, PRIOR_S)[1]
-            for walk in walks
-            for seed in range(4)
-        }
-        assert chosen == set(walks)
-
-
-# -- the score ----------------------------------------------------------------------------------------------
+START = Clock(np.array([0.0, 100.0]), np.array([0.01, 0.03]), 0.02, prior_sigma_s=PRIOR_S)
 
 
 def solution(window: Window, seed: int, information: float) -> Solution:
@@ -184,26 +88,18 @@ def test_no_samples_no_score() -> None:
     assert (clock_score([(still, answer)]).information == 0).all()  # and no division by zero
 
 
-def test_a_score_half_a_second_at_a_time() -> None:
+def test_scores_half_a_second_at_a_time_and_as_one() -> None:
     t = np.array([10.1, 10.4, 10.49, 10.5, 11.2, 11.4, 9.9])
-    score = ClockScore(t, np.arange(7.0), 10.0 + np.arange(7.0))
-    short = score.condensed()
+    short = ClockScore(t, np.arange(7.0), 10.0 + np.arange(7.0)).condensed()
     np.testing.assert_allclose(short.t, [9.9, (10.1 + 10.4 + 10.49) / 3, 10.5, 11.3])
     np.testing.assert_allclose(short.slope, [6, 0 + 1 + 2, 3, 4 + 5])
     np.testing.assert_allclose(short.information, [16, 33, 13, 29])
     nothing = NOTHING.condensed()
     assert len(nothing.t) == 0 and nothing.slope.dtype == float
-
-
-def test_scores_apart_are_one() -> None:
-    one = ClockScore(np.array([1.0, 2.0]), np.array([3.0, 4.0]), np.array([5.0, 6.0]))
-    two = ClockScore(np.array([8.0]), np.array([9.0]), np.array([10.0]))
+    one, two = ClockScore(t[:2], t[2:4], t[4:6]), ClockScore(t[6:], t[:1], t[1:2])
     both = joined_scores([one, NOTHING, two])
-    assert both.t.tolist() == [1.0, 2.0, 8.0] and both.slope.tolist() == [3.0, 4.0, 9.0]
-    assert both.information.tolist() == [5.0, 6.0, 10.0]
-
-
-# -- the clock ----------------------------------------------------------------------------------------------
+    for name in ("t", "slope", "information"):
+        np.testing.assert_array_equal(getattr(both, name), [*getattr(one, name), *getattr(two, name)])
 
 
 def made_score(offset: FloatArray, clock: Clock, middle: FloatArray, information: FloatArray) -> ClockScore:
@@ -221,35 +117,84 @@ def near(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(clock_fit, "SPACING_S", clock_fit.SYNTHETIC_SPACING_S)
 
 
-START = Clock(np.array([0.0, 100.0]), np.array([0.01, 0.03]), 0.02, prior_sigma_s=PRIOR_S)
+def evidence(x: FloatArray, prior: FloatArray, variance: FloatArray) -> float:
+    """Log-likelihood of values with a Gaussian prior and noise, without the constant of pi."""
+    logpdf = multivariate_normal(np.zeros(len(x)), prior + np.diag(variance)).logpdf(x)
+    return float(logpdf) + 0.5 * len(x) * np.log(2 * np.pi)
+
+
+Answer = tuple[float, FloatArray, float]
+
+
+def level(t: FloatArray, x: FloatArray, variance: FloatArray, walk: float) -> Answer:
+    """Log-likelihood and mean of an offset that wanders, and how far it wanders about its own mean."""
+    prior = PRIOR_S**2 + walk**2 * np.minimum(t[:, None] - t[0], t - t[0])
+    gain = prior @ np.linalg.inv(prior + np.diag(variance))
+    spread = np.diag(prior - gain @ prior).mean() - sigma_of(variance) ** 2
+    return evidence(x, prior, variance), gain @ x, np.sqrt(max(spread, 0.0))
+
+
+def sigma_of(variance: FloatArray) -> float:
+    return float((PRIOR_S**-2 + np.sum(1 / variance)) ** -0.5)
+
+
+def likeliest(t: FloatArray, x: FloatArray, variance: FloatArray, synthetic: bool) -> tuple[Answer, float]:
+    """Of all walks; for measured stamps only where six in the log-likelihood speak for it."""
+    walks = (0.0, 0.001, 0.003, 0.01, 0.02, 0.04) if synthetic else (0.0, 0.0003, 0.001)
+    tries = [level(t, x, variance, walk) for walk in walks]
+    gains = [each[0] - (6.0 if k and not synthetic else 0.0) for k, each in enumerate(tries)]
+    return tries[int(np.argmax(gains))], walks[int(np.argmax(gains))]
+
+
+def line(t: FloatArray, x: FloatArray, variance: FloatArray) -> tuple[Answer, float]:
+    """A steady drift, by dense regression: its answer and its slope."""
+    centre = np.sum(t / variance) / np.sum(1 / variance)
+    H = np.column_stack([np.ones(len(t)), t - centre])
+    P = np.diag([PRIOR_S**2, 5e-4**2])
+    gain = P @ H.T @ np.linalg.inv(H @ P @ H.T + np.diag(variance))
+    spread = (P - gain @ H @ P)[1, 1] * np.mean((t - centre) ** 2)
+    return (evidence(x, H @ P @ H.T, variance), H @ gain @ x, np.sqrt(spread)), float((gain @ x)[1])
+
+
+def assert_dense(t: FloatArray, x: FloatArray, variance: FloatArray, synthetic: bool) -> Clock:
+    """The clock that is found is that of the likeliest of all models, each a dense Gaussian."""
+    (loglik, offset, local), walk = likeliest(t, x, variance, synthetic)
+    skew = 0.0
+    if len(t) >= 5 and np.ptp(t) >= 30.0:
+        (of_line, drift, spread), slope = line(t, x, variance)
+        if of_line > loglik + 3.0:
+            (_, about, wanders), walk = likeliest(t, x - drift, variance, synthetic)
+            skew, offset, local = slope, drift + (about if walk else 0.0), wanders if walk else spread
+    start = Clock(t, x + 0.02 * np.cos(t), 0.02, prior_sigma_s=PRIOR_S)
+    found = refined_clock(start, made_score(x, start, t, 1 / variance), synthetic)
+    np.testing.assert_allclose(found.t, t, atol=1e-9)
+    np.testing.assert_allclose(found.offset, np.clip(offset, -LARGEST_OFFSET_S, LARGEST_OFFSET_S), atol=1e-9)
+    assert (found.walk, found.skew, found.prior_sigma_s) == (walk, pytest.approx(skew, rel=1e-9), PRIOR_S)
+    assert found.sigma_s == pytest.approx(sigma_of(variance), rel=1e-9)
+    synthetic_s = 0.06 if synthetic else 0.0
+    expected_s = np.sqrt(found.sigma_s**2 + local**2 + synthetic_s**2)
+    assert found.local_sigma_s == pytest.approx(expected_s, rel=1e-7)
+    return found
 
 
 @pytest.mark.usefixtures("near")
-def test_a_clock_moves_to_what_the_residuals_say() -> None:
-    t, x, variance = observations(3)
-    t = np.round(t)  # far from the borders of half seconds, which begin at the first sample
-    t[0] -= 0.1
-    for synthetic in (False, True):
-        found = refined_clock(START, made_score(x, START, t, 1 / variance), synthetic)
-        (_, level, sigma, local), walk = _likeliest(t, x, variance, synthetic, PRIOR_S)
-        line = _line(t, x, 1 / variance, PRIOR_S)
-        assert line[0] < _likeliest(t, x, variance, synthetic, PRIOR_S)[0][0] + 3.0
-        np.testing.assert_allclose(found.t, t, atol=1e-9)
-        np.testing.assert_allclose(found.offset, level, atol=1e-9)
-        assert found.walk == walk and found.skew == 0.0 and found.prior_sigma_s == PRIOR_S
-        assert found.sigma_s == pytest.approx(sigma, rel=1e-9)
-        synthetic_s = 0.06 if synthetic else 0.0
-        assert found.local_sigma_s == pytest.approx(np.sqrt(sigma**2 + local**2 + synthetic_s**2), rel=1e-9)
-
-
-def test_synthetic_stamps_are_taken_half_a_second_at_a_time() -> None:
-    """Stamps that were measured, 15 s at a time."""
-    t = 20.25 + 0.5 * np.arange(48)
-    t[0] -= 0.1
-    score = made_score(np.full(48, 0.02), START, t, np.full(48, 1e4))
-    assert len(refined_clock(START, score, True).t) == 48
-    (one, two) = refined_clock(START, score, False).t
-    assert (one, two) == (pytest.approx(t[:30].mean()), pytest.approx(t[30:].mean()))
+@pytest.mark.parametrize("synthetic", [False, True])
+@pytest.mark.parametrize(
+    ("walk", "skew", "count"),
+    [(0.0, 0.0, 1), (0.004, 0.0, 2), (0.0, 3e-4, 30)]
+    + [(walk, 0.0, 60) for walk in (0.0, 0.0003, 0.001, 0.003, 0.01, 0.02, 0.04)],
+)
+def test_the_clock_of_offsets_that_wander(synthetic: bool, walk: float, skew: float, count: int) -> None:
+    """Uneven times, noise from 2 to 20 ms."""
+    for seed in range(4):
+        rng = np.random.default_rng(seed)
+        # far from the borders of half seconds, which begin at the first sample
+        t = np.round(3.0 + np.cumsum(rng.uniform(1.1, 4.0, count)))
+        t[0] -= 0.1
+        variance = rng.uniform(0.002, 0.02, count) ** 2
+        wanders = 0.03 + np.cumsum(walk * np.sqrt(np.diff(t, prepend=t[0])) * rng.normal(size=count))
+        x = wanders + skew * (t - t[0]) + np.sqrt(variance) * rng.normal(size=count)
+        assert_dense(t, x, variance, synthetic)
 
 
 @pytest.mark.usefixtures("near")
@@ -269,23 +214,29 @@ def test_a_clock_that_drifts(synthetic: bool, skew: float, count: int, walk: flo
     step_s, noise_s = (2.0, 0.001) if count == 150 else (4.0, 0.003)
     t = 5.25 + step_s * np.arange(count)
     t[0] -= 0.1
-    variance = np.full(count, noise_s**2)
     x = skew * (t - t.mean()) + np.cumsum(0.0003 * np.sqrt(step_s) * rng.normal(size=count))
-    line = _line(t, x, 1 / variance, PRIOR_S)
-    (loglik, level, sigma, local), own = _likeliest(t, x, variance, synthetic, PRIOR_S)
-    assert (line[0] > loglik + 3.0) == is_line and line[0] > loglik
-    expected = level
-    if is_line:
-        (_, level, _, wandering), own = _likeliest(t, x - line[1], variance, synthetic, PRIOR_S)
-        expected, local = (line[1] + level, wandering) if own > 0.0 else (line[1], line[3])
-    assert own == walk
-    close = Clock(t[[0, -1]], skew * (t[[0, -1]] - t.mean()), 0.02, prior_sigma_s=PRIOR_S)
-    found = refined_clock(close, made_score(x, close, t, 1 / variance), synthetic)
-    assert found.skew == (pytest.approx(line[2]) if is_line else 0.0) and found.walk == walk
-    np.testing.assert_allclose(found.offset, expected, atol=1e-9)
-    assert found.sigma_s == pytest.approx(sigma)
-    extra = 0.06 if synthetic else 0.0
-    assert found.local_sigma_s == pytest.approx(np.sqrt(sigma**2 + local**2 + extra**2))
+    found = assert_dense(t, x, np.full(count, noise_s**2), synthetic)
+    assert (found.skew != 0.0) is is_line and found.walk == walk
+
+
+@pytest.mark.usefixtures("near")
+def test_it_may_be_too_soon_for_a_line() -> None:
+    """Five knots over half a minute are needed."""
+    knots = np.array([0.0, 1.0, 2.0, 3.0, 30.0])
+    for t, is_line in ((knots, True), (knots * 0.999, False), (knots[1:] * 2, False)):
+        t = 5.25 + t
+        found = assert_dense(t, 8e-4 * (t - t.mean()), np.full(len(t), 1e-6), False)
+        assert (found.skew != 0.0) is is_line
+
+
+def test_synthetic_stamps_are_taken_half_a_second_at_a_time() -> None:
+    """Stamps that were measured, 15 s at a time."""
+    t = 20.25 + 0.5 * np.arange(48)
+    t[0] -= 0.1
+    score = made_score(np.full(48, 0.02), START, t, np.full(48, 1e4))
+    assert len(refined_clock(START, score, True).t) == 48
+    (one, two) = refined_clock(START, score, False).t
+    assert (one, two) == (pytest.approx(t[:30].mean()), pytest.approx(t[30:].mean()))
 
 
 @pytest.mark.usefixtures("near")

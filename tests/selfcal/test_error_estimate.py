@@ -92,28 +92,21 @@ def white() -> list[Case]:
     return [(made, errors_of(made)) for made in (arm(seed) for seed in SEEDS)]
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("sensor", [0, 1], ids=["accelerometer", "gyroscope"])
-def test_the_imu_is_nearer_the_truth_than_without(realistic: list[Case], sensor: int) -> None:
-    """Errors left over what was there: 0.63, 0.39, 0.69 (accelerometer), 0.38, 0.30, 0.77 (gyroscope)."""
-    left = []
+def test_the_imu_is_nearer_the_truth_than_without_and_its_sigmas_hold(
+    realistic: list[Case], sensor: int
+) -> None:
+    """Errors left over what was there: 0.63, 0.39, 0.69 (accelerometer), 0.38, 0.30, 0.77 (gyroscope).
+
+    Rms of the error in sigmas: 1.02 and 1.09; 27 elements of three recordings, correlated in each.
+    """
+    left, z = [], []
     for made, errors in realistic:
         true = true_matrices(made)[sensor]
         left.append(np.linalg.norm(errors.imu[sensor] - true) / np.linalg.norm(true))
-    assert max(left) < 1.0
-    assert np.mean(left) < 0.75
-
-
-@pytest.mark.parametrize("sensor", [0, 1], ids=["accelerometer", "gyroscope"])
-def test_the_imus_sigmas_hold(realistic: list[Case], sensor: int) -> None:
-    """Rms of the error in sigmas: 1.02 and 1.09; 27 elements of three recordings, correlated in each."""
-    z = np.array(
-        [
-            (errors.imu - true_matrices(made))[sensor] / stated(errors)[IMU_ERRORS].reshape(2, 3, 3)[sensor]
-            for made, errors in realistic
-        ]
-    )
-    assert 0.5 < np.sqrt(np.mean(z**2)) < 1.5
+        z.append((errors.imu[sensor] - true) / stated(errors)[IMU_ERRORS].reshape(2, 3, 3)[sensor])
+    assert max(left) < 1.0 and np.mean(left) < 0.75
+    assert 0.5 < np.sqrt(np.mean(np.square(z))) < 1.5
     assert np.abs(z).max() < 3.0
 
 
@@ -165,53 +158,45 @@ def test_what_is_common_to_the_joints_stays_in_the_covariance(realistic: list[Ca
 
 def test_corrected_data_are_the_right_ones() -> None:
     """Samples read (I + M) times what they should, joints are seen off: both are gone afterwards."""
-    made = arm(0)
-    recording = made.recording
+    recording = arm(0).recording
     (segment, *_) = informative_excerpts(recording, Timeline.of(recording))
     rng = np.random.default_rng(0)
     imu, joints = 0.003 * rng.normal(size=(2, 3, 3)), 0.008 * rng.normal(size=(len(JOINTS), 3))
     spoiled = replace(
         segment, signal=segment.signal.scaled(*(np.eye(3) + imu)), position=segment.position + joints
     )
-    clean = ConstantErrors(imu, JointBias(joints)).corrected(spoiled)
+    errors, known = ConstantErrors(imu, JointBias(joints)), {}
+    clean = errors.corrected(spoiled, known)
+    assert errors.corrected(spoiled, known).signal is clean.signal  # segments of one signal share it
     np.testing.assert_allclose(clean.position, segment.position, atol=1e-12)
     start_s = np.linspace(segment.signal.start_s, segment.signal.end_s - 0.1, 100)
     means = [signal.mean(start_s, start_s + 0.1) for signal in (segment.signal, clean.signal)]
     np.testing.assert_allclose(*means, atol=1e-4 * np.abs(means[0]).max())  # errors of 0.5 %, to first order
 
 
-def test_segments_of_one_signal_share_the_corrected_one() -> None:
-    recording = arm(0).recording
-    (segment, *_) = informative_excerpts(recording, Timeline.of(recording))
-    known: dict = {}
-    errors = ConstantErrors()
-    assert errors.corrected(segment, known).signal is errors.corrected(segment, known).signal
-
-
 def test_a_joint_alone_has_no_error() -> None:
     """There is nothing to differ from; a joint with hardly a sample does not count."""
-
-    def window(**samples: int) -> Window:
-        measured = [SimpleNamespace(joint=joint, node=np.arange(count)) for joint, count in samples.items()]
-        return cast("Window", SimpleNamespace(joint_measurements=measured))
-
     few = FEWEST_SAMPLES - 1
-    assert well_seen_joints([window(wrist=50)], True) == ()
-    assert well_seen_joints([window(wrist=50, hand=few)], True) == ()
-    some = [window(wrist=50, hand=few), window(elbow=few, hand=1)]
-    assert well_seen_joints(some, True) == ("wrist", "hand")
-    # a strap that stands for the IMU has no error of the camera to tell from others'
-    assert well_seen_joints([window(wrist=50, strap=50)], True) == ()
-    assert well_seen_joints([window(wrist=50, strap=50)], False) == ("wrist", "strap")
+    for windows, only_joints, joints in (
+        ([{"wrist": 50}], True, ()),
+        ([{"wrist": 50, "hand": few}], True, ()),
+        ([{"wrist": 50, "hand": few}, {"elbow": few, "hand": 1}], True, ("wrist", "hand")),
+        # a strap that stands for the IMU has no error of the camera to tell from others'
+        ([{"wrist": 50, "strap": 50}], True, ()),
+        ([{"wrist": 50, "strap": 50}], False, ("wrist", "strap")),
+    ):
+        seen = [
+            window_of(*(sight_of(joint, np.arange(count)) for joint, count in samples.items()))
+            for samples in windows
+        ]
+        assert well_seen_joints(seen, only_joints) == joints
 
 
 def test_a_camera_that_sees_the_wrist_alone() -> None:
     made = arm(0, "realistic")
-    everywhere = np.ones(len(made.recording.arm), dtype=bool)
-    hidden = replace(made.recording, arm=made.recording.arm.hide(everywhere, ("elbow", "hand", "shoulder")))
-    errors = errors_of(replace(made, recording=hidden))
-    assert errors.joints.joints == ()
-    assert errors.joints.sigma_m == 0.0
+    tracks = made.recording.arm.hide(np.ones(len(made.recording.arm), bool), ("elbow", "hand", "shoulder"))
+    errors = errors_of(replace(made, recording=replace(made.recording, arm=tracks)))
+    assert errors.joints.joints == () and errors.joints.sigma_m == 0.0
     assert not errors.joints.error_m.any()
 
 
@@ -330,11 +315,13 @@ def window_of(*measured: JointMeasurements) -> Window:
     return cast("Window", SimpleNamespace(joint_measurements=measured))
 
 
-def noise_in(*windows: dict[str, FloatArray]) -> dict[str, JointNoise]:
-    """From the residuals of windows, by joint, a frame each."""
+def noise_in(*windows: dict[str, FloatArray], frames: FloatArray | None = None) -> dict[str, JointNoise]:
+    """From the residuals of windows, by joint; each is of every frame, if not said."""
     sights = [
-        window_of(*(sight_of(joint, np.arange(len(values))) for joint, values in residuals.items()))
-        for residuals in windows
+        window_of(
+            *(sight_of(joint, np.arange(len(x)) if frames is None else frames) for joint, x in each.items())
+        )
+        for each in windows
     ]
     return joint_noise(sights, [cast("Solution", SimpleNamespace(residuals=each)) for each in windows])
 
@@ -400,32 +387,20 @@ def test_what_the_answer_followed_is_put_back() -> None:
 def test_lost_frames_do_not_hide_the_memory() -> None:
     """Lags are lags in time: with a third of the frames gone the answer is much the same."""
     rng, phi = np.random.default_rng(0), memory_of(0.3)
-    windows, solutions = [], []
-    for _ in range(6):
-        series = remembering(phi, 0.008, 600, rng)
-        seen = np.flatnonzero(rng.uniform(size=600) > 0.33)
-        windows.append(window_of(sight_of("wrist", seen)))
-        solutions.append(cast("Solution", SimpleNamespace(residuals={"wrist": series[seen]})))
+    seen = np.flatnonzero(rng.uniform(size=600) > 0.33)
+    windows = [{"wrist": remembering(phi, 0.008, 600, rng)[seen]} for _ in range(6)]
     # a frame is dropped at times, so fewer samples share the same long-run error: the sigma is of all frames
     truth_m = 0.008 * np.sqrt((1 + phi) / (1 - phi))
-    assert joint_noise(windows, solutions)["wrist"].effective_m == pytest.approx(truth_m, rel=0.3)
+    assert noise_in(*windows, frames=seen)["wrist"].effective_m == pytest.approx(truth_m, rel=0.3)
 
 
-def test_outliers_hardly_count() -> None:
-    rng = np.random.default_rng(1)
-    noise = 0.008 * rng.normal(size=(3000, 3))
+def test_outliers_few_samples_and_a_perfect_camera() -> None:
+    noise = 0.008 * np.random.default_rng(1).normal(size=(3000, 3))
     noise[::50] += 0.5
-    assert noise_in({"wrist": noise})["wrist"].sample_m < 0.010
-
-
-def test_the_perfect_camera_has_a_floor() -> None:
+    assert noise_in({"wrist": noise})["wrist"].sample_m < 0.010  # outliers hardly count
     assert noise_in({"wrist": np.zeros((100, 3))})["wrist"].effective_m == SMALLEST_SIGMA_M
-
-
-def test_a_few_samples_tell_no_memory() -> None:
-    steps = np.cumsum(np.full((5, 3), 0.001), axis=0)
-    noise = noise_in({"wrist": steps})["wrist"]
-    assert noise.effective_m == noise.sample_m and noise.memory_m == 0.0
+    few = noise_in({"wrist": np.cumsum(np.full((5, 3), 0.001), axis=0)})["wrist"]  # they tell no memory
+    assert few.effective_m == few.sample_m and few.memory_m == 0.0
 
 
 def test_the_shoulder_is_as_good_as_the_best() -> None:

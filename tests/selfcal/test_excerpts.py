@@ -12,7 +12,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from made_segments import forearm
-from scenes import arm
+from scenes import moving
 
 from smoother.calibration import ArmCalibration
 from smoother.config import Config
@@ -126,16 +126,6 @@ def test_all_of_a_short_recording() -> None:
         np.testing.assert_array_equal(a.accepted, b.accepted)
 
 
-def test_excerpts_hold_the_frames_of_their_time() -> None:
-    """Rows of the segments are the recording's, so that answers find back to their frames."""
-    made = recording(300.0, pauses=[(140.0, 150.0)])
-    for segment in informative_excerpts(made, Timeline.of(made)):
-        np.testing.assert_array_equal(segment.frame_t_camera, made.arm.t_s[segment.frames])
-        inside = (made.arm.t_s >= segment.start_s) & (made.arm.t_s <= segment.end_s)
-        rows = np.flatnonzero(inside)
-        assert segment.frames.start <= rows[0] and rows[-1] < segment.frames.stop
-
-
 def segments_of(count: int, length_s: float) -> Iterator[Segment]:
     """Segments of equal length, turning at 1 rad/s, the forearm accepted in the middle third."""
     segment = forearm(int(30 * length_s), rate=np.array([0.0, 0.0, 1.0]))
@@ -150,12 +140,9 @@ def test_of_segments_what_is_visible_is_chosen() -> None:
     assert [segment.recording for segment in chosen] == list(range(WANTED))
     # a segment made by hand is half a second longer than its frames
     np.testing.assert_allclose(spans(chosen), [(20.0, 40.0)] * WANTED, atol=1.0)
-
-
-def test_few_segments_are_all_chosen() -> None:
-    segments = list(segments_of(2, 50.0))
-    assert [each.signal for each in choose_excerpts(segments)] == [each.signal for each in segments]
-    assert spans(choose_excerpts(segments)) == spans(segments)
+    few = list(segments_of(2, 50.0))
+    assert [each.signal for each in choose_excerpts(few)] == [each.signal for each in few]
+    assert spans(choose_excerpts(few)) == spans(few)
 
 
 @st.composite
@@ -196,11 +183,20 @@ def test_spread_excerpts_with_pauses(made: Recording, count: int, around_s: floa
         np.testing.assert_array_equal(np.flatnonzero(seen), np.arange(len(arm_t))[excerpt.frames])
 
 
-@pytest.mark.slow
-def test_a_coarse_round_changes_little(monkeypatch: pytest.MonkeyPatch) -> None:
-    made = arm(5, protocol="random", duration_s=130.0, occlusion_lengths_s=(2.0,), occlusion_every_s=10.0)
-    excerpts = informative_excerpts(made.recording, Timeline.of(made.recording))
+@pytest.fixture
+def long() -> tuple[list[Segment], ArmCalibration]:
+    """Excerpts of two minutes, and what is given of the arm."""
+    recording = moving(5, "white", 130.0, occlusion_lengths_s=(2.0,), occlusion_every_s=10.0).recording
+    excerpts = informative_excerpts(recording, Timeline.of(recording))
     assert len(excerpts) > 2
+    return excerpts, ArmCalibration(side=recording.side)
+
+
+@pytest.mark.slow
+def test_a_coarse_round_changes_little(
+    long: tuple[list[Segment], ArmCalibration], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    excerpts, given = long
     read: list[int] = []
     original = rounds.solve_round
 
@@ -211,24 +207,23 @@ def test_a_coarse_round_changes_little(monkeypatch: pytest.MonkeyPatch) -> None:
         return original(segments, *others)
 
     monkeypatch.setattr(rounds, "solve_round", cut)
-    config, given = Config(), ArmCalibration(side=made.recording.side)
     with Pool(1, 0) as workers:
-        coarse = rounds.self_calibrate(excerpts, given, config, workers)
+        coarse = rounds.self_calibrate(excerpts, given, Config(), workers)
         assert read[0] == len(excerpts) // 2 and set(read[1:]) == {len(excerpts)}
         monkeypatch.setattr(rounds, "_every_second", lambda excerpts: list(range(len(excerpts))))
-        whole = rounds.self_calibrate(excerpts, given, config, workers)
+        whole = rounds.self_calibrate(excerpts, given, Config(), workers)
     # rounds end when nothing moves by more than 0.4 sigma; the windows solve all of it again
     for joint, lever in coarse.estimate.lever_arms.items():
         moved_m = lever.position_m - whole.estimate.lever_arms[joint].position_m
         assert (np.abs(moved_m) < 0.5 * lever.sigma_m).all(), joint
-    moved_s = coarse.clock.mean_s - whole.clock.mean_s
-    assert abs(moved_s) < 0.5 * whole.clock.sigma_s
+    assert abs(coarse.clock.mean_s - whole.clock.mean_s) < 0.5 * whole.clock.sigma_s
 
 
 @pytest.mark.slow
-def test_a_half_that_cannot_be_used_is_no_reason_to_refuse(monkeypatch: pytest.MonkeyPatch) -> None:
-    made = arm(5, protocol="random", duration_s=130.0, occlusion_lengths_s=(2.0,), occlusion_every_s=10.0)
-    excerpts = informative_excerpts(made.recording, Timeline.of(made.recording))
+def test_a_half_that_cannot_be_used_is_no_reason_to_refuse(
+    long: tuple[list[Segment], ArmCalibration], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    excerpts, given = long
     unusable = {excerpts[number].start_s for number in rounds._every_second(excerpts)}
     original = rounds.prepare
 
@@ -237,7 +232,6 @@ def test_a_half_that_cannot_be_used_is_no_reason_to_refuse(monkeypatch: pytest.M
 
     monkeypatch.setattr(rounds, "prepare", prepare)
     with Pool(1, 0) as workers:
-        given = ArmCalibration(side=made.recording.side)
         assert rounds.self_calibrate(excerpts, given, Config(), workers).estimate.lever_arms
         unusable |= {excerpt.start_s for excerpt in excerpts}
         with pytest.raises(CalibrationError, match="never overlap"):

@@ -53,11 +53,7 @@ def test_what_windows_share_has_each_windows_own_covariance_and_is_nearly_the_sa
 
 @pytest.mark.parametrize(("rate", "every"), [(100.0, 4), (25.0, 1), (60.0, 2), (1000.0, 40), (10.0, 1)])
 def test_drawn_times_are_25_a_second_or_more(rate: float, every: int) -> None:
-    assert samples_apart(np.arange(300) / rate) == every
-    assert samples_apart(np.arange(500_000) / rate) == every
-
-
-def test_one_sample_has_a_drawn_time() -> None:
+    assert samples_apart(np.arange(300) / rate) == samples_apart(np.arange(500_000) / rate) == every
     assert samples_apart(np.zeros(1)) == 1
 
 

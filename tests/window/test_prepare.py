@@ -134,22 +134,19 @@ def test_far_from_any_visible_frame_there_are_no_nodes(
 ) -> None:
     monkeypatch.setattr("smoother.window.prepare.REACH_S", REACH_S)
     t = segment.frame_t_imu(clock)
-    visible = t > 30.0 if side == "start" else t < 10.0
-    one_sided = ready(hidden(segment, ~visible), made, clock)
-    shown: FloatArray = one_sided.frame_t_imu[enough_joints(one_sided.accepted, 1)]
+    found = ready(hidden(segment, ~(t > 30.0 if side == "start" else t < 10.0)), made, clock)
+    shown: FloatArray = found.frame_t_imu[enough_joints(found.accepted, 1)]
     if side == "start":
-        assert one_sided.t[0] == pytest.approx(shown[0] - REACH_S)
-        assert one_sided.gaps[0].open_start
-        assert one_sided.start_s == one_sided.t[0]
+        assert found.start_s == found.t[0] == pytest.approx(shown[0] - REACH_S)
+        assert found.gaps[0].open_start
     else:
-        assert one_sided.t[-1] == pytest.approx(shown[-1] + REACH_S)
-        assert one_sided.gaps[-1].open_end
-        assert one_sided.end_s == one_sided.t[-1]
-    assert np.isfinite(one_sided.forearm.start.p).all()
+        assert found.end_s == found.t[-1] == pytest.approx(shown[-1] + REACH_S)
+        assert found.gaps[-1].open_end
+    assert np.isfinite(found.forearm.start.p).all()
     # beyond the last visible frame the arm rests
-    beyond = (one_sided.t < shown[0]) | (one_sided.t > shown[-1])
+    beyond = (found.t < shown[0]) | (found.t > shown[-1])
     assert beyond.sum() > REACH_S / GAP_NODE_S - 2
-    assert not one_sided.forearm.start.v[beyond].any()
+    assert not found.forearm.start.v[beyond].any()
 
 
 def test_too_little_seen_is_no_segment(
@@ -175,48 +172,37 @@ def stream(t: np.ndarray) -> ImuStream:
     return ImuStream("", t, np.zeros((len(t), 3)), np.zeros((len(t), 3)))
 
 
+def times(start: float, gaps: list[float]) -> FloatArray:
+    return start + np.concatenate(([0.0], np.cumsum(gaps)))
+
+
 @given(starts, steps)
 def test_thin_keeps_times_apart_and_no_fewer_than_needed(start: float, gaps: list[float]) -> None:
-    t = start + np.concatenate(([0.0], np.cumsum(gaps)))
+    t = times(start, gaps)
     keep = decimate(t)
     sparse = t[keep]
     assert keep[0]
     assert (np.diff(sparse) >= CLOSEST_S - EPS).all()
     for other in t[~keep]:  # only because another is just before it
-        before = sparse[sparse <= other].max()
-        assert other - before < CLOSEST_S + EPS
+        assert other - sparse[sparse <= other].max() < CLOSEST_S + EPS
 
 
 @given(starts, steps, st.floats(0.1, 50.0), st.floats(0.0, 1.0))
-def test_nodes_increase_are_close_enough_and_keep_the_given_times(
+def test_nodes_keep_the_given_times_and_are_the_fewest_between_them(
     start: float, gaps: list[float], length: float, shift: float
 ) -> None:
-    t = start + np.concatenate(([0.0], np.cumsum(gaps)))
+    """Evenly spaced between two given times, increasing and close enough."""
+    t = times(start, gaps)
     t = t[decimate(t)]
     start_s = start + shift
     end_s = start_s + length
     nodes = insert_nodes(t, start_s, end_s)
-    spacing = np.diff(nodes)
-    assert nodes[0] == start_s
-    assert nodes[-1] == end_s
-    assert (spacing > 0).all()
-    assert spacing.max() <= GAP_NODE_S + EPS
-    # an interval is cut into parts longer than half of the limit; given times are CLOSEST_S apart
-    assert spacing.min() >= CLOSEST_S - EPS
     inner = t[(t > start_s + CLOSEST_S) & (t < end_s - CLOSEST_S)]
-    assert np.isin(inner, nodes).all()
-
-
-@given(starts, steps)
-def test_nodes_are_no_more_than_needed(start: float, gaps: list[float]) -> None:
-    """Between two given times the fewest evenly spaced nodes."""
-    t = start + np.concatenate(([0.0], np.cumsum(gaps)))
-    t = t[decimate(t)]
-    end = t[-1] + 1.0
-    nodes = insert_nodes(t, t[0], end)
-    inner = t[(t > t[0] + CLOSEST_S) & (t < end - CLOSEST_S)]
-    given_times = np.concatenate(([t[0]], inner, [end]))
-    for a, b in itertools.pairwise(given_times):
+    knots = np.concatenate(([start_s], inner, [end_s]))
+    assert np.isin(knots, nodes).all() and (nodes[0], nodes[-1]) == (start_s, end_s)
+    # an interval is cut into parts longer than half of the limit; given times are CLOSEST_S apart
+    assert np.diff(nodes).min() >= CLOSEST_S - EPS and np.diff(nodes).max() <= GAP_NODE_S + EPS
+    for a, b in itertools.pairwise(knots):
         inside = nodes[(nodes >= a) & (nodes <= b)]
         assert len(inside) - 1 == max(1, int(np.ceil((b - a) / GAP_NODE_S - 1e-9)))
         np.testing.assert_allclose(np.diff(inside), (b - a) / (len(inside) - 1), atol=EPS)

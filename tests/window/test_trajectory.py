@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
@@ -20,19 +20,19 @@ from smoother.window.solution import SegmentSolution, Solution
 from smoother.window.trajectory import at_times, joint_from_pose, share_after, started_from
 
 
+@dataclass(frozen=True)
 class Solved:
-    """The window of a simulated arm, and its answer."""
+    """The answer of a simulated arm's window, and its signal."""
 
-    def __init__(self) -> None:
-        made = arm(2, duration_s=15.0)
-        self.motion = solve(first_window(made.recording, made.calibration), with_covariance=True).forearm
-        self.signal = InertialSignal(made.recording.imu)
-        self.t = self.motion.t
+    motion: SegmentSolution
+    signal: InertialSignal
 
 
 @pytest.fixture(scope="module")
 def solved() -> Solved:
-    return Solved()
+    made = arm(2, duration_s=15.0)
+    answer = solve(first_window(made.recording, made.calibration), with_covariance=False)
+    return Solved(answer.forearm, InertialSignal(made.recording.imu))
 
 
 def analytic(spacing_s: float) -> tuple[SegmentSolution, InertialSignal, Curve]:
@@ -47,7 +47,7 @@ def analytic(spacing_s: float) -> tuple[SegmentSolution, InertialSignal, Curve]:
 
 def test_at_times_arrives_at_the_nodes_from_before(solved: Solved) -> None:
     """A microsecond before a node the answer is the node's, whatever the IMU missed in between."""
-    at = solved.t[1:] - 1e-6
+    at = solved.motion.t[1:] - 1e-6
     states = at_times(solved.motion, solved.signal, at)
     before = solved.motion.states.p[1:] - 1e-6 * solved.motion.states.v[1:]
     np.testing.assert_allclose(states.p, before, atol=1e-8)
@@ -57,7 +57,7 @@ def test_at_times_arrives_at_the_nodes_from_before(solved: Solved) -> None:
 
 def test_velocity_is_the_derivative_of_position(solved: Solved) -> None:
     """Central differences of 1 ms, off the nodes, where the second derivative may jump."""
-    at = 0.5 * (solved.t[1:] + solved.t[:-1])
+    at = 0.5 * (solved.motion.t[1:] + solved.motion.t[:-1])
     h = 0.0005
     grid = np.sort(np.concatenate([at - h, at, at + h]))
     states = at_times(solved.motion, solved.signal, grid)
@@ -124,10 +124,9 @@ def test_a_joint_follows_from_the_pose_and_its_lever_arm() -> None:
 
 
 def test_a_joint_without_a_lever_arm_is_the_imu_and_an_unknown_pose_leaves_it_unknown() -> None:
-    R, p = np.tile(np.eye(3), (2, 1, 1)), np.array([[0.0, 0.0, 2.0], [0.1, 0.0, 2.0]])
-    pose_covariance = np.tile(np.diag([1e-4] * 3 + [1e-2] * 3), (2, 1, 1))
-    pose_covariance[1] = np.nan
-    position, covariance = joint_from_pose(R, p, pose_covariance, np.zeros(3))
+    p, pose_covariance = np.array([[0.0, 0.0, 2.0], [0.1, 0.0, 2.0]]), np.zeros((2, 6, 6))
+    pose_covariance[0], pose_covariance[1] = np.diag([1e-4] * 3 + [1e-2] * 3), np.nan
+    position, covariance = joint_from_pose(np.tile(np.eye(3), (2, 1, 1)), p, pose_covariance, np.zeros(3))
     np.testing.assert_array_equal(position, p)
     np.testing.assert_allclose(covariance[0], 1e-4 * np.eye(3))
     assert np.isnan(covariance[1]).all()
