@@ -516,27 +516,16 @@ NEARER = "hold the buzzer right in front of the microphone, so that it is louder
 BRISKLY = "move the forearm briskly in view for 20 s; only fast motion determines the clock"
 
 
-@dataclass(frozen=True)
-class ClockSession:
-    """What the clocks of one session are solved from, together."""
-
-    name: str
-    receptions: Sequence[Receptions] = ()  # What several clocks heard
-    beeps: Sequence[Beep] = ()  # Of the camera's sound
-    motion: MotionClock | None = None  # The clock in a recording's motion
-    origin_ns: int = 0  # Zero of the motion's times
-
-    def solved(self) -> ClockNetwork:
-        """Offsets and skews of all clocks, from sound, broadcasts and motion."""
-        if self.motion is None:
-            return solve_clocks(self.receptions)
-        link = self.motion.link
-        return solve_clocks(self.receptions, [replace(link, at_s=link.at_s + 1e-9 * self.origin_ns)])
-
-
-def clock_answer(session: ClockSession) -> Answer:
-    """How good the clocks are now, what the data left open, and what to record next."""
-    network = session.solved()
+def clock_answer(
+    session: str,
+    receptions: Sequence[Receptions] = (),
+    beeps: Sequence[Beep] = (),  # of the camera's sound
+    motion: MotionClock | None = None,
+    origin_ns: int = 0,  # zero of the motion's times
+) -> Answer:
+    """All clocks of a session together: how good they are now, and what the data left open."""
+    moved = [] if motion is None else [replace(motion.link, at_s=motion.link.at_s + 1e-9 * origin_ns)]
+    network = solve_clocks(receptions, moved)
     links = network.links()
     worst = max(links, key=lambda link: link.sigma_s)
     sentence = (
@@ -556,7 +545,7 @@ def clock_answer(session: ClockSession) -> Answer:
     ]
     shown = ("end_s", "sigma_s", "frequency_hz", "above_quiet_db")
     figures: dict[str, Any] = {
-        "session": session.name,
+        "session": session,
         "links": rows,
         "sources": [
             {
@@ -568,10 +557,11 @@ def clock_answer(session: ClockSession) -> Answer:
             }
             for left in network.leftovers
         ],
-        "beeps": [{key: getattr(beep, key) for key in shown} for beep in session.beeps],
+        "beeps": [{key: getattr(beep, key) for key in shown} for beep in beeps],
     }
-    checks = [*(Check(text, is_open=True) for text in apart), *_checks(session, network, links)]
-    table = {"session": session.name, "valid_for": "this session alone", "links": rows}
+    checks = [Check(text, is_open=True) for text in apart]
+    checks += _checks(receptions, beeps, motion, network, links)
+    table = {"session": session, "valid_for": "this session alone", "links": rows}
     return Answer(grade, sentence, checks, CalibrationFile().with_table("clock", table), figures)
 
 
@@ -585,32 +575,38 @@ def disagreements(network: ClockNetwork) -> list[str]:
     ]
 
 
-def _checks(session: ClockSession, network: ClockNetwork, links: list[ClockLink]) -> Iterator[Check]:
+def _checks(
+    receptions: Sequence[Receptions],
+    beeps: Sequence[Beep],
+    motion: MotionClock | None,
+    network: ClockNetwork,
+    links: list[ClockLink],
+) -> Iterator[Check]:
     """What is looked at, against its bounds."""
     if len(network.groups) > 1:
         apart = "; ".join(map(", ".join, network.groups))
         yield Check(f"nothing links these groups of clocks: {apart}", remedy=ONE_NAME, is_open=True)
-    for name in sorted({name for each in session.receptions for name in each.node} - set(network.nodes)):
+    for name in sorted({name for each in receptions for name in each.node} - set(network.nodes)):
         yield Check(f"{name} received nothing that another clock received: it is not linked", is_open=True)
     for left in network.leftovers:
         name = f"{left.source}: rejected times, of {len(left.used)}"
         yield Check(name, int((~left.used).sum()), 0, is_open=True)
-    has_clear_beep = any(beep.sigma_s < WEAK_S for beep in session.beeps)
+    has_clear_beep = any(beep.sigma_s < WEAK_S for beep in beeps)
     for link in links:
         pair = f"{link.from_clock} and {link.to_clock}"
         yield Check(f"{pair}: sigma", 1e3 * link.sigma_s, 1e3 * WEAK_S, "ms", is_open=True)
         common = 0  # rounds that both heard
-        for each in session.receptions:
+        for each in receptions:
             mine = [each.event[np.asarray(each.node) == name] for name in (link.from_clock, link.to_clock)]
             common += len(np.intersect1d(*mine)) * each.estimate_noise
         if common and not has_clear_beep:
             yield Check(f"{pair}: rounds together", common, FEW_ROUNDS, "", ROUNDS_AGAIN, True, True)
     skew = max(link.skew_sigma_ppm for link in links)
     yield Check("sigma of a skew", skew, SKEW_KNOWN_PPM, "ppm", TWICE, is_open=True)
-    for beep in session.beeps:
+    for beep in beeps:
         name = f"sigma of the beep that ends at {beep.end_s:.2f} s, by its echo"
         yield Check(name, 1e3 * beep.sigma_s * beep.loud_room, 0.0, "ms", NEARER, is_open=True)
-    if (motion := session.motion) is not None:
+    if motion is not None:
         yield Check("excerpts of the motion off the line", int((~motion.used).sum()), 0, is_open=True)
         yield Check("sigma by motion", 1e3 * motion.link.sigma_s, 3.0, "ms", BRISKLY)
 

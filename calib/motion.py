@@ -18,6 +18,7 @@ from smoother.array_types import BoolArray, FloatArray
 from smoother.calibration import ArmCalibration
 from smoother.config import Config
 from smoother.errors import CalibrationError
+from smoother.linalg import nearest
 from smoother.measurements.outliers import reject_by_camera
 from smoother.measurements.segment import Segment, split_into_segments
 from smoother.recording import JOINTS, Recording
@@ -150,7 +151,8 @@ def _evidence(
         square += float(np.sum(turn[seen] ** 2 / dt[seen, None]))
         time += float(dt[seen].sum())
         if direction is not None:
-            axial = max(axial, _axial(t, np.append(0.0, np.cumsum(turn @ direction)), seen))
+            step = turn @ direction
+            axial = max(axial, _axial(t[:-1] + 0.5 * dt, np.cumsum(step) - 0.5 * step, seen))
     return Evidence(
         visible_s=time,
         frames=frames,
@@ -189,25 +191,17 @@ def _turns_of_segment(segment: Segment) -> tuple[FloatArray, FloatArray, BoolArr
     t, frame_t = np.linspace(segment.start_s, segment.end_s, count + 1), segment.frame_t_camera
     rate = segment.signal.mean(t[:-1], t[1:])[:, 3:] - segment.attitude.gyroscope_bias
     middle = 0.5 * (t[1:] + t[:-1])
-    after = np.clip(np.searchsorted(frame_t, middle), 1, len(frame_t) - 1)
-    nearest = np.where(middle - frame_t[after - 1] < frame_t[after] - middle, after - 1, after)
-    seen = segment.accepted[nearest, 1:].sum(axis=1) >= segment.needed
-    return t, np.diff(t)[:, None] * rate, seen & (np.abs(frame_t[nearest] - middle) < 0.1)
+    at = nearest(frame_t, middle)
+    seen = segment.accepted[at, 1:].sum(axis=1) >= segment.needed
+    return t, np.diff(t)[:, None] * rate, seen & (np.abs(frame_t[at] - middle) < 0.1)
 
 
 def _axial(t: FloatArray, angle: FloatArray, seen: BoolArray) -> float:
-    """Largest range of an angle (n + 1,) over visible intervals (n,) within `AXIAL_S`, rad."""
-    best = 0.0
-    for start in np.arange(t[0], t[-1], 0.5 * AXIAL_S):
-        end = start + AXIAL_S
-        first, last = np.searchsorted(t, start) - 1, np.searchsorted(t, end) + 1
-        near = slice(max(int(first), 0), int(last))  # an interval more on either side
-        when = 0.5 * (t[near][1:] + t[near][:-1])
-        middle = 0.5 * (angle[near][1:] + angle[near][:-1])
-        inside = seen[near.start : near.start + len(when)] & (when >= start) & (when < end)
-        if inside.any():
-            best = max(best, float(np.ptp(middle[inside])))
-    return best
+    """Largest range of an angle (n,) over visible times within `AXIAL_S`, rad."""
+    starts = np.arange(t[0], t[-1], 0.5 * AXIAL_S)
+    rows = map(slice, *np.searchsorted(t, [starts, starts + AXIAL_S]).tolist())
+    ranges = (np.ptp(angle[near][seen[near]]) for near in rows if seen[near].any())
+    return float(max(ranges, default=0.0))
 
 
 #: From here on something is treated as not determined.

@@ -41,11 +41,20 @@ class Check(NamedTuple):
         return f"{self.name}: {self.value:.4g} {self.unit}".strip() + f" ({wanted} is good)"
 
 
+#: Grades of an answer, the best first.
+GRADES = ("good", "usable", "not good enough")
+
+
+def graded(*values: tuple[float, float, float]) -> str:
+    """The grade of values, each with the largest that is good and the largest that is usable."""
+    return GRADES[max(sum(not value <= bound for bound in bounds) for value, *bounds in values)]
+
+
 @dataclass(frozen=True)
 class Answer:
     """What a calibration found."""
 
-    grade: str  # "good", "usable" or "not good enough"
+    grade: str  # Of `GRADES`
     sentence: str  # The value's sigma and what it is good for
     checks: Sequence[Check]  # All that was looked at, the most important first
     table: CalibrationFile  # What belongs into the calibration file, for `write_calibration`

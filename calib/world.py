@@ -26,7 +26,7 @@ from .imu import Rests, find_rests
 from .intrinsics import Intrinsics
 from .panel import SeenPanel, see_panel
 from .plane import Panel
-from .protocol import Answer, Check
+from .protocol import Answer, Check, graded
 from .sensor import corrected_streams, sensor_of
 
 #: A rest this near to a pose's time is the pose's, s; it is averaged over what lies so near.
@@ -531,9 +531,7 @@ def world_answer(calibration: WorldCalibration) -> Answer:
     """Camera from base IMU, and its tables; quaternions are qw, qx, qy, qz, sigmas one standard deviation."""
     sigma, at = accuracy(calibration), calibration.at
     down = -(at.R_K_B * at.R_W_B.inv()).apply([0.0, 0.0, 1.0])
-    grade = "good" if sigma.tilt_deg <= GOOD_DEG else "usable"
-    if sigma.tilt_deg > USABLE_DEG:
-        grade = "not good enough"
+    grade = graded((sigma.tilt_deg, GOOD_DEG, USABLE_DEG))
     sentence = f"{grade}: the camera's tilt is known to {sigma.tilt_deg:.2f} degrees (one sigma)"
     checks = [
         Check("sigma of the tilt", sigma.tilt_deg, GOOD_DEG, "degrees", AGAIN),

@@ -233,7 +233,7 @@ def clock(
 
     Example: unocclude calibrate clock --sound beep.wav --event-time 12.3456 --broadcast times.csv
     """
-    from calib.clock import ClockSession, clock_answer, clock_from_motion
+    from calib.clock import clock_answer, clock_from_motion
     from calib.sound import beep_receptions, beeps_of_tracks, buzzer_node
 
     from ..io.rig.clock import read_broadcast, read_sound
@@ -275,7 +275,7 @@ def clock(
         moved, origin_ns = clock_from_motion(recording, given, settings.read(), names), recording.origin_ns
         notes += recording.notes
     name = session or ", ".join(path.name for path in dict.fromkeys((sound, broadcast, motion)) if path)
-    answer = clock_answer(ClockSession(name, receptions, beeps, moved, origin_ns))
+    answer = clock_answer(name, receptions, beeps, moved, origin_ns)
     out.finish(output, answer, f"Clocks: {name}", notes)
 
 

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from calib import CalibrationFile, read_calibration, write_calibration
-from calib.clock import ClockSession, clock_answer
+from calib.clock import clock_answer
 from calib.file import to_toml
 from calib.imu import calibrate_imu, calibrate_magnetometer, imu_answer, magnetometer_answer
 from calib.protocol import Answer, tables_of
@@ -268,7 +268,7 @@ def answers() -> list[Answer]:
     return [
         imu_answer(calibrate_imu(stream)),
         magnetometer_answer(magnetometer, stream.name),
-        clock_answer(ClockSession("Monday", [receptions])),
+        clock_answer("Monday", [receptions]),
     ]
 
 

@@ -13,7 +13,6 @@ from scipy.optimize import least_squares
 
 from calib.clock import (
     ClockLink,
-    ClockSession,
     Receptions,
     _line,
     clock_answer,
@@ -97,7 +96,7 @@ def test_groups_that_nothing_links():
     )
     network = solve_clocks([heard])
     assert [(link.from_clock, link.to_clock) for link in network.links()] == [("a", "b"), ("c", "d")]
-    answer = clock_answer(ClockSession("", (heard,)))
+    answer = clock_answer("", (heard,))
     assert any("nothing links these groups" in text for text in answer.open_questions)
     assert any("e received nothing" in text for text in answer.open_questions)
     with pytest.raises(CalibrationError, match="nothing links the clocks a and c"):
