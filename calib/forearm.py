@@ -184,7 +184,6 @@ class ForearmCalibration:
 
 def calibrate_forearm(
     recording: Recording,
-    *,
     from_s: float | None = None,
     to_s: float | None = None,
     radius_m: float | None = None,

@@ -78,9 +78,7 @@ def error_prefix(what: str) -> Iterator[None]:
 
 
 def motion(
-    recording_files: Annotated[
-        list[Path], o.argument("REC.mcap", "Recordings of one person and one mounting.")
-    ],
+    files: Annotated[list[Path], o.argument("REC.mcap", "Recordings of one person and one mounting.")],
     output: o.CalibrationOutput,
     which: Which,
     settings: ConfigInput,
@@ -97,10 +95,10 @@ def motion(
     """
     from calib.motion import calibrate_motion, motion_answer
 
-    refuse_twice(recording_files)
+    refuse_twice(files)
     held(output)
     config = settings.read()
-    arms = _by_side(recording_files, known, which.chosen)
+    arms = _by_side(files, known, which.chosen)
     answers: list[tuple[Recording, Answer]] = []
     for recordings, given in arms:
         with error_prefix(recordings[0].arm_label) if len(arms) > 1 else nullcontext():
@@ -124,10 +122,10 @@ def motion(
 
 
 def _by_side(
-    recording_files: list[Path], known_file: Path | None, chosen: Selection
+    files: list[Path], known_file: Path | None, chosen: Selection
 ) -> list[tuple[list[Recording], ArmCalibration | None]]:
     """The recordings of each arm, with what is known of it; one arm unless recordings have both."""
-    loaded = [(path, *arm) for path in recording_files for arm in load_arms(path, known_file, **chosen)]
+    loaded = [(path, *arm) for path in files for arm in load_arms(path, known_file, **chosen)]
     sides = {recording.side for _, recording, _ in loaded} - {""}
     for path, recording, _ in loaded:
         if recording.body is not None:
@@ -146,9 +144,7 @@ def _by_side(
     return [([recording for recording, _ in mine], mine[0][1]) for mine in arms]
 
 
-Sensor = Annotated[
-    str | None, o.option("The IMU, where the recording has several.", "--imu", metavar="TOPIC")
-]
+Sensor = Annotated[o.Text, o.value("TOPIC", "The IMU, where the recording has several.", "--imu")]
 
 
 def imu(
@@ -157,7 +153,7 @@ def imu(
     out: CalibrationOut,
     name: Sensor = None,
     gravity: Annotated[
-        float, o.rare("Gravity where it was recorded; `smooth` assumes 9.81.", metavar="M/S^2")
+        float, o.rare_value("M/S^2", "Gravity where it was recorded; `smooth` assumes 9.81.")
     ] = 9.81,
 ) -> None:
     """An IMU's offsets, scales and noise, from rest poses.
@@ -178,10 +174,7 @@ def imu(
 
 
 def magnetometer(
-    recording_file: o.RecordingPath,
-    output: o.CalibrationOutput,
-    out: CalibrationOut,
-    name: Sensor = None,
+    recording_file: o.RecordingPath, output: o.CalibrationOutput, out: CalibrationOut, name: Sensor = None
 ) -> None:
     """A magnetometer's hard and soft iron.
 
@@ -222,14 +215,14 @@ def forearm(
     settings: ConfigInput,
     out: CalibrationOut,
     from_s: Annotated[
-        float | None, o.option("Start of the held pose, s on the camera's clock.", "--from", metavar="S")
+        o.Number, o.value("S", "Start of the held pose, s on the camera's clock.", "--from")
     ] = None,
-    to_s: Annotated[float | None, o.option("End of the held pose, s.", "--to", metavar="S")] = None,
+    to_s: Annotated[o.Number, o.value("S", "End of the held pose, s.", "--to")] = None,
     radius_m: Annotated[
-        float | None, o.option("Axis of the forearm to the sensor, by ruler.", min=0.005, max=0.15)
+        o.Number, o.option("Axis of the forearm to the sensor, by ruler.", min=0.005, max=0.15)
     ] = None,
     strap_to_wrist_m: Annotated[
-        float | None, o.option("Strap to the wrist joint, by ruler.", min=-0.1, max=0.3)
+        o.Number, o.option("Strap to the wrist joint, by ruler.", min=-0.1, max=0.3)
     ] = None,
 ) -> None:
     """Lever arms, lengths, mounting, from a held pose.
@@ -247,20 +240,13 @@ def forearm(
     held(output)
     config = settings.read()
     recording, _ = load_arm(recording_file, **which.chosen)
-    calibration = calibrate_forearm(
-        recording,
-        from_s=from_s,
-        to_s=to_s,
-        radius_m=radius_m,
-        strap_to_wrist_m=strap_to_wrist_m,
-        config=config,
-    )
+    calibration = calibrate_forearm(recording, from_s, to_s, radius_m, strap_to_wrist_m, config)
     title = f"Forearm from a held pose: {recording.name}"
     out.finish(output, forearm_answer(calibration), title, recording.notes)
 
 
 def cameras(
-    recording_files: Annotated[list[Path], o.argument("REC.mcap..", "Recordings of the set-up.")],
+    files: Annotated[list[Path], o.argument("REC.mcap..", "Recordings of the set-up.")],
     output: o.CalibrationOutput,
     which: Which,
     out: CalibrationOut,
@@ -275,6 +261,6 @@ def cameras(
     from calib.camera_poses import calibrate_cameras, cameras_answer
 
     held(output)
-    recordings = [load_arm(path, **which.chosen)[0] for path in recording_files]
+    recordings = [load_arm(path, **which.chosen)[0] for path in files]
     notes = [note for recording in recordings for note in recording.notes]
     out.finish(output, cameras_answer(calibrate_cameras(recordings)), "Poses of the cameras", notes)
