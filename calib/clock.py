@@ -12,7 +12,7 @@ from itertools import combinations, pairwise
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import ConfigDict, Field
 
 from smoother.array_types import BoolArray, FloatArray, IntArray
 from smoother.calibration import ArmCalibration
@@ -25,7 +25,7 @@ from smoother.measurements.segment import Segment, split_into_segments
 from smoother.recording import Recording
 from smoother.runtime.pool import Pool
 
-from .file import CalibrationFile, checked
+from .file import CalibrationFile, Section, checked
 from .protocol import Answer, Check
 
 if TYPE_CHECKING:
@@ -134,28 +134,19 @@ class ClockNetwork:
         return [self.between(u, v) for (u, own), (v, other) in pairs if own == other]
 
 
-#: A pair's line is sought through this many of its events, spread over time.
-MOST = 40
-#: A skew is sought where they lie this far apart, s; events near a line, s; what skews usually are, at most.
-SKEW_SPAN_S, NEAR_S, USUAL_SKEW, PLAUSIBLE_SKEW = 2.0, 0.0005, 3e-4, 2e-3
+#: A pair's line is sought through this many of its events, spread over time; no skew is larger, s/s.
+MOST, PLAUSIBLE_SKEW = 200, 2e-3
 
 
 def consensus(t_from: FloatArray, t_to: FloatArray) -> tuple[float, float, float]:
-    """Time, offset there and skew of the line between two events that most others lie near to."""
+    """Time, offset there and skew of the line through most events: repeated medians (Siegel 1982)."""
+    from scipy.stats import siegelslopes
+
     chosen = np.unique(np.linspace(0, len(t_from) - 1, MOST).astype(int))
     at, difference = float(np.median(t_from)), (t_to - t_from)[chosen]
-    dt, slope = t_from[chosen] - at, np.zeros(1)
-    if np.ptp(dt) > SKEW_SPAN_S:
-        i, j = np.triu_indices(len(dt), 1)
-        far = np.abs(dt[j] - dt[i]) > 0.2 * np.ptp(dt)
-        slopes = (difference[j] - difference[i])[far] / (dt[j] - dt[i])[far]
-        slope = np.append(slope, slopes[np.abs(slopes) < PLAUSIBLE_SKEW])
-    level = difference - slope[:, None] * dt  # (slopes, n): an offset through each event
-    apart = level[:, None, :] - level[:, :, None]
-    loss = np.log1p((apart / NEAR_S) ** 2).sum(axis=2) + ((slope / USUAL_SKEW) ** 2)[:, None]
-    k, event = np.unravel_index(int(np.argmin(loss)), loss.shape)
-    near = np.abs(apart[k, event]) < 3 * NEAR_S
-    return at, float(level[k][near].mean()), float(slope[k])
+    skew = siegelslopes(difference, t_from[chosen] - at).slope if len(chosen) > 2 else np.inf
+    skew = float(skew) if abs(skew) < PLAUSIBLE_SKEW else 0.0
+    return at, float(np.median(difference - skew * (t_from[chosen] - at))), skew
 
 
 #: The stated noise of a source is treated as this many samples when its noise is measured.
@@ -623,10 +614,10 @@ UNKNOWN_PPM = 499.0
 TYPICAL_PPM = 50.0
 
 
-class _MeasuredLink(BaseModel):
-    """What is read of a link in the file; further keys are for people."""
+class _MeasuredLink(Section):
+    """What is read of a link in the file."""
 
-    model_config = ConfigDict(allow_inf_nan=False, strict=True, defer_build=True)
+    model_config = ConfigDict(strict=True)
 
     from_clock: Any = Field(default=None, alias="from")
     to_clock: Any = Field(default=None, alias="to")

@@ -41,11 +41,17 @@ _AccBias = Annotated[list[Annotated[float, Field(ge=-10.0, le=10.0)]], _THREE]
 _GyroBias = Annotated[list[Annotated[float, Field(ge=-5.0, le=5.0)]], _THREE]
 
 
-class _Section(BaseModel):
-    """A table whose keys are all known; numbers are numbers and finite."""
+class Section(BaseModel):
+    """A table of a file, whose numbers are finite; further keys are for people."""
 
     # built where a file is read: most commands read none
-    model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False, defer_build=True)
+    model_config = ConfigDict(allow_inf_nan=False, defer_build=True)
+
+
+class _Section(Section):
+    """A table whose keys are all known, and whose numbers are numbers."""
+
+    model_config = ConfigDict(extra="forbid", strict=True)
 
 
 class _LeverArmSection(_Section):
@@ -352,17 +358,15 @@ def toml_document(path: Path, named: str) -> dict[str, Any]:
 TABLE = "sigma"
 
 
-class _Gap(BaseModel):
-    """Gaps of one length; further keys are for people."""
-
-    model_config = ConfigDict(allow_inf_nan=False)
+class _Gap(Section):
+    """Gaps of one length."""
 
     length_s: float = Field(gt=0)
     factor: float = Field(gt=0, le=100)
     count: int = Field(ge=1)
 
 
-class _SigmaTable(BaseModel):
+class _SigmaTable(Section):
     """The whole table."""
 
     gaps: list[_Gap] = Field(min_length=1)

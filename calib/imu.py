@@ -520,15 +520,11 @@ def calibrate_magnetometer(raw: FloatArray) -> MagnetometerCalibration:
     _check_residual(0.5 * float(np.sqrt(np.mean(rough**2))))  # a magnet that passed may have pulled it
 
     def off_sphere(p: FloatArray) -> FloatArray:
-        return np.asarray(np.linalg.norm(_mapped(p, even)[0], axis=1) - 1.0)
-
-    def slope(p: FloatArray) -> FloatArray:
-        mapped, slopes = _mapped(p, even)
-        return slopes / np.linalg.norm(mapped, axis=1)[:, None]
+        return np.asarray(np.linalg.norm((even - p[:3]) @ symmetric(p[3:]), axis=1) - 1.0)
 
     start = np.concatenate([offset, matrix[_ROWS, _COLUMNS]])
     far = max(_FAR * float(robust_sigma(off_sphere(start))), 1e-6)  # from here samples (a magnet) pull less
-    refined = least_squares(off_sphere, start, slope, loss="soft_l1", f_scale=far, x_scale="jac", max_nfev=40)
+    refined = least_squares(off_sphere, start, loss="soft_l1", f_scale=far, x_scale="jac", max_nfev=40)
     offset, matrix = refined.x[:3], symmetric(refined.x[3:])
     radii, corrected = np.sort(scale / np.linalg.eigvalsh(matrix)), (even - offset) @ matrix
     length = np.linalg.norm(corrected, axis=1)

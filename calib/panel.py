@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Annotated, Any, NamedTuple, Self
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import Field, model_validator
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
@@ -25,7 +25,7 @@ from smoother.array_types import BoolArray, FloatArray
 from smoother.errors import CalibrationError
 from smoother.linalg import nearest_rotation, skew, unit
 
-from .file import CalibrationFile, checked, toml_document
+from .file import CalibrationFile, Section, checked, toml_document
 from .images import Blobs, View, check_size, find_blobs
 from .intrinsics import Intrinsics
 from .plane import (
@@ -45,9 +45,7 @@ LARGEST_M, NEAREST_M = 5.0, 0.02
 _Pair = Annotated[list[float], Field(min_length=2, max_length=2)]
 
 
-class _PanelSection(BaseModel):
-    model_config = ConfigDict(allow_inf_nan=False)
-
+class _PanelSection(Section):
     markers: Annotated[list[_Pair], Field(min_length=4, max_length=4)]
     extent: Annotated[list[_Pair], Field(min_length=2, max_length=2)]
     marker_height: float = Field(default=0.0, ge=0.0, le=0.1)

@@ -73,9 +73,7 @@ class Plane:
     offset_rate: FloatArray  # (3,)
     offset_curve: FloatArray  # (3,)
     inliers: BoolArray  # bool (N,): pixels that were used
-    residuals_m: FloatArray  # (N,) m: depth minus the plane's depth
     noise_m: float  # Standard deviation of a pixel's depth
-    share_common: float  # Factor by which errors shared among neighbours widen sigma
     warp_m: float  # How far the depth of the whole panel is bent, rms
 
     @property
@@ -139,9 +137,7 @@ def fit_plane(
         offset_rate=(high - low) / (2 * STEP_M),
         offset_curve=(high + low - 2 * theta) / (2 * STEP_M**2),
         inliers=inliers,
-        residuals_m=residuals,
         noise_m=noise,
-        share_common=common,
         warp_m=warp,
     )
 

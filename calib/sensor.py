@@ -7,23 +7,21 @@ from dataclasses import replace
 from typing import Annotated, Any, Self
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import Field, model_validator
 
 from smoother.array_types import FloatArray
 from smoother.errors import CalibrationError
 from smoother.recording import ImuStream, Recording
 from smoother.runtime.store import large_array
 
-from .file import CalibrationFile, Vector, checked
+from .file import CalibrationFile, Section, Vector, checked
 
 #: Samples that are corrected together.
 _SAMPLES = 65536
 
 
-class Correction(BaseModel):
-    """What is read of a sensor's table, corrected = matrix (raw - offset); further keys are for people."""
-
-    model_config = ConfigDict(allow_inf_nan=False, defer_build=True)
+class Correction(Section):
+    """What is read of a sensor's table, corrected = matrix (raw - offset)."""
 
     offset: Vector | None = None
     matrix: Annotated[list[Vector], Field(min_length=3, max_length=3)] | None = None
@@ -47,10 +45,8 @@ class Correction(BaseModel):
         return left if self.matrix is None else left @ np.array(self.matrix).T
 
 
-class SensorCalibration(BaseModel):
+class SensorCalibration(Section):
     """Corrections of one sensor."""
-
-    model_config = ConfigDict(defer_build=True)
 
     accelerometer: Correction = Field(default_factory=Correction)
     gyroscope: Correction = Field(default_factory=Correction)

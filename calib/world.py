@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 from typing import Annotated, NamedTuple
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
@@ -20,7 +20,7 @@ from smoother.errors import CalibrationError
 from smoother.linalg import nearest_rotation, skew, unit
 from smoother.recording import CameraFrame, ImuStream, Recording
 
-from .file import CalibrationFile, Vector, checked
+from .file import CalibrationFile, Section, Vector, checked
 from .images import View
 from .imu import Rests, find_rests
 from .intrinsics import Intrinsics
@@ -577,13 +577,11 @@ def world_answer(calibration: WorldCalibration) -> Answer:
     return Answer(grade, sentence, checks, CalibrationFile(tables=tables), dict(tables))
 
 
-class CameraFromBase(BaseModel):
+class CameraFromBase(Section):
     """The base IMU on the camera, as a file has it; camera optical, x right, y down, z forward."""
 
-    model_config = ConfigDict(allow_inf_nan=False, defer_build=True)
-
     rotation: Annotated[list[float], Field(min_length=4, max_length=4)]  # base IMU axes to camera axes
-    accelerometer_bias: Vector = [0.0, 0.0, 0.0]  # m/s^2: in {B}
+    accelerometer_bias: Vector = Field(default=[0.0, 0.0, 0.0])  # m/s^2: in {B}
     covariance: list[list[float]] | None = None  # (6, 6): of a small rotation in {K} and the bias
     rotation_sigma_deg: Vector | None = None
     accelerometer_corrected: bool = False  # `[imu.base]` was taken off before
