@@ -8,24 +8,21 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
-from queue import Full, Queue
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
 from ..errors import UnoccludeError
 from ..runtime.printable import printable
-from ..table import Table
+from ..table import tabulated
 from . import options as o
 from .output import Out, print_notes, say, say_command, show
 
 if TYPE_CHECKING:
-    from ..live.answers import LiveOutput
-    from ..streams.arrivals import Receiver, Source, SourceInfo
-    from ..streams.session import SessionCalibration
-    from ..streams.session_figures import SessionFigures, StreamHealth
+    from ..streams.arrivals import Receiver, Source
+    from ..streams.session_figures import SessionFigures
 
 
 @contextmanager
@@ -68,40 +65,6 @@ def streams_of(given: Sequence[str], sides: Sequence[str | None]) -> dict[str | 
     return streams
 
 
-def receivers_of(
-    infos: Sequence[SourceInfo], foxglove: int | None, lsl_out: str | None, lsl_network: bool
-) -> Iterator[Receiver]:
-    """Who is sent the answers, and where they are found."""
-    if foxglove is not None:
-        from ..streams.foxglove import FoxgloveServer
-
-        server = FoxgloveServer(infos, foxglove)
-        say(f"Foxglove: open connection, Foxglove WebSocket, {server.address}; layout:"
-            " docs/unocclude.foxglove-layout.json")  # fmt: skip
-        yield server
-    if lsl_out is not None:
-        from ..streams.lsl import LslSender
-
-        names = [f"{lsl_out}_{each.side}" if len(infos) > 1 else lsl_out for each in infos]
-        sender = LslSender(names, infos, lsl_network)
-        who = "all computers of this network" if lsl_network else "this computer"
-        for name in names:
-            say(f"LSL: streams {name} and {name}_settled, for {who}")
-        yield sender
-
-
-def print_source(info: SourceInfo, calibration: SessionCalibration) -> None:
-    """Say what is used."""
-    from ..body import SEGMENTS
-
-    arm = f"{info.side} arm" if info.side else "arm"
-    forearm, *further = info.imus.items()
-    say(f"IMU {forearm[1]}, {arm} of {info.skeleton} ({', '.join(info.joints)})")
-    for segment, name in further:
-        say(f"IMU {name} on the {SEGMENTS[segment].label}")
-    print_notes([*info.notes, *calibration.notes])
-
-
 def print_session(figures: dict[str, Any], arm: str = "") -> None:
     """Print what the session was like, of an arm."""
     from ..body import SEGMENTS
@@ -114,9 +77,10 @@ def print_session(figures: dict[str, Any], arm: str = "") -> None:
     )
     streams = {"IMU": figures["imu"], "camera": figures["skeleton"]}
     streams |= {f"IMU on the {SEGMENTS[name].label}": one for name, one in figures.get("further", {}).items()}
-    keys = ("count", "missing", "late", "lost_times", "lost_s")
-    rows = [(name, *(stream[key] for key in keys)) for name, stream in streams.items()]
-    show(Table("Streams", ("stream", "came", "missing", "late", "times lost", "lost, s"), rows))
+    rows = [{"stream": name, **stream} for name, stream in streams.items()]
+    columns = ("stream", "came", "missing", "late", "times lost", "lost, s")
+    keys = ("stream", "count", "missing", "late", "lost_times", "lost_s")
+    show(tabulated("Streams", rows, dict(zip(columns, keys, strict=True))))
     done = figures["frame_done"]
     if done["count"]:
         say(
@@ -197,10 +161,11 @@ def live(
     )
     from calib.file import read_calibration
 
+    from ..body import SEGMENTS
     from ..live.calibrations import InlineCalibrator
     from ..live.smoother import LiveSmoother
-    from ..streams.foxglove import foxglove_module
-    from ..streams.lsl import lsl_module
+    from ..streams.foxglove import FoxgloveServer, foxglove_module
+    from ..streams.lsl import LslSender, lsl_module
     from ..streams.lsl_source import LslSource
     from ..streams.replay import CAMERA_LATENCY_S, Replay
     from ..streams.session import LiveSession, SessionCalibration
@@ -221,9 +186,8 @@ def live(
         source: Source
         if replay is not None:
             topics = {each: own.get("forearm") for each, own in imus.items()}
-            source = Replay(
-                replay, topics, skeleton, prefer, speed, CAMERA_LATENCY_S if latency is None else latency
-            )
+            latency_s = CAMERA_LATENCY_S if latency is None else latency
+            source = Replay(replay, topics, skeleton, prefer, speed, latency_s)
             names = [name for info in source.infos for name in info.imus.values()]
             if len(set(names)) < len(names):
                 raise UnoccludeError(
@@ -239,12 +203,25 @@ def live(
                 return
         infos = source.infos
         calibrations = [SessionCalibration.of(file, info) for info in infos]
-        for info, of_arm in zip(infos, calibrations, strict=True):
-            print_source(info, of_arm)
-        receivers = []
-        for receiver in receivers_of(infos, foxglove, lsl_out, lsl_network):
-            stack.callback(receiver.close)
-            receivers.append(receiver)
+        for info, known in zip(infos, calibrations, strict=True):
+            arm, (forearm, *others) = f"{info.side} arm".strip(), info.imus.items()
+            say(f"IMU {forearm[1]}, {arm} of {info.skeleton} ({', '.join(info.joints)})")
+            for segment, name in others:
+                say(f"IMU {name} on the {SEGMENTS[segment].label}")
+            print_notes([*info.notes, *known.notes])
+        receivers: list[Receiver] = []
+        if foxglove is not None:
+            receivers.append(server := FoxgloveServer(infos, foxglove))
+            stack.callback(server.close)
+            say(f"Foxglove: open connection, Foxglove WebSocket, {server.address}; layout:"
+                " docs/unocclude.foxglove-layout.json")  # fmt: skip
+        if lsl_out is not None:
+            names = [f"{lsl_out}_{each.side}" if len(infos) > 1 else lsl_out for each in infos]
+            receivers.append(sender := LslSender(names, infos, lsl_network))
+            stack.callback(sender.close)
+            for name in names:
+                who = "all computers of this network" if lsl_network else "this computer"
+                say(f"LSL: streams {name} and {name}_settled, for {who}")
         recording = None
         if record is not None:
             recording = SessionRecording(record, infos, out.force, patient=not source.speed)
@@ -260,113 +237,92 @@ def live(
             say("Ctrl-C ends")
         with Lines() as lines:
             session.run(stops, lines.show)
-        figures = [each.figures() for each in session.figures]
-    arm_figures = [{"side": info.side, **own} for info, own in zip(infos, figures, strict=True)]
-    several = {**arm_figures[0], "arms": arm_figures}
-    out.json(several if len(figures) > 1 else figures[0])
-    for own in arm_figures:
+        figures = [{"side": each.side, **each.figures()} for each in session.figures]
+    out.json({**figures[0], "arms": figures} if len(figures) > 1 else session.figures[0].figures())
+    for own in figures:
         print_session(own, f"{own['side']} arm, " if len(sides) > 1 else "")
-    has_recording = recording is not None and recording.has_samples
-    out.end(record if has_recording else None)
-    if record is not None and has_recording:
+    is_recorded = recording is not None and recording.is_whole
+    out.end(record if is_recorded else None)
+    if record is not None and is_recorded:
         arguments = ["smooth", str(record), "-o", str(record.with_name(f"{record.stem}_recovered.mcap"))]
         for option, value in (("--calibration", calibration), ("--config", config_file)):
             arguments += [] if value is None else [option, str(value)]
         say_command(*arguments)
 
 
-#: How often a line is printed, s.
-_LINE_S = 2.0
-#: How long a terminal is waited for in the end, s, and how many lines wait for it at most.
-_PATIENCE_S, _MOST_WAITING = 2.0, 1000
+#: How often a line is printed, s; how long a terminal is waited for in the end, s, and how many lines are.
+_LINE_S, _PATIENCE_S, _MOST_WAITING = 2.0, 2.0, 1000
 
 
 class Lines:
-    """A line every two seconds for each arm, and one for whatever happens.
-
-    They are printed by a thread of its own: a slow terminal delays no answer.
-    """
+    """A line every two seconds for each arm, and one for whatever happens."""
 
     def __init__(self) -> None:
-        self._last = -math.inf
-        self._events: dict[str, int] = {}
-        self._waiting: Queue[str | None] = Queue(_MOST_WAITING)
-        self._thread = threading.Thread(target=self._work, name="lines", daemon=True)
+        from ..streams.outbox import Outbox
+
+        self._last_s, self._events = -math.inf, dict[str, int]()
+        self._lines: Outbox[str] = Outbox(_print, _MOST_WAITING, "lines")
 
     def __enter__(self) -> Lines:
-        self._thread.start()
         return self
 
     def __exit__(self, *_: object) -> None:
-        self._put(None)
-        self._thread.join(_PATIENCE_S)
+        self._lines.drain(_PATIENCE_S)
 
     def show(self, *arms: SessionFigures) -> None:
         """Print what happened to each arm since, and the line if it is time."""
-        is_time = time.monotonic() - self._last > _LINE_S
+        is_time = time.monotonic() - self._last_s > _LINE_S
         for figures in arms:
             arm = f"{figures.side} arm: " if len(arms) > 1 else ""
             new = figures.event_count - self._events.get(figures.side, 0)
-            for when, sentence in list(figures.events)[-new:] if new else ():
-                self._put(f"{when:8.1f} s  {arm}{sentence}")
             self._events[figures.side] = figures.event_count
+            for when, sentence in list(figures.events)[-new:] if new else ():
+                self._lines.put(f"{when:8.1f} s  {arm}{sentence}")
             if is_time:
-                self._last = time.monotonic()
-                self._put(f"{figures.seconds:8.1f} s  {arm}{'; '.join(words(figures))}")
+                self._last_s = time.monotonic()
+                self._lines.put(f"{figures.seconds:8.1f} s  {arm}{'; '.join(words(figures))}")
 
-    def _put(self, line: str | None) -> None:
-        with suppress(Full):
-            self._waiting.put_nowait(line)
 
-    def _work(self) -> None:
-        while (line := self._waiting.get()) is not None:
-            say(line)
-            sys.stdout.flush()
+def _print(line: str) -> None:
+    say(line)
+    sys.stdout.flush()
 
 
 def words(figures: SessionFigures) -> list[str]:
     """The session in words: the answer, the streams, the clock, the load."""
-    output, camera = figures.output, figures.skeleton
-    imu, *further = figures.imus.values()
+    output, camera, (imu, *further) = figures.output, figures.skeleton, figures.imus.values()
     # the camera's delay is from a frame's moment, as soon as its clock is known
-    is_known = output is not None and math.isfinite(output.camera_latency_s)
-    latency_s = output.camera_latency_s if output is not None and is_known else camera.delay_s
-    streams = [
-        _stream_words("IMU", imu, imu.delay_s, figures.now_s),
-        _stream_words("camera", camera, latency_s, figures.now_s),
-        *(_stream_words(each.name, each, each.delay_s, figures.now_s) for each in further),
-    ]
-    load = f"load {100 * figures.load:.0f} %"
+    latency_s = math.nan if output is None else output.camera_latency_s
+    streams = [("IMU", imu, imu.delay_s)]
+    streams.append(("camera", camera, latency_s if math.isfinite(latency_s) else camera.delay_s))
+    streams += [(each.name, each, each.delay_s) for each in further]
+    said = [_answer_words(figures)]
+    for name, stream, delay_s in streams:
+        delay = f"{1e3 * delay_s:.0f} ms" if math.isfinite(delay_s) else "-"
+        missing = f", {stream.missing} missing" if stream.missing else ""
+        rate = f"{name} {stream.rate_hz(figures.now_s):.1f} /s, delay {delay}{missing}"
+        said.append(f"{name}: nothing comes" if stream.is_lost else rate)
+    if output is not None and output.now is not None:
+        said.append(f"sigma {100 * output.now.sigma_m:.1f} cm, {output.now.sigma_deg:.1f} degrees")
+    if output is not None and math.isfinite(output.clock_offset_s):
+        offset_ms, sigma_ms = 1e3 * output.clock_offset_s, 1e3 * output.clock_sigma_s
+        said.append(f"clock offset {offset_ms:+.1f} +- {sigma_ms:.1f} ms")
+    if output is not None and (dropped := sum(output.dropped.values())):
+        said.append(f"{dropped} dropped")
+    if output is not None and math.isfinite(output.step_ms):
+        said.append(f"step {output.step_ms:.1f} ms")
+    return [*said, f"load {100 * figures.load:.0f} %"]
+
+
+def _answer_words(figures: SessionFigures) -> str:
+    output = figures.output
     if output is None:
-        return ["nothing has come yet", *streams, load]
-    rest = []
-    if output.now is not None:
-        rest.append(f"sigma {100 * output.now.sigma_m:.1f} cm, {output.now.sigma_deg:.1f} degrees")
-    if math.isfinite(output.clock_offset_s):
-        offset = f"clock offset {1e3 * output.clock_offset_s:+.1f}"
-        rest.append(f"{offset} +- {1e3 * output.clock_sigma_s:.1f} ms")
-    if dropped := sum(output.dropped.values()):
-        rest.append(f"{dropped} dropped")
-    if math.isfinite(output.step_ms):
-        rest.append(f"step {output.step_ms:.1f} ms")
-    return [_state_words(figures, output), *streams, *rest, load]
-
-
-def _state_words(figures: SessionFigures, output: LiveOutput) -> str:
-    state = str(output.state)
-    if state == "calibrating":
-        return f"calibrating ({printable(output.calibration)})" if output.calibration else "calibrating"
-    if state == "lost":
+        return "nothing has come yet"
+    if output.state == "calibrating" and output.calibration:
+        return f"calibrating ({printable(output.calibration)})"
+    if output.state == "lost":
         is_lost = figures.imu.is_lost or figures.skeleton.is_lost
         return "a stream is lost: no answer" if is_lost else "no answer: catching up with the streams"
-    if state == "gap" and output.now is not None and output.now.since_s is not None:
+    if output.state == "gap" and output.now is not None and output.now.since_s is not None:
         return f"gap since {output.now_s - output.now.since_s:.1f} s"
-    return state
-
-
-def _stream_words(name: str, stream: StreamHealth, delay_s: float, now_s: float) -> str:
-    if stream.is_lost:
-        return f"{name}: nothing comes"
-    delay = f"{1e3 * delay_s:.0f} ms" if math.isfinite(delay_s) else "-"
-    missing = f", {stream.missing} missing" if stream.missing else ""
-    return f"{name} {stream.rate_hz(now_s):.1f} /s, delay {delay}{missing}"
+    return str(output.state)

@@ -294,13 +294,11 @@ class LagWindow:
                 self._axes = gravity_axes(self._values)
                 graph = self._graph()
             change_m, iterations = iteration.moved_m(X(newest.number)), iterations + 1
-        solution = self._solution(newest, settled, iteration, iterations)
+        solution = self._solution(newest, settled, iteration)
         self._leave(newest.t - self._length_s)
         return solution
 
-    def _solution(
-        self, newest: LagNode, settled: LagNode, iteration: LagIteration, iterations: int
-    ) -> LagSolution:
+    def _solution(self, newest: LagNode, settled: LagNode, iteration: LagIteration) -> LagSolution:
         """The solution with its covariance in physical coordinates, which follow GTSAM's own."""
         now, before = self._state(newest), self._state(settled)
         blocks: list[tuple[str, int, FloatArray]] = []
@@ -331,8 +329,6 @@ class LagWindow:
             shoulder=None if self._knot is None else np.asarray(self._values.atPoint3(S(self._knot))),
             covariance=physical @ iteration.covariance @ physical.T,
             rows=rows,
-            change_m=iteration.moved_m(X(newest.number)),
-            iterations=iterations,
         )
 
     def _graph(self) -> gtsam.NonlinearFactorGraph:

@@ -30,9 +30,10 @@ from ..selfcal.pairing import find_pairing
 from ..selfcal.rounds import self_calibrate
 from ..selfcal.self_calibration import SelfCalibration
 from ..window.priors import with_measured_noise
-from .buffers import FrameBuffer, ImuBuffer
+from .buffers import FrameBuffer
 from .camera_clock import USUAL_LATENCY_S, CameraClock
-from .further_imus import FurtherPlace, LiveImu
+from .further_imus import FEWEST_SAMPLES, FurtherPlace
+from .imu import LiveImu
 
 #: Joints that fit no better than this to any mounting and clock are not calibrated, m per axis.
 LARGEST_SIGMA_M = 0.10
@@ -179,7 +180,7 @@ def _prepare() -> None:
 #: Self-calibrations begin at this length and are tried at this interval until one works; then at these
 #: lengths, and at the interval of the last, s.
 FIRST_S, RETRY_S = 8.0, 2.0
-AGAIN_S = (15.0, 30.0, 60.0, 120.0)
+RENEWED_S = (15.0, 30.0, 60.0, 120.0)
 #: Squared errors are up to 2.5 times what the first of them says.
 FIRST_FACTOR = 1.25
 #: What a jump of the camera's clock leaves open where the motion shows it, s.
@@ -224,12 +225,12 @@ class Calibrations:
 
     def ask(
         self,
-        imu: ImuBuffer,
+        imus: Mapping[str, LiveImu],  # By segment, the forearm's first
         frames: FrameBuffer,
         camera: CameraClock,
-        worn: Mapping[str, LiveImu] | None = None,
     ) -> None:
         """Ask for the next one when it is time."""
+        imu, *further = imus.values()
         if self._calibrator.busy or not len(imu) or not len(frames):
             return
         arrival_offset_s = camera.delay_s - USUAL_LATENCY_S
@@ -238,7 +239,7 @@ class Calibrations:
             wait_s = FIRST_S
         else:
             start_s = self._asked_s
-            wait_s = RETRY_S if self.last is None else AGAIN_S[min(self._count, len(AGAIN_S)) - 1]
+            wait_s = RETRY_S if self.last is None else RENEWED_S[min(self._count, len(RENEWED_S)) - 1]
         if imu.end_s - start_s < wait_s:
             return
         self._asked_s, arm = imu.end_s, frames.tracks(-np.inf)
@@ -250,7 +251,9 @@ class Calibrations:
             camera_frame=self._camera_frame,
             gravity_hint=self._gravity_hint,
             name="live",
-            further_imus={name: each.sound_stream() for name, each in (worn or {}).items() if each},
+            further_imus={
+                each.segment.name: each.sound_stream() for each in further if len(each) >= FEWEST_SAMPLES
+            },
         )
         offset_s = arrival_offset_s if np.isnan(self.offset_s) else self.offset_s
         self._calibrator.submit(CalibrationJob(recording, self._given, self._config, offset_s))

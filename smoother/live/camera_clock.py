@@ -48,9 +48,6 @@ class CameraClock:
         self._doubtful: list[SkeletonFrame] = []
         self._cause = ShiftCause.OPEN
 
-    def __len__(self) -> int:
-        return len(self._usual)
-
     @property
     def delay_s(self) -> float:
         """Median time from a corrected stamp to the arrival, s: latency plus offset; nan without a frame."""

@@ -1,4 +1,4 @@
-"""IMUs on segments beyond the forearm: which of their samples count, and their part in a tracker's window."""
+"""IMUs on segments beyond the forearm: their part in a tracker's window."""
 
 from __future__ import annotations
 
@@ -9,30 +9,21 @@ from itertools import pairwise
 import numpy as np
 
 from ..array_types import FloatArray
-from ..body import FOREARM, BodySegment
 from ..graph.lag_window import LagWindow
 from ..measurements.inertial import ImuRun, imu_run
 from ..measurements.segment import Segment
 from ..measurements.visibility import accepted_samples
-from ..recording import ImuStream
 from ..selfcal.self_calibration import SelfCalibration
 from ..window.prepare import prepare_further
 from ..window.problem import States
 from ..window.solution import NodeState
-from .buffers import FrameBuffer, ImuBuffer
-from .imu_check import AGAIN_S
+from .buffers import FrameBuffer
+from .imu import LiveImu
 from .signal import BEFORE_S, LiveSignal, increments_between, propagated
 
-#: No sample for this long: it is left out and said, s.
-STOPPED_S = 0.5
-#: A pause that is longer interrupts it, s.
-LONGEST_PAUSE_S = 0.3
 #: It contradicts the rest of the arm where the mean squared error of its factors at the nodes of the last
 #: moments, s, is above this (a sound one's is 0.02 at most), in this many solutions in a row.
 LOOKED_S, CONTRADICTS, IN_A_ROW = 0.5, 0.3, 3
-#: It is left out for this long then, s, and twice as long where it had just been, up to this; it is called
-#: sound when it has fitted for this long, s.
-DOUBT_S, LONGEST_DOUBT_S, PROVED_S = 1.0, 8.0, 2.0
 #: Where it begins is read from this much before, s, with this many samples, and tried this often, s.
 AROUND_S, FEWEST_SAMPLES, EACH_S = 3.0, 40, 0.25
 #: Its first velocity is read off this many nodes.
@@ -46,76 +37,6 @@ class FurtherPlace:
     segment: str  # That it is on
     errors: FloatArray  # (2, 3, 3): scale errors of accelerometer and gyroscope
     shift_s: float  # What is added to its stamps: to the clock of the forearm's IMU
-
-
-class LiveImu:
-    """An IMU over a session: the forearm's, or one beyond it, which may be left out."""
-
-    def __init__(self, segment: BodySegment, capacity_s: float) -> None:
-        self.segment, self.buffer = segment, ImuBuffer(capacity_s)
-        self.doubted_s = self.usable_s = -np.inf
-        self.changed_s: float | None = None  # From when on its samples are others than before
-        self.because: tuple[str, ...] = ()  # What is wrong with its samples
-        self._has_stopped = False
-        self._doubt_s, self._contradicted_s = DOUBT_S, -np.inf
-
-    def add(self, batch: ImuStream) -> None:
-        """Take samples in."""
-        self.changed(self.buffer.add(batch))
-
-    def changed(self, since_s: float | None) -> None:
-        """Samples from some time on are others now."""
-        if since_s is not None:
-            self.changed_s = since_s if self.changed_s is None else min(self.changed_s, since_s)
-
-    def check(self, now_s: float) -> list[str]:
-        """Look at what came; a sentence where something is wrong with it, or is right again."""
-        if not len(self.buffer):
-            return []
-        self.changed(self.buffer.check())
-        end_s, before, self.because = self.buffer.end_s, self.because, self.buffer.doubtful_because
-        if self.segment is FOREARM:
-            new = [f"{why}; the camera is followed meanwhile" for why in self.because if why not in before]
-            return new + (["the IMU is plausible again"] if before and not self.because else [])
-        if self.because:
-            self._leave_out(end_s - AGAIN_S, end_s)
-        if end_s < self._contradicted_s + PROVED_S:
-            self.because = (*self.because, "it contradicts the rest of the arm")
-        name, notes = f"the IMU on the {self.segment.label}", []
-        if bool(self.because) != bool(before):
-            why = f"left out: {'; '.join(self.because)}" if self.because else "plausible again"
-            notes.append(f"{name} is {why}")
-        has_stopped = now_s - end_s > STOPPED_S
-        if has_stopped != self._has_stopped:
-            notes.append(f"{name} is left out: it has stopped" if has_stopped else f"{name} is back")
-        self._has_stopped = has_stopped
-        return notes
-
-    def contradicted(self, since_s: float) -> None:
-        """The rest of the arm contradicts its samples from a stamp on."""
-        end_s = self.buffer.end_s
-        again = end_s < self._contradicted_s + PROVED_S + 1.0
-        self._doubt_s = min(2.0 * self._doubt_s, LONGEST_DOUBT_S) if again else DOUBT_S
-        self._contradicted_s = end_s + self._doubt_s
-        self._leave_out(since_s, self._contradicted_s)
-
-    def _leave_out(self, since_s: float, until_s: float) -> None:
-        """Samples between two stamps do not take part."""
-        if since_s > self.usable_s:
-            self.doubted_s = since_s
-        self.usable_s = max(self.usable_s, until_s)
-
-    def __bool__(self) -> bool:
-        """It has sent samples enough for a look."""
-        return len(self.buffer) >= FEWEST_SAMPLES
-
-    def sound_stream(self) -> ImuStream:
-        """All of its samples but for stretches that are doubtful."""
-        return replace(self.buffer.sound_stream(), name=f"the IMU on the {self.segment.label}")
-
-    def usable_since_s(self) -> float:
-        """From which stamp on its samples can be used without a pause, s."""
-        return max(self.usable_s, self.buffer.since_pause_s(LONGEST_PAUSE_S, AROUND_S))
 
 
 def integrate_again(window: LagWindow, signal: LiveSignal, segment: str, since_s: float) -> None:
@@ -143,20 +64,20 @@ class SegmentFollower:
     ) -> None:
         self.worn, self._place, self._model = worn, place, model
         self._frames, self._offset_s = frames, offset_s
-        self._signal = LiveSignal(worn.buffer, place.errors, place.shift_s)
+        self._signal = LiveSignal(worn, place.errors, place.shift_s)
         self._tried_s, self._bad = -np.inf, 0
 
     def follow(self, window: LagWindow) -> None:
         """Add what its samples reach; leave out what is doubtful."""
         name, shift_s = self.worn.segment.name, self._place.shift_s
-        if not len(self.worn.buffer):
+        if not len(self.worn):
             return
         t, at = window.t, window.nodes_of(name)
         doubted_s, usable_s = self.worn.doubted_s + shift_s, self.worn.usable_s + shift_s
         if any(doubted_s <= t[k] < usable_s for k in at):
             window.detach(name, doubted_s)
             at = window.nodes_of(name)
-        since_s = self.worn.usable_since_s() + shift_s
+        since_s = max(self.worn.usable_s, self.worn.since_pause_s(AROUND_S)) + shift_s
         if not at or t[at[-1]] < since_s:
             at = self._begin(window, since_s, at)
         if not at:
@@ -173,16 +94,18 @@ class SegmentFollower:
     def judge(self, window: LagWindow) -> None:
         """Leave it out where a solved window shows that it contradicts the rest of the arm."""
         t, name = window.t, self.worn.segment.name
-        is_bad = window.misfit(name, t[-1] - LOOKED_S) > CONTRADICTS
-        self._bad = self._bad + 1 if is_bad else 0
+        self._bad = self._bad + 1 if window.misfit(name, t[-1] - LOOKED_S) > CONTRADICTS else 0
         if self._bad >= IN_A_ROW:
-            self.worn.contradicted(t[0] - self._place.shift_s)
+            self.worn.contradicted_by_arm(t[0] - self._place.shift_s)
             window.detach(name, t[0])
             self._bad = 0
 
-    def integrate_again(self, window: LagWindow, since_s: float) -> None:
-        """Integrate the intervals anew that samples from a stamp on belong to."""
-        integrate_again(window, self._signal, self.worn.segment.name, since_s + self._place.shift_s)
+    def mend(self, window: LagWindow) -> None:
+        """Integrate the intervals anew whose samples have changed."""
+        if self.worn.changed_s is not None:
+            since_s = self.worn.changed_s + self._place.shift_s
+            integrate_again(window, self._signal, self.worn.segment.name, since_s)
+            self.worn.changed_s = None
 
     def _begin(self, window: LagWindow, since_s: float, before: Sequence[int]) -> list[int]:
         """Begin at a node with what camera and IMU say around it; its index, or none."""
@@ -204,7 +127,7 @@ class SegmentFollower:
     def _run(self, start_s: float, end_s: float) -> ImuRun | None:
         """Its samples between two times of the forearm IMU's clock, with their attitude."""
         shift_s = self._place.shift_s
-        imu = self.worn.buffer.stream(start_s - shift_s, end_s - shift_s)
+        imu = self.worn.stream(start_s - shift_s, end_s - shift_s)
         if len(imu) < FEWEST_SAMPLES:
             return None
         accelerometer, gyroscope = np.eye(3) - self._place.errors

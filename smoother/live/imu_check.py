@@ -45,7 +45,7 @@ MOVING_RATE, MOVING_FORCE = 0.15, 0.6
 #: .. or where repeats were no more than this share of the samples before, and this many come in a row.
 USUAL_REPEATS, UNUSUAL = 0.02, 8
 #: With every sample this much is looked at again, s, and this much before it is its context, s.
-AGAIN_S, CONTEXT_S = 0.5, 0.5
+LOOKED_AGAIN_S, CONTEXT_S = 0.5, 0.5
 
 
 class ImuCheck:

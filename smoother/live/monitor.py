@@ -10,7 +10,6 @@ IMU's: the camera leads for a while.
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable
 from dataclasses import dataclass
 from enum import Enum
 
@@ -22,8 +21,9 @@ from ..recording import FOREARM_JOINTS, JOINTS
 from ..selfcal.self_calibration import SelfCalibration
 from ..window.problem import NoiseModel
 from ..window.solution import LagSolution
+from .imu import Suspicion
 from .prediction import joint_at, predict
-from .signal import DoubtfulSignal
+from .signal import LiveSignal
 
 #: A joint contradicts where its squared error in sigmas is above this (three axes), and farther off, m.
 CONTRADICTS, CONTRADICTS_M = 30.0, 0.06
@@ -54,8 +54,8 @@ OTHER_LENGTH, OTHER_SIGMAS = 0.15, 4.0
 #: A joint jumps by itself where it is this far from its own last motion, m, and by this share of what it is
 #: from the prediction.
 JUMPS_M, JUMPS_SHARE = 0.12, 0.5
-#: The IMU is doubted for this long, s, and twice as long where it had just been, up to this.
-DOUBT_S, LONGEST_DOUBT_S = 0.5, 4.0
+#: The IMU is doubted for so long, s, and twice as long, up to the second, where it was within the third.
+DOUBT_S, LONGEST_DOUBT_S, DOUBTED_AGAIN_S = 0.5, 4.0, 2.0
 #: .. and from this long before a frame that contradicts at once.
 DOUBT_BEFORE_S = 0.2
 #: Values that repeat while the IMU turns or is shaken, rad/s and m/s^2.
@@ -110,31 +110,6 @@ class JointResiduals:
         return np.asarray(np.linalg.norm(self.residual[self.used], axis=1))
 
 
-def residuals_of(
-    solution: LagSolution,
-    signal: DoubtfulSignal,
-    t_s: float,
-    position: FloatArray,  # (5, 3) m
-    accepted: BoolArray,  # bool (5,)
-    model: SelfCalibration,
-    noise: NoiseModel,
-) -> JointResiduals | None:
-    """A frame against a solution before it."""
-    names, used = list(solution.levers), np.zeros(len(JOINTS), bool)
-    used[[k for k in _COLUMNS if accepted[k] and JOINTS[k] in names]] = True
-    if not used.any() or t_s < solution.newest.t - 1e-6:
-        return None
-    prediction = predict(solution.newest, solution, signal, t_s, noise)
-    state, whole = prediction.state, prediction.covariance(solution, names)
-    place, covariance = np.full((len(JOINTS), 3), np.nan), np.full((len(JOINTS), 3, 3), np.nan)
-    for k in np.flatnonzero(used):
-        number = names.index(JOINTS[k])
-        place[k], spread = joint_at(state.R, state.p, solution.levers[JOINTS[k]], number, whole)
-        covariance[k] = spread + (model.joint_sigma_m[k] ** 2 + SLOW_M**2) * np.eye(3)
-    predicted_m = float(np.sqrt(np.linalg.eigvalsh(whole[3:6, 3:6])[-1]))
-    return JointResiduals(position - place, covariance, place, predicted_m, used)
-
-
 @dataclass(frozen=True)
 class _Seen:
     """A frame that was looked at: its time, raw joints, residuals against the solution half a second ago."""
@@ -154,8 +129,8 @@ class _Seen:
 class CameraMonitor:
     """Compares every frame with the answer."""
 
-    def __init__(self, model: SelfCalibration, noise: NoiseModel) -> None:
-        self._model, self._noise = model, noise
+    def __init__(self, model: SelfCalibration, noise: NoiseModel, signal: LiveSignal) -> None:
+        self._model, self._noise, self._signal = model, noise, signal
         self.since_s: float | None = None
         self.sound_since_s = np.inf
         self._limit_s, self._jump_m = LONGEST_S, np.inf
@@ -164,7 +139,7 @@ class CameraMonitor:
         self._waited: deque[tuple[_Seen, JointResiduals]] = deque(maxlen=LOOKED_AT // 2)
         self._bad = self._fits = self._repeats = self._resting = 0
         self._count = 0
-        self._doubt_s, self._doubted_until_s = DOUBT_S, -np.inf
+        self._suspicion = Suspicion(DOUBT_S, LONGEST_DOUBT_S, DOUBTED_AGAIN_S)
         self._visible_s = -np.inf
 
     def solved(self, solution: LagSolution) -> None:
@@ -180,7 +155,6 @@ class CameraMonitor:
         position: FloatArray,  # (5, 3) m
         accepted: BoolArray,  # bool (5,)
         solution: LagSolution | None,
-        signal_since: Callable[[float], DoubtfulSignal],
     ) -> FrameFinding:
         """Which joints of a frame are used, and whether something is wrong."""
         if solution is None:
@@ -188,20 +162,15 @@ class CameraMonitor:
         accepted = self._with_shoulder(accepted, position, solution)
         if not accepted[_COLUMNS].any():
             return FrameFinding(accepted)
-        if self._is_frozen(t_s, position, accepted, signal_since):
+        if self._is_frozen(t_s, position, accepted):
             return self._left_out(t_s, "its joints repeat while the IMU moves", np.inf)
-
-        def against(earlier: LagSolution) -> JointResiduals | None:
-            signal = signal_since(earlier.newest.t)
-            return residuals_of(earlier, signal, t_s, position, accepted, self._model, self._noise)
-
-        now = against(solution)
+        now = self._against(solution, t_s, position, accepted)
         if now is None:
             return FrameFinding(accepted)
         first = self._solutions[0] if self._solutions else None
         before, self._count = None, self._count + 1
         if first is not None and self._count % EACH == 0 and t_s - first.newest.t < 2.0 * BEFORE_S:
-            before = against(first)
+            before = self._against(first, t_s, position, accepted)
         self._seen.append(_Seen(t_s, position, accepted, before, now))
         self._resting = self._resting + 1 if self._rests_while_turning() else 0
         if self.since_s is not None:
@@ -227,6 +196,25 @@ class CameraMonitor:
         left[np.flatnonzero(now.used)[wrong]] = False
         return FrameFinding(left)
 
+    def _against(
+        self, solution: LagSolution, t_s: float, position: FloatArray, accepted: BoolArray
+    ) -> JointResiduals | None:
+        """A frame against a solution before it."""
+        names, used = list(solution.levers), np.zeros(len(JOINTS), bool)
+        used[[k for k in _COLUMNS if accepted[k] and JOINTS[k] in names]] = True
+        if not used.any() or t_s < solution.newest.t - 1e-6:
+            return None
+        signal = self._signal.since(solution.newest.t)
+        prediction = predict(solution.newest, solution, signal, t_s, self._noise)
+        state, whole = prediction.state, prediction.covariance(solution, names)
+        place, covariance = np.full((len(JOINTS), 3), np.nan), np.full((len(JOINTS), 3, 3), np.nan)
+        for k in np.flatnonzero(used):
+            number = names.index(JOINTS[k])
+            place[k], spread = joint_at(state.R, state.p, solution.levers[JOINTS[k]], number, whole)
+            covariance[k] = spread + (self._model.joint_sigma_m[k] ** 2 + SLOW_M**2) * np.eye(3)
+        predicted_m = float(np.sqrt(np.linalg.eigvalsh(whole[3:6, 3:6])[-1]))
+        return JointResiduals(position - place, covariance, place, predicted_m, used)
+
     def _with_shoulder(self, accepted: BoolArray, position: FloatArray, solution: LagSolution) -> BoolArray:
         """Without a shoulder that is not where it was, or of a camera that is left out."""
         if not accepted[_SHOULDER] or solution.shoulder is None:
@@ -238,13 +226,7 @@ class CameraMonitor:
         left[_SHOULDER] = False
         return left
 
-    def _is_frozen(
-        self,
-        t_s: float,
-        position: FloatArray,
-        accepted: BoolArray,
-        signal_since: Callable[[float], DoubtfulSignal],
-    ) -> bool:
+    def _is_frozen(self, t_s: float, position: FloatArray, accepted: BoolArray) -> bool:
         """Whether the joints repeat exactly while the IMU moves."""
         if not self._seen or not (position == self._seen[-1].position)[accepted].all():
             self._repeats = 0
@@ -253,7 +235,7 @@ class CameraMonitor:
         if self._repeats < FROZEN_REPEATS:
             return False
         edges = np.linspace(t_s - 0.1, t_s, 6)
-        signal = signal_since(edges[0])
+        signal = self._signal.since(edges[0])
         if signal.end_s < t_s - 0.03:
             return False
         rate = signal.mean(edges[:-1], edges[1:])
@@ -305,15 +287,11 @@ class CameraMonitor:
 
     def _imu_wrong(self, t_s: float, since_s: float, accepted: BoolArray) -> FrameFinding:
         """The camera's motion is smooth and not what the IMU says: the camera leads."""
-        again = since_s < self._doubted_until_s + 2.0
-        self._doubt_s = min(2.0 * self._doubt_s, LONGEST_DOUBT_S) if again else DOUBT_S
-        self._doubted_until_s = t_s + self._doubt_s
+        again = self._suspicion.renew(since_s, t_s)
         self._solutions.clear()
         self._bad, self.sound_since_s = 0, np.inf
-        sentence = "" if again else _IMU_WRONG
-        return FrameFinding(
-            accepted, Culprit.IMU, sentence, doubt_s=(since_s, self._doubted_until_s), again=again
-        )
+        doubt_s, sentence = (since_s, self._suspicion.until_s), "" if again else _IMU_WRONG
+        return FrameFinding(accepted, Culprit.IMU, sentence, doubt_s=doubt_s, again=again)
 
     def _contradicted(self, t_s: float, first: LagSolution, accepted: BoolArray) -> FrameFinding:
         """The last half second does not fit to the IMU: say who is wrong."""

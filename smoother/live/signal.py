@@ -19,7 +19,7 @@ from ..measurements.segment import without_spikes
 from ..recording import ImuStream
 from ..window.problem import ImuIncrements
 from ..window.solution import NodeState
-from .buffers import ImuBuffer
+from .imu import LiveImu
 
 #: The signal begins this long before what is integrated, s: the spline's end has no effect there.
 BEFORE_S = 0.1
@@ -61,7 +61,7 @@ class DoubtfulSignal(InertialSignal):
 class LiveSignal:
     """The IMU's samples as a signal with one calibration; made anew when samples have come."""
 
-    def __init__(self, imu: ImuBuffer, errors: FloatArray, shift_s: float = 0.0) -> None:
+    def __init__(self, imu: LiveImu, errors: FloatArray, shift_s: float = 0.0) -> None:
         self._imu, self._shift_s = imu, shift_s
         self._scale = tuple(np.eye(3) - matrix for matrix in errors)
         self._cached: tuple[int, float, DoubtfulSignal] | None = None

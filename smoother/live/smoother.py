@@ -19,9 +19,9 @@ from .buffers import FrameBuffer, SkeletonFrame
 from .calibrations import JUMP_SIGMA_S, BackgroundCalibrator, Calibrations, InlineCalibrator
 from .camera_clock import USUAL_LATENCY_S, CameraClock, Shift, ShiftCause
 from .display import Display, predicted
-from .further_imus import LiveImu, SegmentFollower
+from .imu import LONGEST_PAUSE_S, LiveImu
 from .monitor import Culprit
-from .tracker import AROUND_S, LENGTH_S, LONGEST_PAUSE_S, Tracker, first_state
+from .tracker import AROUND_S, LENGTH_S, Tracker, first_state
 
 #: Samples are held for this long: what a self-calibration may read, s.
 BUFFER_S = 120.0
@@ -29,7 +29,7 @@ BUFFER_S = 120.0
 MOST_FRAMES = 12
 #: Without frames, nodes are this far apart, s, and come this long after the frames' usual delay.
 EMPTY_S = 0.1
-#: No sample of the IMU for this long: it is lost, s.
+#: No sample of the forearm's IMU for this long: there is no answer, s.
 LOST_S = 0.5
 #: A first tracker begins this long before the present, s, and catches up by this many frames a step: ten take
 #: 13 to 17 ms of processor time, so that a step stays within 20 ms.
@@ -39,7 +39,7 @@ SUCCESSOR_FRAMES = 2
 #: After a pause of the IMU this much is needed to begin anew, s.
 FRESH_S = 1.0
 #: The camera must not have contradicted a first tracker for this long, s.
-PROVED_S = 0.8
+UNCONTRADICTED_S = 0.8
 
 
 class LiveSmoother:
@@ -65,15 +65,13 @@ class LiveSmoother:
         about = self._calibrator, side, given, self._config, gravity_hint, camera_frame
         self._calibrations = Calibrations(*about)
         self._imus = {name: LiveImu(SEGMENTS[name], BUFFER_S) for name in (FOREARM.name, *further)}
-        self._forearm = self._imus[FOREARM.name]
-        self._imu = self._forearm.buffer
+        self._imu = self._imus[FOREARM.name]
         self._display = Display(lag_s)
         # who follows the arm, and who catches up beside with a newer calibration and takes its place
         self._tracker: Tracker | None = None
         self._successor: Tracker | None = None
         self._waits_for_sight = self._has_followed = False
         self._not_before_s = -np.inf
-        self._late: list[SkeletonFrame] = []
         self._backlog = 0
         self._state = LiveState.CALIBRATING
         self._notes: list[str] = []
@@ -98,7 +96,7 @@ class LiveSmoother:
         for each in frames:
             is_new = self._frames.add(each)
             if is_new and self._tracker is not None and each.t_s <= self._tracker.cursor_s:
-                self._late.append(each)
+                self._tracker.late.append(each)
 
     def _jumped(self, jump: Shift) -> None:
         """Frames come at other times after their stamps: was the clock set, or is the camera later?"""
@@ -119,8 +117,7 @@ class LiveSmoother:
             self._waits_for_sight = self._tracker is not None
             self._successor = None if self._waits_for_sight else self._fresh()
             self._notes += self._calibrations.left_out()
-        further = {name: each for name, each in self._imus.items() if each is not self._forearm}
-        self._calibrations.ask(self._imu, self._frames, self._camera, further)
+        self._calibrations.ask(self._imus, self._frames, self._camera)
         self._hand_over(now_s)
         # 2. What has arrived, into the window; the past is corrected.
         self._follow(now_s)
@@ -175,27 +172,21 @@ class LiveSmoother:
                 self._not_before_s = max(self._not_before_s, now_s - FRESH_S)
             self._successor = self._fresh() if before is None else None
             return
-        if successor.solution is None or self._due(successor) or not self._is_proved(successor):
+        if successor.solution is None or successor.due() or not self._is_proved(successor):
             return
         self._tracker, self._successor, self._has_followed = successor, None, True
         if before is not None and before.solution is not None:
             self._display.spread(predicted(before, before.solution, now_s), successor, now_s)
 
-    def _due(self, tracker: Tracker) -> list[SkeletonFrame]:
-        """Frames that a tracker has not seen and the IMU reaches."""
-        frames = self._frames.since(np.nextafter(tracker.cursor_s, np.inf))
-        reach_s = self._imu.end_s - tracker.offset_s
-        return [frame for frame in frames if frame.t_s <= reach_s]
-
     def _is_proved(self, successor: Tracker) -> bool:
         """Whether the camera has not contradicted it for some time; after a pause none is needed."""
         if self._tracker is not None or (self._has_followed and not np.isfinite(self._not_before_s)):
             return successor.monitor.since_s is None
-        return successor.t_s - successor.monitor.sound_since_s >= PROVED_S
+        return successor.t_s - successor.monitor.sound_since_s >= UNCONTRADICTED_S
 
     def _start(self, successor: Tracker, now_s: float) -> None:
         """Begin some seconds ago, where the streams suffice."""
-        since_s = self._imu.since_pause_s(LONGEST_PAUSE_S, CATCH_UP_S + AROUND_S)
+        since_s = self._imu.since_pause_s(CATCH_UP_S + AROUND_S)
         since_s = max(since_s, self._not_before_s)
         if self._imu.end_s - since_s < FRESH_S:
             return
@@ -213,7 +204,7 @@ class LiveSmoother:
 
     def _catch_up(self, successor: Tracker, now_s: float) -> bool:
         """Feed some frames; False where these did not determine the motion."""
-        ready = self._due(successor)[: CATCH_UP_FRAMES if self._tracker is None else SUCCESSOR_FRAMES]
+        ready = successor.due()[: CATCH_UP_FRAMES if self._tracker is None else SUCCESSOR_FRAMES]
         if ready:
             successor.feed(ready)
         return not ready or self._solved(successor, now_s)
@@ -228,17 +219,11 @@ class LiveSmoother:
 
     def _fresh(self) -> Tracker | None:
         """A tracker with the last calibration, not yet begun; what the active one has learnt counts."""
-        calibration = self._calibrations.last
-        if calibration is None or calibration.model is None:
+        if self._calibrations.last is None:
             return None
-        model, offset_s = calibration.model, self._calibrations.offset_s
-        further = [
-            SegmentFollower(self._imus[place.segment], place, model, self._frames, offset_s)
-            for place in calibration.further
-        ]
+        about = self._calibrations.last, self._calibrations.offset_s, self._calibrations.needed, self._config
         length_s = max(LENGTH_S, self._lag_s + 0.3)
-        needed, before = self._calibrations.needed, self._tracker
-        return Tracker(model, offset_s, needed, self._config, self._imu, length_s, before, further)
+        return Tracker(*about, self._imus, self._frames, length_s, self._tracker)
 
     # 2. The window
 
@@ -246,12 +231,12 @@ class LiveSmoother:
         """Feed the window with what has arrived, and solve it."""
         tracker = self._tracker
         if tracker is None:
-            self._late, self._forearm.changed_s = [], None
+            self._imu.changed_s = None
             return
         if tracker.pause_s() > LONGEST_PAUSE_S:
             self._lose("the IMU's samples paused: the smoother restarts")
             return
-        solved, changed, ready = tracker.solution, self._mend(tracker), self._due(tracker)
+        solved, changed, ready = tracker.solution, tracker.mend(), tracker.due()
         if len(ready) > MOST_FRAMES:
             self._backlog += len(ready) - MOST_FRAMES
             self._notes.append(f"behind by {len(ready)} frames: dropped all but the newest {MOST_FRAMES}")
@@ -271,18 +256,14 @@ class LiveSmoother:
 
     def _heed(self, tracker: Tracker, now_s: float) -> bool:
         """Act on what the monitor of the camera found; False where the tracker is lost by it."""
-        for stamp_s in tracker.left_out:
-            self._frames.leave_out(stamp_s, np.nextafter(stamp_s, np.inf))
-        tracker.left_out.clear()
-        findings, tracker.findings = tracker.findings, []
-        for finding in findings:
+        for finding in tracker.leave_out():
             if finding.cause is Culprit.TRACKER:
                 self._frames.restore()
                 self._lose(finding.sentence, now_s)
                 return False
             self._notes += [finding.sentence] if finding.sentence else []
             if finding.cause is Culprit.IMU:
-                self._forearm.changed(self._imu.contradicted(*finding.doubt_s))
+                self._imu.contradicted(*finding.doubt_s)
                 if finding.again:
                     self._calibrations.clock_doubted()
             elif finding.cause is Culprit.CAMERA:
@@ -291,28 +272,9 @@ class LiveSmoother:
                 self._frames.confirm()
         return True
 
-    def _mend(self, tracker: Tracker) -> bool:
-        """Work in what came late; whether anything did."""
-        changed = self._forearm.changed_s is not None
-        for follower in tracker.further:
-            if follower.worn.changed_s is not None:
-                follower.integrate_again(tracker.window, follower.worn.changed_s)
-                follower.worn.changed_s = None
-        if self._forearm.changed_s is not None:
-            tracker.integrate_again(self._forearm.changed_s)
-            self._forearm.changed_s = None
-        for frame in self._late:
-            if tracker.feed_late(frame):
-                changed = True
-            else:
-                self._frames.late += 1
-        self._late = []
-        return changed
-
     def _lose(self, why: str, not_before_s: float = -np.inf) -> None:
         """Begin anew with the calibration that is there, with nothing from before a time."""
         self._notes.append(why)
-        self._late = []
         self._display.forget()
         self._not_before_s = not_before_s
         self._tracker, self._waits_for_sight = None, False
@@ -332,7 +294,7 @@ class LiveSmoother:
         if self._tracker.monitor.since_s is not None:
             return "the camera is left out: it contradicts the IMU"
         if self._imu.is_doubted:
-            return "; ".join(self._forearm.because) or "the IMU contradicts the camera"
+            return "; ".join(self._imu.because) or "the IMU contradicts the camera"
         return "the first calibration, of some seconds" if self._calibrations.sigma_factor != 1.0 else ""
 
     @property

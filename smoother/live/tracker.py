@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from bisect import bisect_left, bisect_right, insort
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -28,8 +28,10 @@ from ..window.problem import Priors
 from ..window.shared import Gaussian
 from ..window.solution import LagSolution, NodeState
 from .answers import LiveState
-from .buffers import ImuBuffer, SkeletonFrame
+from .buffers import FrameBuffer, SkeletonFrame
+from .calibrations import LiveCalibration
 from .further_imus import SegmentFollower, integrate_again
+from .imu import LiveImu
 from .monitor import CameraMonitor, Culprit, FrameFinding
 from .signal import DoubtfulSignal, LiveSignal, increments_between, propagated
 
@@ -122,9 +124,7 @@ LENGTH_S = 1.2
 #: A frame nearer than this to the newest node joins it, s.
 SAME_S = 0.004
 #: A gap that ends after this shows where the arm is by the camera alone, s.
-AGAIN_S = 0.2
-#: No window leads over a pause of the IMU that is longer, s.
-LONGEST_PAUSE_S = 0.3
+SEEN_AGAIN_S = 0.2
 #: What one calibration has learnt counts for the next with this much wider sigmas.
 WIDER = 2.0
 
@@ -134,25 +134,32 @@ class Tracker:
 
     def __init__(
         self,
-        model: SelfCalibration,
+        calibration: LiveCalibration,
         offset_s: float,
         needed: int,
         config: Config,
-        imu: ImuBuffer,
+        imus: Mapping[str, LiveImu],  # By segment, the forearm's first
+        frames: FrameBuffer,
         length_s: float = LENGTH_S,
         before: Tracker | None = None,
-        further: Sequence[SegmentFollower] = (),
     ) -> None:
-        self.model, self.offset_s, self._needed = model, offset_s, needed
+        assert calibration.model is not None
+        self.model = model = calibration.model
+        self.offset_s, self._needed, self._frames, self._imu = offset_s, needed, frames, imus[FOREARM.name]
         self.noise = noise_of(config, model.upper_arm_sigma_m, model.estimate)
         priors = first_priors(model.initial, model.estimate, config)
         if before is not None and before.solution is not None:
             priors = _with_learnt(priors, before.solution)
         self.window = LagWindow(priors, self.noise, model.joint_sigma_m, length_s)
-        self.signal, self.history = LiveSignal(imu, model.errors.imu), FrameHistory()
-        self.monitor, self.further = CameraMonitor(model, self.noise), further
+        self.signal, self.history = LiveSignal(self._imu, model.errors.imu), FrameHistory()
+        self.monitor = CameraMonitor(model, self.noise, self.signal)
+        self._further = [
+            SegmentFollower(imus[place.segment], place, model, frames, offset_s)
+            for place in calibration.further
+        ]
         self.findings: list[FrameFinding] = []
-        self.left_out: list[float] = []
+        self.late: list[SkeletonFrame] = []  # that came after later ones
+        self._left_out: list[float] = []
         self._located = np.array(JOINTS)[located(model.estimate)].tolist()
         self._forces: deque[tuple[float, FloatArray]] = deque()
         self.solution: LagSolution | None = None
@@ -173,6 +180,14 @@ class Tracker:
         """Time of the newest node, s."""
         return float(self.window.t[-1])
 
+    def due(self) -> list[SkeletonFrame]:
+        """Frames that it has not seen and the IMU reaches."""
+        frames, reach_s = (
+            self._frames.since(np.nextafter(self.cursor_s, np.inf)),
+            self._imu.end_s - self.offset_s,
+        )
+        return [frame for frame in frames if frame.t_s <= reach_s]
+
     def feed(self, frames: Sequence[SkeletonFrame]) -> float | None:
         """Add frames in order of time, each as a node or at one."""
         ended = None
@@ -182,7 +197,7 @@ class Tracker:
             position = frame.position - self.model.joint_bias.error_m
             accepted = self._judged(frame.t_s, t_s, position, self.accepted(frame))
             is_visible = self.is_visible(accepted)
-            again = is_visible and t_s - self.history.visible_s > AGAIN_S
+            again = is_visible and t_s - self.history.visible_s > SEEN_AGAIN_S
             if again and ended is None:
                 ended = self.history.visible_s
             if t_s - self.t_s > SAME_S:
@@ -198,13 +213,13 @@ class Tracker:
 
     def _judged(self, stamp_s: float, t_s: float, position: FloatArray, accepted: BoolArray) -> BoolArray:
         """Which of a frame's accepted joints are used; what the monitor finds is noted, and taken back."""
-        finding = self.monitor.judge(t_s, position, accepted, self.solution, self.signal.since)
+        finding = self.monitor.judge(t_s, position, accepted, self.solution)
         if finding.cause is not Culprit.NOBODY or finding.sentence:
             self.findings.append(finding)
         if np.isfinite(finding.retract_s):
             self.window.retract(finding.retract_s)
         if accepted.any() and not finding.accepted.any():
-            self.left_out.append(stamp_s)
+            self._left_out.append(stamp_s)
         return finding.accepted
 
     def go_on(self, t_s: float) -> None:
@@ -212,30 +227,49 @@ class Tracker:
         signal = self.signal.since(self.t_s)
         self._add(self._propagated(t_s, signal), False, signal)
 
-    def feed_late(self, frame: SkeletonFrame) -> bool:
+    def leave_out(self) -> list[FrameFinding]:
+        """Take the frames that it did not use from what a calibration reads; what was found since then."""
+        for stamp_s in self._left_out:
+            self._frames.leave_out(stamp_s, np.nextafter(stamp_s, np.inf))
+        findings, self.findings, self._left_out = self.findings, [], []
+        return findings
+
+    def mend(self) -> bool:
+        """Work in what came late; whether anything did."""
+        changed = self._imu.changed_s is not None
+        for follower in self._further:
+            follower.mend(self.window)
+        if self._imu.changed_s is not None:
+            integrate_again(self.window, self.signal, FOREARM.name, self._imu.changed_s)
+            self._imu.changed_s = None
+        for frame in self.late:
+            if self._feed_late(frame):
+                changed = True
+            else:
+                self._frames.late += 1
+        self.late = []
+        return changed
+
+    def _feed_late(self, frame: SkeletonFrame) -> bool:
         """Add a late frame at the node nearest to it, where the IMU puts it; False where that has left."""
         t, t_s = self.window.t, frame.t_s + self.offset_s
         if t_s < t[0] - SAME_S:
             return False
-        accepted = self.accepted(frame)
-        node = self.window.state(int(np.argmin(np.abs(t - t_s))))
+        accepted, nearest = self.accepted(frame), int(np.argmin(np.abs(t - t_s)))
+        node = self.window.state(nearest)
         position = frame.position - self.model.joint_bias.error_m
         if abs(node.t - t_s) > 1e-6:
             position = position - self._shift(node, t_s)
-        self._measure(int(np.argmin(np.abs(t - t_s))), position, accepted)
+        self._measure(nearest, position, accepted)
         self.history.add(t_s, self.is_visible(accepted))
         return True
 
-    def integrate_again(self, since_s: float) -> None:
-        """Integrate the intervals anew that late samples belong to."""
-        integrate_again(self.window, self.signal, FOREARM.name, since_s)
-
     def solve(self, settled_s: float) -> LagSolution:
         """Solve the window, with what the IMUs beyond the forearm reach."""
-        for follower in self.further:
+        for follower in self._further:
             follower.follow(self.window)
         self.solution = self.window.solve(settled_s)
-        for follower in self.further:
+        for follower in self._further:
             follower.judge(self.window)
         self.monitor.solved(self.solution)
         return self.solution

@@ -7,45 +7,17 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
-from functools import partial
+from dataclasses import dataclass, field, replace
 from queue import SimpleQueue
-from typing import Any, Generic, Protocol, TypeVar
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..array_types import FloatArray, IntArray
+from ..array_types import FloatArray
 from ..live.answers import LiveOutput
 from ..measurements.visibility import Gap
-from ..recording import JOINTS, CameraFrame
-
-Rows = TypeVar("Rows", bound="StreamRows")
-
-
-class StreamRows:
-    """What a stream sent, in the order in which it came; each column has a row for everything that came."""
-
-    t_s: FloatArray
-    arrival_s: FloatArray
-
-    def __len__(self) -> int:
-        return len(self.t_s)
-
-    def select(self: Rows, rows: IntArray | slice) -> Rows:
-        """Some of the rows."""
-        return type(self)(**{k: None if column is None else column[rows] for k, column in vars(self).items()})
-
-    def stamped(self: Rows, t_s: FloatArray) -> Rows:
-        """The same rows with other stamps (n,), s."""
-        return type(self)(**{**vars(self), "t_s": t_s})
-
-    @classmethod
-    def joined(cls: type[Rows], rows: Sequence[Rows]) -> Rows:
-        """One after the other, with the columns that all of them have."""
-        columns = {name: [vars(one)[name] for one in rows] for name in vars(cls())}
-        known = {name: each for name, each in columns.items() if not any(c is None for c in each)}
-        return cls(**{name: np.concatenate(each) for name, each in known.items()}) if rows else cls()
+from ..recording import CameraFrame
 
 
 def drained(queue: SimpleQueue[Any]) -> list[Any]:
@@ -53,45 +25,49 @@ def drained(queue: SimpleQueue[Any]) -> list[Any]:
     return [queue.get_nowait() for _ in range(queue.qsize())]
 
 
-def _none(*row: int, dtype: type = float) -> Callable[[], NDArray]:
-    """Makes a column without a row."""
-    return partial(np.empty, (0, *row), dtype)
-
-
 @dataclass(frozen=True)
-class ImuRows(StreamRows):
-    """Samples of the IMU."""
+class Rows:
+    """What a stream sent, in the order in which it came."""
 
-    t_s: FloatArray = field(default_factory=_none())  # (n,) s: stamps
-    acc: FloatArray = field(default_factory=_none(3))  # (n, 3) m/s^2: specific force in {A}
-    gyro: FloatArray = field(default_factory=_none(3))  # (n, 3) rad/s: angular velocity in {A}
+    t_s: FloatArray = field(default_factory=lambda: np.empty(0))  # (n,) s: stamps
     # (n,) s: when they came, on the session's clock
-    arrival_s: FloatArray = field(default_factory=_none())
-    mag: FloatArray | None = None  # (n, 3): magnetic field in the sensor's unit
+    arrival_s: FloatArray = field(default_factory=lambda: np.empty(0))
+    # Of an IMU `acc` (n, 3) m/s^2, `gyro` (n, 3) rad/s in {A}, maybe `mag` (n, 3) in the sensor's unit; of a
+    # camera `position` (n, 5, 3) m in {K}, nan where there is none, and `state` (n, 5); else `values`
+    columns: Mapping[str, NDArray] = field(default_factory=dict)
 
+    def __len__(self) -> int:
+        return len(self.t_s)
 
-@dataclass(frozen=True)
-class FrameRows(StreamRows):
-    """Frames of the camera."""
+    def __getitem__(self, name: str) -> NDArray:
+        return self.columns[name]
 
-    t_s: FloatArray = field(default_factory=_none())  # (n,) s: stamps
-    # (n, 5, 3) m: joints in the order of `JOINTS`, in {K}; nan where there is none
-    position: FloatArray = field(default_factory=_none(len(JOINTS), 3))
-    # int (n, 5): `JointState` values
-    state: NDArray[np.int8] = field(default_factory=_none(len(JOINTS), dtype=np.int8))
-    # (n,) s: when they came, on the session's clock
-    arrival_s: FloatArray = field(default_factory=_none())
+    def select(self, rows: NDArray | slice) -> Rows:
+        """Some of the rows."""
+        columns = {name: column[rows] for name, column in self.columns.items()}
+        return Rows(self.t_s[rows], self.arrival_s[rows], columns)
+
+    @staticmethod
+    def joined(parts: Sequence[Rows]) -> Rows:
+        """One after the other, with the columns that all of them have."""
+        parts = [part for part in parts if len(part)]
+        if len(parts) < 2:
+            return parts[0] if parts else Rows()
+        names = [name for name in parts[0].columns if all(name in part.columns for part in parts)]
+        columns = {name: np.concatenate([part[name] for part in parts]) for name in names}
+        times = (np.concatenate([getattr(part, name) for part in parts]) for name in ("t_s", "arrival_s"))
+        return Rows(*times, columns)
 
 
 @dataclass(frozen=True)
 class Arrivals:
     """What came of an arm since the last look."""
 
-    imus: Mapping[str, ImuRows] = field(default_factory=dict)  # By segment, the forearm's first
-    frames: FrameRows = field(default_factory=FrameRows)
+    imus: Mapping[str, Rows] = field(default_factory=dict)  # By segment, the forearm's first
+    frames: Rows = field(default_factory=Rows)
     events: tuple[str, ...] = ()  # What was done to their stamps, a sentence each
 
-    def by_row(self, change: Callable[[Any], Any]) -> Arrivals:
+    def by_row(self, change: Callable[[Rows], Rows]) -> Arrivals:
         """The same with every stream's rows changed."""
         imus = {name: change(imu) for name, imu in self.imus.items()}
         return Arrivals(imus, change(self.frames), self.events)
@@ -151,7 +127,7 @@ class LiveStep:
 
     arm: int  # Which of the session's
     arrivals: Arrivals  # What came before it, on the clocks that the streams began with
-    frames: FrameRows  # The same frames on the clock that the camera has now, as the smoother got them
+    frames: Rows  # The same frames on the clock that the camera has now, as the smoother got them
     output: LiveOutput  # What was answered
     gap: Gap | None  # That it ended
     events: Sequence[str]  # What happened
@@ -168,39 +144,39 @@ class Receiver(Protocol):
 
 
 #: A sample may come this much later than its neighbours, s: more than the 0.5 s that streams are allowed.
-LATE_S = 0.6
+_STAMP_LATE_S = 0.6
 #: A sample that comes this much sooner after its stamp than any before it is from another clock, s.
-EARLY_S = 0.25
+_EARLY_S = 0.25
 #: An IMU's samples come without a pause: a step of its clock shows from this on, s.
 STEP_OF_IMU_S = 0.06
 #: This many samples in a row that lie behind, all by the same time but for this, s, are of a clock set back.
-BACK_IN_A_ROW, SAME_DELAY_S = 3, 0.04
+_BACK_IN_A_ROW, _SAME_DELAY_S = 3, 0.04
 #: Where the first samples came later than this after their stamps, s, the stamps are of another clock.
-OTHER_CLOCK_S = 5.0
+_OTHER_CLOCK_S = 5.0
 #: So long must samples be odd, with no usual one between them, to be treated as a step of the clock, s.
-PERSISTS_S = 0.3
+_PERSISTS_S = 0.3
 #: The least delay is that of the last this many seconds: clocks drift apart.
 _RECENT_S = 120
 
 
-class StampSteps(Generic[Rows]):
+class StampSteps:
     """Keeps the stamps of one stream on one clock."""
 
-    def __init__(self, name: str, early_s: float = EARLY_S, back_s: float = LATE_S) -> None:
-        self._name, self._early_s, self._back_s = name, early_s, back_s
+    def __init__(self, name: str, shows_from_s: float | None = None) -> None:
+        self._name = name
+        self._early_s, self._back_s = shows_from_s or _EARLY_S, shows_from_s or _STAMP_LATE_S
         self.moved_s = self.stepped_s = 0.0
         self.dropped = 0
         self._newest_s = self._arrival_s = -np.inf
         self._least: deque[tuple[int, float]] = deque()  # each second's least delay
-        self._odd: Rows | None = None  # rows that wait, as they came
+        self._odd = Rows()  # those that wait, as they came
 
-    def corrected(self, rows: Rows) -> tuple[Rows, tuple[str, ...]]:
+    def corrected(self, rows: Rows) -> tuple[Rows, list[str]]:
         """Rows that can be used, stamped by the clock that the stream began with."""
-        odd = list(range(0 if self._odd is None else len(self._odd)))
-        new = range(len(odd), len(odd) + len(rows))
-        rows = rows if self._odd is None else type(rows).joined([self._odd, rows])
+        waited = len(self._odd)
+        rows, odd = Rows.joined([self._odd, rows]), list(range(waited))
         usable, stamps, events = list[int](), list[float](), list[str]()
-        for at in new:
+        for at in range(waited, len(rows)):
             sent_s, arrival_s = float(rows.t_s[at]), float(rows.arrival_s[at])
             if not self._least:
                 events += self._begin(sent_s, arrival_s)
@@ -208,13 +184,11 @@ class StampSteps(Generic[Rows]):
             odd.append(at)
             if not is_odd and not self._ran_back(rows.t_s[odd], rows.arrival_s[odd]):
                 # of those that waited, some were only late; the others are wrong by themselves
-                kept = [
-                    k for k in odd if self._newest_s - LATE_S <= rows.t_s[k] + self.moved_s <= self._newest_s
-                ]
-                kept += [] if at in kept else [at]
+                behind_s = self._newest_s - rows.t_s[odd[:-1]] - self.moved_s
+                kept = [k for k, s in zip(odd, behind_s, strict=False) if 0.0 <= s <= _STAMP_LATE_S] + [at]
                 self.dropped += len(odd) - len(kept)
                 self._learn(sent_s + self.moved_s, arrival_s)
-            elif not is_odd or arrival_s - rows.arrival_s[odd[0]] >= PERSISTS_S:
+            elif not is_odd or arrival_s - rows.arrival_s[odd[0]] >= _PERSISTS_S:
                 kept = odd
                 events.append(self._step(rows.t_s[odd], rows.arrival_s[odd]))
             else:
@@ -222,13 +196,13 @@ class StampSteps(Generic[Rows]):
             usable += kept
             stamps += (rows.t_s[kept] + self.moved_s).tolist()
             odd = []
-        self._odd = rows.select(np.array(odd)) if odd else None
-        return rows.select(np.array(usable, int)).stamped(np.array(stamps, float)), tuple(events)
+        self._odd = rows.select(np.array(odd, int))
+        return replace(rows.select(np.array(usable, int)), t_s=np.array(stamps, float)), events
 
     def _begin(self, sent_s: float, arrival_s: float) -> list[str]:
         """The first row: a clock that is not this computer's is moved to it."""
         delay_s = arrival_s - sent_s
-        is_own = -EARLY_S <= delay_s <= OTHER_CLOCK_S
+        is_own = -_EARLY_S <= delay_s <= _OTHER_CLOCK_S
         self.moved_s = 0.0 if is_own else delay_s
         self._learn(sent_s + self.moved_s, arrival_s)
         said = f"the stamps of {self._name} come from another clock: {delay_s:+.1f} s were added, so that"
@@ -242,10 +216,10 @@ class StampSteps(Generic[Rows]):
 
     def _ran_back(self, t_s: FloatArray, arrival_s: FloatArray) -> bool:
         """Whether those that wait and the row after them go on as one, later than ever by the same time."""
-        if len(t_s) <= BACK_IN_A_ROW or self._back_s >= LATE_S:
+        if len(t_s) <= _BACK_IN_A_ROW or self._back_s >= _STAMP_LATE_S:
             return False
         delays = arrival_s - t_s - self.moved_s
-        is_even = bool((np.diff(t_s) > 0).all()) and float(np.ptp(delays)) < SAME_DELAY_S
+        is_even = bool((np.diff(t_s) > 0).all()) and float(np.ptp(delays)) < _SAME_DELAY_S
         return is_even and float(delays.min()) > self._least_delay_s + 0.5 * self._back_s
 
     @property
@@ -264,13 +238,13 @@ class StampSteps(Generic[Rows]):
 
     def _step(self, t_s: FloatArray, arrival_s: FloatArray) -> str:
         """Take the clock of the samples that wait as the stream's; a sentence."""
-        before_s, self.moved_s = self.moved_s, float((arrival_s - t_s).min()) - self._least_delay_s
-        self.stepped_s += self.moved_s - before_s
-        t_s = t_s + self.moved_s
-        self._newest_s = float(t_s[0])
-        for each in zip(t_s.tolist(), arrival_s.tolist(), strict=True):
-            self._learn(*each)
+        by_s = float((arrival_s - t_s).min()) - self._least_delay_s - self.moved_s
+        self.moved_s += by_s
+        self.stepped_s += by_s
+        self._newest_s = float(t_s[0]) + self.moved_s
+        for sent_s, came_s in zip(t_s.tolist(), arrival_s.tolist(), strict=True):
+            self._learn(sent_s + self.moved_s, came_s)
         return (
-            f"the clock of {self._name} stepped by {before_s - self.moved_s:+.3f} s at {t_s[0]:.1f} s;"
+            f"the clock of {self._name} stepped by {-by_s:+.3f} s at {t_s[0] + self.moved_s:.1f} s;"
             " its stamps after it were moved back"
         )

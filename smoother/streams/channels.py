@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..array_types import FloatArray
 from ..errors import RecordingError
 from ..io.tables.imu import SensorChannels, find_sensors, joint_label, kind_of, stem_of
 from ..io.tables.joints import find_joint_columns, program_of, words_of
@@ -146,7 +145,7 @@ class ImuChannels:
         axes = {kind: (x + behind, y + behind, z + behind) for kind, (x, y, z) in gyro.axes.items()}
         return ImuChannels({**self.axes, **axes}, {**self.units, **gyro.units})
 
-    def values(self, samples: NDArray) -> dict[str, FloatArray]:
+    def values(self, samples: NDArray) -> dict[str, NDArray]:
         """Specific force, angular velocity in SI, magnetic field as sent (n, 3) of samples (n, channels)."""
         samples = samples.astype(float)
         return {kind: samples[:, at] * self.units.get(kind, 1.0) for kind, at in self.axes.items()}
@@ -225,8 +224,8 @@ class SkeletonChannels:
         """Joints that are there, in the order of `JOINTS`."""
         return tuple(joint for joint in JOINTS if joint in self.axes)
 
-    def values(self, samples: NDArray) -> tuple[FloatArray, NDArray[np.int8]]:
-        """Positions (n, 5, 3) in m and states (n, 5) of samples (n, channels)."""
+    def values(self, samples: NDArray) -> dict[str, NDArray]:
+        """`position` (n, 5, 3) in m and `state` (n, 5) of samples (n, channels)."""
         samples = samples.astype(float)
         position = np.full((len(samples), len(JOINTS), 3), np.nan)
         state = np.full((len(samples), len(JOINTS)), JointState.NOT_TRACKED, np.int8)
@@ -238,7 +237,7 @@ class SkeletonChannels:
                 read = kinect_states
             tracked = JointState.TRACKED if stated is None else read(samples[:, stated])
             state[:, at] = np.where(is_there, tracked, JointState.NOT_TRACKED)
-        return position, state
+        return {"position": position, "state": state}
 
 
 def _of_one_body(stream: StreamLabels, body: str | None) -> StreamLabels:

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-import asyncio
 import logging
+import os
 import secrets
+import selectors
 import socket
+import socketserver
 import threading
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import suppress
@@ -27,10 +29,14 @@ from ..recording import JOINTS, JointTracks
 from ..result import Recovery
 from ..runtime.local_requests import LOOPBACK, OWN_NAMES, LocalDoor, joined
 from ..runtime.packages import extra_module
-from .arrivals import FrameRows, LiveStep, SourceInfo
+from .arrivals import LiveStep, Rows, SourceInfo
 
 #: Of a settled answer, the topics with numbers.
 _SETTLED = tuple(f"{RESULT_PREFIX}{name}" for name in ("skeleton", "forearm"))
+#: No frame.
+_NONE = Rows(
+    columns={"position": np.empty((0, len(JOINTS), 3)), "state": np.empty((0, len(JOINTS)), np.int8)}
+)
 
 
 class LiveMessage(NamedTuple):
@@ -59,24 +65,28 @@ class LiveMessages:
     def __init__(self, info: SourceInfo, suffix: str = "") -> None:
         self._info, self._suffix = info, suffix
 
-    def estimate(self, estimate: LiveEstimate, wanted: Callable[[str], bool]) -> Iterator[LiveMessage]:
-        """The arm at a moment, on those of its topics that are wanted."""
-        none, settled = FrameRows(), estimate.kind == "settled"
-        here = JointTracks(self._info.skeleton, none.t_s, none.position, none.state)
-        suffix = self._suffix + ("/settled" if settled else "")
-
-        def is_due(topic: str) -> bool:
-            return wanted(topic) and (not settled or topic.startswith(_SETTLED))
-
-        yield from self._encoded([estimate], here, suffix, is_due)
-
-    def frames(
-        self, frames: FrameRows, offset_s: float, wanted: Callable[[str], bool]
+    def arm(
+        self,
+        estimate: LiveEstimate | None,
+        wanted: Callable[[str], bool],
+        frames: Rows = _NONE,
+        offset_s: float = 0.0,
     ) -> Iterator[LiveMessage]:
-        """The camera's joints as they came, on the IMU's clock."""
-        t_s = frames.t_s + (offset_s if np.isfinite(offset_s) else 0.0)
-        tracks = JointTracks(self._info.skeleton, t_s, frames.position, frames.state)
-        yield from self._encoded([], tracks, self._suffix, wanted)
+        """The arm at a moment, and the camera's joints as they came, on those topics that are wanted."""
+        is_settled = estimate is not None and estimate.kind == "settled"
+        frames = frames if len(frames) else _NONE
+        t_s = frames.t_s + (offset_s if np.isfinite(offset_s) else 0.0)  # on the IMU's clock
+        seen = JointTracks(self._info.skeleton, t_s, frames["position"], frames["state"])
+        recovery = self._recovery([] if estimate is None else [estimate], seen)
+        channels, suffix = _Channels(), self._suffix + ("/settled" if is_settled else "")
+        joints = [JOINTS.index(joint) for joint in self._info.joints]
+        for stream in recovery_streams(channels, recovery, suffix, CAMERA, 0, self._info.down, joints):
+            topic, schema = channels.names[stream.channel]
+            is_due = len(stream.time_ns) > 0 and (not is_settled or topic.startswith(_SETTLED))
+            if is_due and wanted(topic):
+                encoded = stream.encode(slice(0, len(stream.time_ns)))
+                for stamp, row in zip(stream.time_ns.tolist(), encoded, strict=True):
+                    yield LiveMessage(topic, schema, stamp, row if isinstance(row, bytes) else row.tobytes())
 
     def gap(self, gap: Gap) -> Iterator[LiveMessage]:
         """A gap that is over, as an event and a line of the log."""
@@ -93,19 +103,6 @@ class LiveMessages:
         line.level, line.message, line.name = line.INFO, text, "unocclude"
         data = line.SerializeToString(deterministic=True)
         return LiveMessage(f"{RESULT_PREFIX}log", "foxglove.Log", stamp, data)
-
-    def _encoded(
-        self, estimates: list[LiveEstimate], arm: JointTracks, suffix: str, wanted: Callable[[str], bool]
-    ) -> Iterator[LiveMessage]:
-        """Messages of an estimate or none and of frames, on those topics that are wanted."""
-        channels, recovery = _Channels(), self._recovery(estimates, arm)
-        joints = [JOINTS.index(joint) for joint in self._info.joints]
-        for stream in recovery_streams(channels, recovery, suffix, CAMERA, 0, self._info.down, joints):
-            topic, schema = channels.names[stream.channel]
-            if len(stream.time_ns) and wanted(topic):
-                encoded = stream.encode(slice(0, len(stream.time_ns)))
-                for stamp, row in zip(stream.time_ns.tolist(), encoded, strict=True):
-                    yield LiveMessage(topic, schema, stamp, row if isinstance(row, bytes) else row.tobytes())
 
     def _recovery(self, estimates: list[LiveEstimate], arm: JointTracks) -> Recovery:
         """An estimate or none as a recovery of one sample or none."""
@@ -157,56 +154,47 @@ def is_allowed(head: bytes) -> bool:
     return DOOR.refusal(joined((key, value) for key, _, value in lines), changes=False) is None
 
 
-class OriginGate:
+class _Guest(socketserver.BaseRequestHandler):
+    """A connection: refused, or passed on to the server behind the gate until a side closes."""
+
+    server: OriginGate
+
+    def handle(self) -> None:
+        """Serve it, in a thread of its own."""
+        with suppress(OSError):  # a client that is gone, or says nothing that can be passed on
+            self.request.settimeout(_HEAD_S)
+            head = b""
+            while b"\r\n\r\n" not in head:
+                part = self.request.recv(_HEAD_BYTES)
+                head += part
+                if not part or len(head) > _HEAD_BYTES:
+                    return
+            if not is_allowed(head[: head.index(b"\r\n\r\n")]):
+                self.request.sendall(_REFUSAL)
+                return
+            with socket.create_connection(self.server.behind) as behind, selectors.DefaultSelector() as ready:
+                behind.sendall(head)
+                for side, other in ((self.request, behind), (behind, self.request)):
+                    side.settimeout(_PATIENCE_S)
+                    ready.register(side, selectors.EVENT_READ, (side, other))
+                while True:
+                    for key, _ in ready.select():
+                        side, other = key.data
+                        if not (chunk := side.recv(1 << 16)):
+                            return
+                        other.sendall(chunk)
+
+
+class OriginGate(socketserver.ThreadingTCPServer):
     """Listens on this computer, and passes on to a server behind it what is not of a foreign page."""
 
+    daemon_threads = True
+    allow_reuse_address = os.name == "posix"
+
     def __init__(self, port: int, behind: tuple[str, int]):
-        listener = socket.create_server((LOOPBACK, port))
-        self.port, self._behind = int(listener.getsockname()[1]), behind
-        self._loop = asyncio.new_event_loop()
-        started = asyncio.start_server(self._serve, sock=listener, limit=_HEAD_BYTES)
-        self._server = self._loop.run_until_complete(started)
-        self._thread = threading.Thread(target=self._loop.run_forever, name="origin-gate", daemon=True)
-        self._thread.start()
-
-    def close(self) -> None:
-        """Let all connections go."""
-        self._loop.call_soon_threadsafe(self._server.close)
-        for task in asyncio.all_tasks(self._loop):
-            self._loop.call_soon_threadsafe(task.cancel)
-        self._loop.call_soon_threadsafe(self._loop.call_later, 0.05, self._loop.stop)
-        self._thread.join(_PATIENCE_S)
-        self._loop.close()
-
-    async def _serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        writers = [writer]
-        try:
-            head = await asyncio.wait_for(reader.readuntil(b"\r\n\r\n"), _HEAD_S)
-            if not is_allowed(head[:-4]):
-                writer.write(_REFUSAL)
-                return await writer.drain()
-            back, behind = await asyncio.open_connection(*self._behind)
-            writers.append(behind)
-            behind.write(head)
-            ways = [asyncio.ensure_future(_pass_on(*way)) for way in ((reader, behind), (back, writer))]
-            try:
-                await asyncio.wait(ways, return_when=asyncio.FIRST_COMPLETED)
-            finally:
-                for way in ways:
-                    way.cancel()
-        except (OSError, EOFError, asyncio.LimitOverrunError, TimeoutError, asyncio.CancelledError):
-            pass  # a client that is gone, or says nothing that this can pass on
-        finally:
-            for each in writers:
-                each.close()
-
-
-async def _pass_on(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-    """Bytes one way until a side closes."""
-    with suppress(OSError, TimeoutError):
-        while chunk := await reader.read(1 << 16):
-            writer.write(chunk)
-            await asyncio.wait_for(writer.drain(), _PATIENCE_S)
+        self.behind = behind
+        super().__init__((LOOPBACK, port), _Guest)
+        threading.Thread(target=self.serve_forever, args=(0.05,), name="origin-gate", daemon=True).start()
 
 
 #: The port that Foxglove proposes.
@@ -245,7 +233,7 @@ class FoxgloveServer:
     @property
     def address(self) -> str:
         """What is entered in Foxglove under Open connection."""
-        return f"ws://{LOOPBACK}:{self._gate.port}"
+        return f"ws://{LOOPBACK}:{self._gate.server_address[1]}"
 
     def send(self, step: LiveStep) -> None:
         """Send what a step answered of an arm, that at most some 30 times per second."""
@@ -253,20 +241,22 @@ class FoxgloveServer:
         if self._is_announced and not any(channel.has_sinks() for channel in self._channels.values()):
             return
         self._is_announced |= output.settled is not None and len(step.frames) > 0
-        if len(step.frames):
-            self._log(messages.frames(step.frames, output.clock_offset_s, self._is_wanted))
-        if not abs(output.now_s - self._drawn_s[step.arm]) < _DRAWN_EACH_S:
+        is_due = not abs(output.now_s - self._drawn_s[step.arm]) < _DRAWN_EACH_S
+        if is_due:
             self._drawn_s[step.arm] = output.now_s
-            for estimate in (output.now, output.settled):
-                if estimate is not None:
-                    self._log(messages.estimate(estimate, self._is_wanted))
+        now, settled = (output.now, output.settled) if is_due else (None, None)
+        if now is not None or len(step.frames):
+            self._log(messages.arm(now, self._is_wanted, step.frames, output.clock_offset_s))
+        if settled is not None:
+            self._log(messages.arm(settled, self._is_wanted))
         if step.gap is not None:
             self._log(messages.gap(step.gap))
         self._log(messages.line(text, output.now_s) for text in step.events)
 
     def close(self) -> None:
         """Let all connections go."""
-        self._gate.close()
+        self._gate.shutdown()
+        self._gate.server_close()
         self._server.stop()
 
     def _is_wanted(self, topic: str) -> bool:

@@ -1,7 +1,7 @@
 """The Lab Streaming Layer: the library `pylsl`, an extra, and the arm as streams.
 
-The library announces all streams of a program alike, and inlets have to see the network: outlets that only
-this computer may find are in a process of their own, whose settings keep it here; it ends with this one.
+The library announces all streams of a program alike, and inlets have to see the network: outlets are in a
+process of their own, whose settings keep them on this computer; it ends with this one.
 """
 
 from __future__ import annotations
@@ -175,18 +175,13 @@ _LOCAL = {
 
 
 class LslSender:
-    """Sends the arms of a session, from this process or from one that only this computer can find."""
+    """Sends the arms of a session, from a process that only this computer can find, or the whole network."""
 
     def __init__(self, names: Sequence[str], infos: Sequence[SourceInfo], network: bool) -> None:
-        self._outlets: list[LslOutlet] = []
-        self._process = None
-        if network:
-            self._outlets = [LslOutlet(*each) for each in zip(names, infos, strict=True)]
-            return
         context = multiprocessing.get_context("spawn")
         self._waiting: Queue[tuple[int, LiveOutput] | None] = context.Queue(_MOST_WAITING)
         ready = context.Event()
-        arguments = (names, infos, self._waiting, ready)
+        arguments = (names, infos, network, self._waiting, ready)
         self._process = context.Process(target=_send, args=arguments, name="lsl-out", daemon=True)
         with starting_processes():
             self._process.start()
@@ -195,23 +190,15 @@ class LslSender:
                 break
         if not ready.is_set():
             self.close()
-            raise UnoccludeError(
-                "the process that sends --lsl-out cannot be started; --lsl-network sends without one"
-            )
+            raise UnoccludeError("the process that sends --lsl-out cannot be started; leave --lsl-out out")
 
     def send(self, step: LiveStep) -> None:
-        """Send what a step answered, or hand it over; never waits."""
-        if self._process is None:
-            self._outlets[step.arm].send(step.output)
-            return
+        """Hand over what a step answered; never waits."""
         with suppress(Full):
             self._waiting.put_nowait((step.arm, step.output))
 
     def close(self) -> None:
         """End the process, and let all receivers go."""
-        self._outlets.clear()
-        if self._process is None:
-            return
         with suppress(Full):
             self._waiting.put_nowait(None)
         self._process.join(_ENDS_S)
@@ -224,12 +211,14 @@ class LslSender:
 def _send(
     names: Sequence[str],
     infos: Sequence[SourceInfo],
+    network: bool,
     waiting: Queue[tuple[int, LiveOutput] | None],
     ready: Event,
 ) -> None:
     """The process: outlets that send what comes."""
     prepare_worker()
-    lsl_module().set_config_content(local_settings(user_settings()))
+    if not network:
+        lsl_module().set_config_content(local_settings(user_settings()))
     outlets = [LslOutlet(*each) for each in zip(names, infos, strict=True)]
     ready.set()
     while (job := waiting.get()) is not None:

@@ -6,29 +6,17 @@ import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field
-from functools import partial
+from dataclasses import dataclass, replace
 from queue import SimpleQueue
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from ..array_types import FloatArray
 from ..body import FOREARM, SEGMENTS
 from ..errors import UnoccludeError
 from ..io.recording.names import named_side
 from ..runtime.printable import printable
-from .arrivals import (
-    STEP_OF_IMU_S,
-    Arrivals,
-    FrameRows,
-    ImuRows,
-    SourceInfo,
-    StampSteps,
-    StreamRows,
-    drained,
-)
+from .arrivals import STEP_OF_IMU_S, Arrivals, Rows, SourceInfo, StampSteps, drained
 from .channels import ImuChannels, SkeletonChannels, StreamLabels, belongs, is_accelerometer
 from .lsl import lsl_module
 
@@ -47,16 +35,6 @@ _MOST, _BUFFER_S = 512, 120
 _RESOLVE_S, _PULL_S, _CLOCK_S = 1.0, 0.2, 3.0
 
 
-@dataclass(frozen=True)
-class LslSamples(StreamRows):
-    """Samples that came together; times are after the beginning on this computer's LSL clock."""
-
-    # (n,) s: stamps: as sent, and the library's time correction
-    t_s: FloatArray = field(default_factory=partial(np.empty, 0))
-    values: NDArray = field(default_factory=partial(np.empty, (0, 0)))  # (n, channels)
-    arrival_s: FloatArray = field(default_factory=partial(np.empty, 0))  # (n,) s: when they came
-
-
 class LslInlet:
     """Receives a stream by a thread, also after it was lost."""
 
@@ -71,11 +49,11 @@ class LslInlet:
         self._option, self._wanted, self._types = option, wanted, types
         self._wake, self._start_s = wake, start_s
         self.stream: Any = None
+        self.labels: StreamLabels | None = None  # Of the stream, once it is received
         self.others: list[Any] = []
         self.correction_s = float("nan")
-        self._samples: SimpleQueue[LslSamples] = SimpleQueue()
+        self._samples: SimpleQueue[Rows] = SimpleQueue()
         self._events: SimpleQueue[str] = SimpleQueue()
-        self._labels: StreamLabels | None = None
         self._failure: UnoccludeError | None = None
         self._closing = threading.Event()
         self._thread = threading.Thread(target=self._work, name="lsl-inlet", daemon=True)
@@ -93,10 +71,10 @@ class LslInlet:
             return f"{self._option}{self._wanted}"
         return f"{self._option.strip(' -')} of type {self._types[0]}"
 
-    def samples(self) -> list[LslSamples]:
-        """What came since the last call."""
+    def samples(self) -> Rows:
+        """What came since the last call: `values` (n, channels), stamped as sent, by the library's clock."""
         self.check()
-        return drained(self._samples)
+        return Rows.joined(drained(self._samples))
 
     def events(self) -> list[str]:
         """What happened to the stream since the last call, a sentence each."""
@@ -134,16 +112,15 @@ class LslInlet:
         inlet = lsl_module().StreamInlet(found, max_buflen=_BUFFER_S, recover=False)
         stream = inlet.info(_CLOCK_S)
         labels = StreamLabels.of(stream)
-        if self._labels not in (None, labels):
+        if self.labels not in (None, labels):
             raise UnoccludeError(
                 f"the stream {self.name} came back with other labels, units or channels; begin a new session"
             )
         if self.stream is not None and stream.source_id() != self.stream.source_id():
             self._events.put(f"{self.name}: found again by its name, its source_id is another")
-        self._labels = labels
         self.correction_s = inlet.time_correction(_CLOCK_S)
         inlet.open_stream(_CLOCK_S)  # last: what waits inside has no arrival of its own
-        self.stream = stream
+        self.stream, self.labels = stream, labels
         self._wake()
         return inlet
 
@@ -175,7 +152,8 @@ class LslInlet:
         with suppress(lsl_module().util.TimeoutError):  # the one before holds until there is a new one
             self.correction_s = inlet.time_correction(0.0)
         t_s = np.asarray(stamps, float) + self.correction_s - self._start_s
-        self._samples.put(LslSamples(t_s, np.asarray(values), np.full(len(t_s), arrival - self._start_s)))
+        arrival_s = np.full(len(t_s), arrival - self._start_s)
+        self._samples.put(Rows(t_s, arrival_s, {"values": np.asarray(values)}))
         self._wake()
 
 
@@ -194,35 +172,33 @@ class ImuHalves:
     """Joins an accelerometer's samples, interpolated, to those of a gyroscope with a stream of its own."""
 
     def __init__(self, *names: str) -> None:
-        self._steps = [StampSteps[LslSamples](name, STEP_OF_IMU_S, STEP_OF_IMU_S) for name in names]
-        self._waiting = [LslSamples(), LslSamples()]
+        self._steps = [StampSteps(name, STEP_OF_IMU_S) for name in names]
+        self._waiting = [Rows(), Rows()]
 
-    def joined(self, *came: Sequence[LslSamples]) -> tuple[list[LslSamples], list[str]]:
+    def joined(self, *came: Rows) -> tuple[Rows, list[str]]:
         """What both halves reach, the gyroscope's channels last; and what was done to stamps."""
         events: list[str] = []
-        for at, batches in enumerate(came):
-            for batch in batches:
-                rows, said = self._steps[at].corrected(batch)
-                rows = LslSamples.joined([each for each in (self._waiting[at], rows) if len(each)])
-                self._waiting[at] = rows.select(np.unique(rows.t_s, return_index=True)[1])  # in order
-                events += said
+        for at, batch in enumerate(came):
+            rows, said = self._steps[at].corrected(batch)
+            rows = Rows.joined([self._waiting[at], rows])
+            self._waiting[at] = rows.select(np.unique(rows.t_s, return_index=True)[1])  # in order
+            events += said
         acc, gyro = self._waiting
         stop = int(np.searchsorted(gyro.t_s, acc.t_s.max(initial=-np.inf), "right"))
         due, later = gyro.select(slice(0, stop)), gyro.select(slice(stop, None))
         self._waiting = [
-            rows.select(np.flatnonzero(rows.t_s > rows.t_s.max(initial=-np.inf) - _LONGEST_WAIT_S))
-            for rows in (acc, later)
+            rows.select(rows.t_s > rows.t_s.max(initial=-np.inf) - _LONGEST_WAIT_S) for rows in (acc, later)
         ]
         after = np.searchsorted(acc.t_s, due.t_s)
         before = np.searchsorted(acc.t_s, due.t_s, "right") - 1
         held = np.flatnonzero((before >= 0) & (acc.t_s[after] - acc.t_s[before] <= _MOST_APART_S))
         if not len(held):
-            return [], events
+            return Rows(), events
         due = due.select(held)
-        force = [np.interp(due.t_s, acc.t_s, channel) for channel in acc.values.T]
+        force = [np.interp(due.t_s, acc.t_s, channel) for channel in acc["values"].T]
         # a sample is complete when the later half has come
         arrival_s = np.maximum(due.arrival_s, acc.arrival_s[after[held]])
-        return [LslSamples(due.t_s, np.column_stack([*force, due.values]), arrival_s)], events
+        return Rows(due.t_s, arrival_s, {"values": np.column_stack([*force, due["values"]])}), events
 
 
 #: Content types by which streams are found that were not named.
@@ -240,35 +216,34 @@ class _Imu:
     halves: ImuHalves | None = None
     channels: ImuChannels | None = None  # Once the streams are there
 
-    def take(self, say: Callable[[str], None], found_gyro: Callable[[str, str], LslInlet]) -> None:
+    def take(self, say: Callable[[str], None], found_gyro: Callable[..., LslInlet]) -> None:
         """Take down what it sends, unless its gyroscope has a stream that is still to come."""
-        stream, name = self.inlet.stream, self.inlet.name
-        labels = StreamLabels.of(stream)
+        labels, name = self.inlet.labels, self.inlet.name
+        if self.channels is not None or labels is None:
+            return
         where = "" if self.segment == FOREARM.name else f" of the {SEGMENTS[self.segment].label}"
         if self.gyro is None and is_accelerometer(labels):
-            beside = [each for each in self.inlet.others if each.uid() != stream.uid()]
-            found = [each for each in beside if belongs(each.name(), each.type(), stream.name())]
+            beside = [each for each in self.inlet.others if each.uid() != self.inlet.stream.uid()]
+            found = [each for each in beside if belongs(each.name(), each.type(), labels.name)]
             if len(found) == 1:
-                self.gyro = found_gyro(found[0].name(), found[0].type().lower())
+                self.gyro = found_gyro("--gyro ", found[0].name(), found[0].type().lower())
                 self.gyro.start()
         if self.gyro is None:
             self.channels = ImuChannels.of(labels)
             say(f"IMU stream {name}{where} is there")
-        elif self.gyro.stream is not None:
-            turns = ImuChannels.of(StreamLabels.of(self.gyro.stream), "gyro")
+        elif self.gyro.labels is not None:
+            turns = ImuChannels.of(self.gyro.labels, "gyro")
             self.channels = ImuChannels.of(labels, "acc").with_gyroscope(turns, len(labels.labels))
             self.halves = ImuHalves(name, self.gyro.name)
             say(f"accelerometer stream {name} and gyroscope stream {self.gyro.name}{where} are there")
 
-    def rows(self) -> tuple[ImuRows, list[str]]:
+    def rows(self) -> tuple[Rows, list[str]]:
         """What came since the last call, and what was done to its stamps."""
-        batches, said = self.inlet.samples(), list[str]()
+        came, said = self.inlet.samples(), list[str]()
         if self.halves is not None and self.gyro is not None:
-            batches, said = self.halves.joined(batches, self.gyro.samples())
+            came, said = self.halves.joined(came, self.gyro.samples())
         assert self.channels is not None
-        values = [(each, self.channels.values(each.values)) for each in batches]
-        rows = [ImuRows(each.t_s, arrival_s=each.arrival_s, **columns) for each, columns in values]
-        return ImuRows.joined(rows), said
+        return replace(came, columns=self.channels.values(came["values"])) if len(came) else came, said
 
 
 @dataclass
@@ -300,13 +275,11 @@ class LslSource:
         self._origin_ns = time.time_ns() - int((lsl.local_clock() - self._start_s) * 1e9)
         self._inlets: list[LslInlet] = []
         self._skeleton = self._inlet("--skeleton ", skeleton, *_SKELETON_TYPES)
-        self._arms = []
-        for side, named in arms.items():
-            imus = []
-            for segment, wanted in {FOREARM.name: None, **named}.items():
+        self._arms = [_Arm(side, []) for side in arms]
+        for arm in self._arms:
+            for segment, wanted in {FOREARM.name: None, **arms[arm.side]}.items():
                 place = "" if segment == FOREARM.name else f"{segment.replace('_', '-')}="
-                imus.append(_Imu(segment, self._inlet(f"--imu {place}", wanted, *_IMU_TYPES)))
-            self._arms.append(_Arm(side, imus))
+                arm.imus.append(_Imu(segment, self._inlet(f"--imu {place}", wanted, *_IMU_TYPES)))
         if gyro is not None:
             self._arms[0].imus[0].gyro = self._inlet("--gyro ", gyro, *_GYRO_TYPES)
         self._prefer_side, self._body = prefer_side, body
@@ -344,20 +317,18 @@ class LslSource:
         """Take down the streams that have come; whether none is missing."""
         for inlet in self._inlets:
             inlet.check()
-        skeleton = self._skeleton.stream
+        labels = self._skeleton.labels
         for arm in self._arms:
             for imu in arm.imus:
-                if imu.channels is None and imu.inlet.stream is not None:
-                    imu.take(say, partial(self._inlet, "--gyro "))
-            forearm = arm.imus[0].inlet.stream
-            if arm.skeleton is None and skeleton is not None:
-                side = arm.side or named_side("" if forearm is None else forearm.name())
-                labels = StreamLabels.of(skeleton)
+                imu.take(say, self._inlet)
+            if arm.skeleton is None and labels is not None:
+                forearm = arm.imus[0].inlet.labels
+                side = arm.side or named_side("" if forearm is None else forearm.name)
                 arm.skeleton = SkeletonChannels.of(labels, side or None, self._prefer_side, self._body)
                 if arm is self._arms[0]:
                     say(f"skeleton stream {self._skeleton.name} is there")
         imus = [imu for arm in self._arms for imu in arm.imus]
-        return skeleton is not None and all(imu.channels is not None for imu in imus)
+        return labels is not None and all(imu.channels is not None for imu in imus)
 
     def now_s(self) -> float:
         """The LSL clock of this computer, after the session's beginning."""
@@ -370,18 +341,16 @@ class LslSource:
 
     def arrivals(self) -> list[Arrivals]:
         """What came since the last call; what happened to a stream is said with the first arm."""
-        frames, events = self._skeleton.samples(), [text for inlet in self._inlets for text in inlet.events()]
-        came: list[Arrivals] = []
+        came, events = list[Arrivals](), [text for inlet in self._inlets for text in inlet.events()]
+        seen = self._skeleton.samples()
         for arm in self._arms:
             imus = {}
             for imu in arm.imus:
                 imus[imu.segment], said = imu.rows()
                 events += said
             assert arm.skeleton is not None  # since `open`
-            arm_frames = [
-                FrameRows(each.t_s, *arm.skeleton.values(each.values), each.arrival_s) for each in frames
-            ]
-            came.append(Arrivals(imus, FrameRows.joined(arm_frames), tuple(events)))
+            frames = replace(seen, columns=arm.skeleton.values(seen["values"])) if len(seen) else seen
+            came.append(Arrivals(imus, frames, tuple(events)))
             events = []
         return came
 

@@ -15,7 +15,7 @@ from ..io.recording.choose import StreamChoice, choose_arms
 from ..io.recording.read import open_recording
 from ..io.recording.write import joints_there
 from ..recording import JOINTS
-from .arrivals import Arrivals, FrameRows, ImuRows, Rows, SourceInfo
+from .arrivals import Arrivals, Rows, SourceInfo
 
 #: What a Kinect and its body tracking need for a frame, s.
 CAMERA_LATENCY_S = 0.1
@@ -35,15 +35,18 @@ class Playback:
     ) -> None:
         self.infos, self.speed, self._step_s = infos, speed, step_s
         self.play(arms)
-        self._first = self._now = min(float(rows.arrival_s[0]) for rows in self._needed)
+        self._first = self._now = min(float(arrival_s[0]) for arrival_s in self._needed)
         self._given = -np.inf
         self._began: float | None = None
 
     def play(self, arms: Sequence[Arrivals]) -> None:
         """Give these out from now on."""
-        self.arms = [arm.by_row(_as_they_arrive) for arm in arms]
-        self._needed = [rows for arm in self.arms for rows in (arm.imus[FOREARM.name], arm.frames)]
-        self._last = max(float(rows.arrival_s[-1]) for rows in self._needed)
+        self.arms = [
+            arm.by_row(lambda rows: rows.select(np.argsort(rows.arrival_s, kind="stable"))) for arm in arms
+        ]
+        needed = [rows for arm in self.arms for rows in (arm.imus[FOREARM.name], arm.frames)]
+        self._needed = [rows.arrival_s for rows in needed]
+        self._last = max(float(arrival_s[-1]) for arrival_s in self._needed)
 
     @property
     def ended(self) -> bool:
@@ -62,28 +65,19 @@ class Playback:
             return
         if self._began is None:
             self._began = time.monotonic()
-        reached = [(rows.arrival_s, self._reached(rows)) for rows in self._needed]
-        due = min((float(arrival_s[at]) for arrival_s, at in reached if at < len(arrival_s)), default=np.inf)
+        later = (each[np.searchsorted(each, self._given, "right") :] for each in self._needed)
+        due = min((float(each[0]) for each in later if len(each)), default=np.inf)
         time.sleep(min(max((due - self.now_s()) / self.speed, 0.0), seconds))
 
     def arrivals(self) -> list[Arrivals]:
         """What arrived since the last call."""
-        self._now = self.now_s() if self.speed else self._now + self._step_s
-        came = [arm.by_row(self._arrived) for arm in self.arms]
+        before, self._now = self._given, self.now_s() if self.speed else self._now + self._step_s
         self._given = self._now
-        return came
 
-    def _arrived(self, rows: Rows) -> Rows:
-        until = int(np.searchsorted(rows.arrival_s, self._now, "right"))
-        return rows.select(slice(self._reached(rows), until))
+        def arrived(rows: Rows) -> Rows:
+            return rows.select(slice(*np.searchsorted(rows.arrival_s, [before, self._now], "right").tolist()))
 
-    def _reached(self, rows: Rows) -> int:
-        """How many rows were given out."""
-        return int(np.searchsorted(rows.arrival_s, self._given, "right"))
-
-
-def _as_they_arrive(rows: Rows) -> Rows:
-    return rows.select(np.argsort(rows.arrival_s, kind="stable"))
+        return [arm.by_row(arrived) for arm in self.arms]
 
 
 class Replay(Playback):
@@ -107,16 +101,18 @@ class Replay(Playback):
                 )
                 choices += found
         origin_ns = int(choices[0].imu.stamp_ns.min(initial=2**62)) // SECOND_NS * SECOND_NS
-        infos, arms = [], []
+        latency_ns, infos, arms = round(latency_s * 1e9), [], []
         for choice in choices:
-            arm, of_arm, topics = choice.arm, dict[str, ImuRows](), dict[str, str]()
-            _check(path, choice, round(latency_s * 1e9))
-            for segment, each in {FOREARM.name: choice.imu, **choice.further}.items():
-                if len(each.stamp_ns):
-                    t_s, topics[segment] = seconds(each.stamp_ns, origin_ns), each.topic
-                    of_arm[segment] = ImuRows(t_s, each.acc, each.gyro, t_s, each.mag)
-            t_s, arrival_s = (seconds(arm.stamp_ns + ns, origin_ns) for ns in (0, round(latency_s * 1e9)))
-            arms.append(Arrivals(of_arm, FrameRows(t_s, arm.position, arm.state, arrival_s)))
+            arm, of_arm, topics = choice.arm, dict[str, Rows](), dict[str, str]()
+            _check(path, choice, latency_ns)
+            for segment, imu in {FOREARM.name: choice.imu, **choice.further}.items():
+                if len(imu.stamp_ns):
+                    t_s, topics[segment] = seconds(imu.stamp_ns, origin_ns), imu.topic
+                    mag = {} if imu.mag is None else {"mag": imu.mag}
+                    of_arm[segment] = Rows(t_s, t_s, {"acc": imu.acc, "gyro": imu.gyro, **mag})
+            t_s, arrival_s = (seconds(arm.stamp_ns + ns, origin_ns) for ns in (0, latency_ns))
+            frames = Rows(t_s, arrival_s, {"position": arm.position, "state": arm.state})
+            arms.append(Arrivals(of_arm, frames))
             joints = tuple(JOINTS[column] for column in joints_there(arm.state))
             frame = file.camera_frame or arm.camera_frame
             notes = (*file.notes, *choice.notes, f"Frames arrive {latency_s:g} s after their stamps.")

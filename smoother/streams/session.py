@@ -7,6 +7,8 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from calib.file import CalibrationFile, sigma_factors_of
 from calib.sensor import SensorCalibration, sensor_of
 
@@ -17,17 +19,7 @@ from ..io.recording.write import imu_topic
 from ..live.buffers import SkeletonFrame
 from ..recording import ImuStream
 from ..window.priors import with_measured_noise
-from .arrivals import (
-    STEP_OF_IMU_S,
-    Arrivals,
-    FrameRows,
-    ImuRows,
-    LiveStep,
-    Receiver,
-    Source,
-    SourceInfo,
-    StampSteps,
-)
+from .arrivals import STEP_OF_IMU_S, Arrivals, LiveStep, Receiver, Rows, Source, SourceInfo, StampSteps
 from .session_figures import SessionFigures
 from .session_recording import SessionRecording
 
@@ -60,16 +52,17 @@ class SessionCalibration:
                 notes.append(f"{topic}: {', '.join(sensor.named)} corrected ({file.source})")
         return cls(arm, sensors, tuple(notes))
 
-    def corrected(self, rows: ImuRows, segment: str) -> ImuStream:
+    def corrected(self, imu: ImuStream, segment: str) -> ImuStream:
         """Samples as the sensor should have given them."""
-        stream, sensor = ImuStream(segment, rows.t_s, rows.acc, rows.gyro), self.sensors.get(segment)
-        return stream if sensor is None else sensor.apply(stream)
+        sensor = self.sensors.get(segment)
+        return imu if sensor is None else sensor.apply(imu)
 
     def config(self, config: Config) -> Config:
         """The settings with the sensor's own noise where it was measured."""
         if FOREARM.name not in self.sensors:
             return config
-        return with_measured_noise(config, self.corrected(ImuRows(), FOREARM.name))
+        nothing = ImuStream(FOREARM.name, np.empty(0), np.empty((0, 3)), np.empty((0, 3)))
+        return with_measured_noise(config, self.corrected(nothing, FOREARM.name))
 
 
 #: Longest wait for samples, and shortest time between two steps, s.
@@ -80,30 +73,42 @@ class _Arm:
     """One arm of a session: its smoother, its clocks and its figures."""
 
     def __init__(self, info: SourceInfo, engine: LiveSmoother, calibration: SessionCalibration) -> None:
-        self.engine, self.calibration, self.figures = engine, calibration, SessionFigures(info)
-        self.frame_steps: StampSteps[FrameRows] = StampSteps(info.skeleton)
-        self.imu_steps = {
-            segment: StampSteps[ImuRows](name, STEP_OF_IMU_S, STEP_OF_IMU_S)
-            for segment, name in info.imus.items()
-        }
+        self._engine, self._calibration, self.figures = engine, calibration, SessionFigures(info)
+        self._frame_steps = StampSteps(info.skeleton)
+        self._imu_steps = {segment: StampSteps(name, STEP_OF_IMU_S) for segment, name in info.imus.items()}
 
-    def mended(self, came: Arrivals) -> Arrivals:
-        """What arrived, with steps of the clocks taken out; as its events state."""
-        imus, events = {}, list(came.events)
-        frames, said_frames = self.frame_steps.corrected(came.frames)
+    def answered(self, number: int, came: Arrivals, now_s: float, more: Sequence[str]) -> LiveStep:
+        """Give the smoother what arrived, steps of the clocks taken out, and let it answer."""
+        imus, repairs = dict[str, Rows](), list(came.events)
+        frames, said_frames = self._frame_steps.corrected(came.frames)
         for segment, rows in came.imus.items():
-            imus[segment], said = self.imu_steps[segment].corrected(rows)
-            events += said + (said_frames if segment == FOREARM.name else ())
-        return Arrivals(imus, frames, tuple(events))
+            imus[segment], said = self._imu_steps[segment].corrected(rows)
+            repairs += said + (said_frames if segment == FOREARM.name else [])
+        for segment, rows in imus.items():
+            if len(rows):
+                imu = ImuStream(segment, rows.t_s, rows["acc"], rows["gyro"])
+                self._engine.add_imu(self._calibration.corrected(imu, segment), segment)
+        # on the camera's own clock, which the smoother follows by itself, with its uncertainty
+        own = replace(frames, t_s=frames.t_s - self._frame_steps.stepped_s)
+        if len(own):
+            columns = own.t_s.tolist(), own.arrival_s.tolist(), own["position"], own["state"]
+            for row in zip(*columns, strict=True):
+                self._engine.add_frame(SkeletonFrame(*row))
+        events = repairs + self._counted(imus, frames, now_s)
+        output = self._engine.step(now_s)
+        events += [*more, *output.notes]
+        self.figures.event(output.now_s, events)
+        gap = self.figures.step(output)
+        return LiveStep(number, Arrivals(imus, frames, tuple(repairs)), own, output, gap, events)
 
-    def counted(self, arrivals: Arrivals, now_s: float) -> list[str]:
+    def _counted(self, imus: Mapping[str, Rows], frames: Rows, now_s: float) -> list[str]:
         """Count what arrived; sentences on streams that are back or gone."""
-        back, gone = list[str](), list[str]()
-        streams = [(self.figures.imus[segment], rows) for segment, rows in arrivals.imus.items()]
-        for health, rows in [*streams, (self.figures.skeleton, arrivals.frames)]:
+        back, gone, figures = list[str](), list[str](), self.figures
+        streams = [(figures.imus[segment], rows) for segment, rows in imus.items()]
+        for health, rows in [*streams, (figures.skeleton, frames)]:
             said = health.take(rows.t_s, rows.arrival_s), health.look(now_s)
             # what becomes of a further IMU, the smoother says
-            if health in (self.figures.imu, self.figures.skeleton):
+            if health in (figures.imu, figures.skeleton):
                 back += said[0]
                 gone += said[1]
         return back + gone
@@ -134,34 +139,15 @@ class LiveSession:
             if self.source.speed:
                 time.sleep(max(last_s + _STEP_S - time.monotonic(), 0.0))
             last_s = time.monotonic()
-            for number, came in enumerate(self.source.arrivals()):
-                self._advance(number, came)
+            for number, (arm, came) in enumerate(zip(self._arms, self.source.arrivals(), strict=True)):
+                more = [] if self._recording is None else self._recording.events()
+                step = arm.answered(number, came, self.source.now_s(), more)
+                for receiver in self._receivers:
+                    receiver.send(step)
+                if self.source.speed:
+                    delays_s = (self.source.now_s() - step.frames.arrival_s) / self.source.speed
+                    arm.figures.frame_delays_s.extend(delays_s.tolist())
             show(*self.figures)
         if self._recording is not None:  # what its last rows met belongs to the session
             self._recording.wait()
             self.figures[0].event(self.source.now_s(), self._recording.events())
-
-    def _advance(self, number: int, came: Arrivals) -> None:
-        """Take in what arrived of an arm, and answer."""
-        arm = self._arms[number]
-        arrivals, now_s = arm.mended(came), self.source.now_s()
-        for segment, rows in arrivals.imus.items():
-            if len(rows):
-                arm.engine.add_imu(arm.calibration.corrected(rows, segment), segment)
-        # on the camera's own clock, which the smoother follows by itself, with its uncertainty
-        frames = arrivals.frames.stamped(arrivals.frames.t_s - arm.frame_steps.stepped_s)
-        columns = frames.t_s.tolist(), frames.arrival_s.tolist(), frames.position, frames.state
-        for row in zip(*columns, strict=True):
-            arm.engine.add_frame(SkeletonFrame(*row))
-        events = [*arrivals.events, *arm.counted(arrivals, now_s)]
-        output = arm.engine.step(now_s)
-        if self._recording is not None:
-            events += self._recording.events()
-        events += output.notes
-        arm.figures.event(output.now_s, events)
-        step = LiveStep(number, arrivals, frames, output, arm.figures.step(output), events)
-        for receiver in self._receivers:
-            receiver.send(step)
-        if self.source.speed:
-            delays_s = (self.source.now_s() - frames.arrival_s) / self.source.speed
-            arm.figures.frame_delays_s.extend(delays_s.tolist())

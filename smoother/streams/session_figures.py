@@ -19,7 +19,7 @@ from .arrivals import SourceInfo
 #: Rates and delays are those of the last seconds.
 _RECENT_S = 5.0
 #: A stream is treated as lost after this long without a sample, s.
-LOST_S = 1.0
+_SILENT_S = 1.0
 #: Samples and frames are missing where two are farther apart than this many usual intervals.
 _MISSING = 1.6
 #: Intervals by which the usual one is known.
@@ -38,15 +38,15 @@ class StreamHealth:
         self._intervals: deque[float] = deque(maxlen=_INTERVALS)
         self._newest = self._last_arrival = np.nan
 
-    def take(self, t_s: FloatArray, arrival_s: FloatArray) -> tuple[str, ...]:
+    def take(self, t_s: FloatArray, arrival_s: FloatArray) -> list[str]:
         """Count what came; a sentence where the stream is back."""
         if not len(t_s):
-            return ()
-        events: tuple[str, ...] = ()
+            return []
+        events: list[str] = []
         if self.is_lost:
             self.is_lost, away_s = False, float(arrival_s[0]) - self._last_arrival
             self.lost_s += away_s
-            events = (f"{self.name}: back, after {away_s:.1f} s",)
+            events = [f"{self.name}: back, after {away_s:.1f} s"]
         self.count += len(t_s)
         order = np.append(self._newest, t_s)
         highest = np.fmax.accumulate(order)
@@ -60,17 +60,17 @@ class StreamHealth:
         self._arrivals.append((self._last_arrival, len(t_s), float(np.median(arrival_s - t_s))))
         return events
 
-    def look(self, now_s: float) -> tuple[str, ...]:
+    def look(self, now_s: float) -> list[str]:
         """Notice a stream that has gone; a sentence where it has."""
         while self._arrivals and self._arrivals[0][0] < now_s - _RECENT_S:
             self._arrivals.popleft()
         if np.isnan(self._last_arrival):
             self._last_arrival = now_s  # since it is looked at
-        if self.is_lost or not now_s - self._last_arrival > LOST_S:
-            return ()
+        if self.is_lost or not now_s - self._last_arrival > _SILENT_S:
+            return []
         self.is_lost = True
         self.lost_times += 1
-        return (f"{self.name}: nothing for {now_s - self._last_arrival:.1f} s",)
+        return [f"{self.name}: nothing for {now_s - self._last_arrival:.1f} s"]
 
     @property
     def delay_s(self) -> float:
@@ -151,13 +151,7 @@ class SessionFigures:
         further = {name: own.figures() for name, own in self.imus.items() if own is not self.imu}
         of_output = ("clock_offset_s", "clock_sigma_s", "camera_latency_s", "dropped", "calibration")
         delays = np.asarray(self.frame_delays_s if self.frame_delays_s else [np.nan], float)
-        done = dict(
-            zip(
-                ("median_ms", "percentile_99_ms", "largest_ms"),
-                1e3 * np.percentile(delays, (50, 99, 100)),
-                strict=True,
-            )
-        )
+        median, percentile_99, largest = (1e3 * np.percentile(delays, (50, 99, 100))).tolist()
         return {
             "seconds": self.seconds,
             "steps": self.steps,
@@ -171,7 +165,9 @@ class SessionFigures:
             **{name: getattr(self.output, name, None) for name in of_output},
             "frame_done": {
                 "count": len(self.frame_delays_s),
-                **{name: float(ms) for name, ms in done.items()},
+                "median_ms": median,
+                "percentile_99_ms": percentile_99,
+                "largest_ms": largest,
                 "share_within_20_ms": float(np.mean(np.where(np.isnan(delays), delays, delays <= 0.020))),
             },
             "load": self.load,

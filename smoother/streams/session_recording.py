@@ -4,13 +4,10 @@ from __future__ import annotations
 
 import json
 import os
-import threading
-import time
 from collections.abc import Sequence
-from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
-from queue import Full, Queue, SimpleQueue
+from queue import SimpleQueue
 
 import numpy as np
 
@@ -22,8 +19,9 @@ from ..io.recording.streams import ARRIVAL, ORDER, ArmFrames, ImuSamples
 from ..io.recording.write import CAMERA, arm_messages, imu_messages, imu_topic
 from ..recording import JOINTS
 from ..runtime.outputs import check_output, umask
-from .arrivals import LiveStep, SourceInfo, StreamRows, drained
+from .arrivals import LiveStep, Rows, SourceInfo, drained
 from .foxglove import LiveMessages
+from .outbox import Outbox
 
 #: What came is written after this long, s: a killed program loses no more.
 _FLUSH_S = 1.0
@@ -63,72 +61,71 @@ class SessionRecording:
         self._messages, self._shown_s = [LiveMessages(info) for info in infos], [-np.inf] * len(infos)
         self._flushed_s = -np.inf
         self._notes: list[str] = []
-        self.has_samples = self._has_ended = False
+        self.is_whole = False  # it has its end, and its name
+        self._has_samples = self._has_ended = self._is_stuck = False
         self._write_metadata()
         self._patient, self._lost = patient, 0
-        self._steps: Queue[LiveStep | None] = Queue(_MOST_WAITING)
         self._events: SimpleQueue[str] = SimpleQueue()
-        self._thread = threading.Thread(target=self._work, name="recorder", daemon=True)
-        self._thread.start()
+        self._steps = Outbox(self._take, _MOST_WAITING, "recorder")
 
     def send(self, step: LiveStep) -> None:
         """Write what arrived before a step, and some 30 times per second the pose of the IMU *now*."""
-        if self._has_ended:
+        if self._has_ended or self._steps.put(step, _CLOSE_S if self._patient else 0.0):
             return
-        try:
-            self._steps.put(step, block=self._patient, timeout=_CLOSE_S)
-        except Full:
-            self._lost += 1
-            if self._lost == 1:
-                self._events.put("the disk is too slow: the recording has gaps from now on")
+        self._lost += 1
+        if self._lost == 1:
+            self._events.put("the disk is too slow: the recording has gaps from now on")
 
     def events(self) -> list[str]:
         """What became of the recording since the last call."""
         return drained(self._events)
 
     def wait(self) -> None:
-        """Return once all that was given is written, or the recording has ended."""
-        until_s = time.monotonic() + _CLOSE_S
-        while self._steps.unfinished_tasks and not self._has_ended and time.monotonic() < until_s:
-            time.sleep(0.01)
+        """Return once all that was given is written, or the disk has not taken it for long."""
+        if not self._is_stuck and not self._steps.drain(_CLOSE_S):
+            self._is_stuck = True
+            self._end(f"the recording has no end: the disk did not take it within {_CLOSE_S:g} s")
 
-    def _work(self) -> None:
-        while (step := self._steps.get()) is not None:
-            try:
-                if not self._has_ended:
-                    self._write(step)
-            except OSError as error:
-                self._events.put(
-                    f"the recording has ended, the session continues: {self.growing} cannot be written any"
-                    f" more ({error.strerror or error}); what is in it can be read: `unocclude repair"
-                    f" {self.growing} -o {self.path}`"
-                )
-                self._has_ended = True
-            self._steps.task_done()
+    def _take(self, step: LiveStep) -> None:
+        try:
+            if not self._has_ended:
+                self._write(step)
+        except OSError as error:
+            self._end(
+                f"the recording has ended, the session continues: {self.growing} cannot be written any more"
+                f" ({error.strerror or error})"
+            )
+
+    def _end(self, why: str) -> None:
+        """Write no more."""
+        self._has_ended = True
+        repair = f"`unocclude repair {self.growing} -o {self.path}`"
+        self._events.put(f"{why}; what is in it can be read: {repair}")
 
     def _write(self, step: LiveStep) -> None:
         info, topics, origin = self._infos[step.arm], self._topics[step.arm], self._infos[0].origin_ns
-        outgoing: list[tuple[StreamRows, OutputStream]] = []
+        outgoing: list[tuple[Rows, OutputStream]] = []
         self._notes += step.arrivals.events
         for segment, rows in step.arrivals.imus.items():
             if len(rows):
                 topic, stamp = topics[segment], nanoseconds(rows.t_s, origin)
-                samples = ImuSamples(topic, topic.rpartition("/")[2], stamp, rows.acc, rows.gyro, rows.mag)
+                columns = rows["acc"], rows["gyro"], rows.columns.get("mag")
+                samples = ImuSamples(topic, topic.rpartition("/")[2], stamp, *columns)
                 outgoing.append((rows, imu_messages(self._output, samples)))
         frames = step.arrivals.frames
         if len(frames):
             stamp = nanoseconds(frames.t_s, origin)
-            joints = ArmFrames("/skeleton", CAMERA, 0, info.side, stamp, frames.position, frames.state)
+            joints = ArmFrames("/skeleton", CAMERA, 0, info.side, stamp, frames["position"], frames["state"])
             present = [JOINTS.index(joint) for joint in info.joints]
             outgoing.append((frames, arm_messages(self._output, joints, present)))
-        self.has_samples |= bool(outgoing)
+        self._has_samples |= bool(outgoing)
         streams = [
             replace(messages, time_ns=nanoseconds(rows.arrival_s, origin)) for rows, messages in outgoing
         ]
         now_s, now = step.output.now_s, step.output.now
         if now is not None and abs(now_s - self._shown_s[step.arm]) >= _SHOWN_EACH_S:
             self._shown_s[step.arm] = now_s
-            shown = self._messages[step.arm].estimate(now, {_FOREARM}.__contains__)
+            shown = self._messages[step.arm].arm(now, {_FOREARM}.__contains__)
             data = [each.data for each in shown]
             topic = f"{SHOWN_TOPIC}/{info.side}" if len(self._infos) > 1 else SHOWN_TOPIC
             time_ns = np.full(len(data), round(now_s * 1e9) + origin)
@@ -142,12 +139,12 @@ class SessionRecording:
 
     def close(self) -> None:
         """Write what waits and the file's end, and give it its name; one without any sample goes."""
-        with suppress(Full):
-            self._steps.put(None, timeout=_CLOSE_S)
-        self._thread.join(_CLOSE_S)
-        if self._has_ended or not self.has_samples:
+        self.wait()
+        if self._is_stuck:  # the thread that writes still has the file
+            return
+        if self._has_ended or not self._has_samples:
             self._output.__exit__(UnoccludeError, None, None)
-            if not self.has_samples:
+            if not self._has_samples:
                 self.growing.unlink()
             return
         if self._notes:
@@ -157,6 +154,7 @@ class SessionRecording:
             os.fsync(file.fileno())
         os.chmod(self.growing, 0o666 & ~umask())
         os.replace(self.growing, self.path)
+        self.is_whole = True
 
     def _write_metadata(self) -> None:
         values = {"notes": json.dumps(self._notes), "name": self._infos[0].name, ORDER: ARRIVAL}

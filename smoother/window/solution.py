@@ -131,8 +131,6 @@ class LagSolution:
     shoulder: FloatArray | None  # (3,) m: the newest knot's, in {K}; None before the camera saw one
     covariance: FloatArray  # (c, c): joint, of the rows below; rotations as vectors in {K}
     rows: dict[str, slice]  # `turn`, `position`, `velocity`, `bias`, `gravity` of the newest node
-    change_m: float  # How far the last iteration moved the newest node
-    iterations: int
 
     def block(self, *names: str) -> FloatArray:
         """Joint covariance of some of the rows, in the order asked for."""

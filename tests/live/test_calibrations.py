@@ -13,14 +13,15 @@ import pytest
 from live_play import simulated
 from pool_jobs import answer_half
 
+from smoother.body import FOREARM
 from smoother.calibration import ArmCalibration
 from smoother.config import Config
 from smoother.live import calibrations
-from smoother.live.buffers import FrameBuffer, ImuBuffer, SkeletonFrame
+from smoother.live.buffers import FrameBuffer, SkeletonFrame
 from smoother.live.calibrations import (
-    AGAIN_S,
     FIRST_S,
     JUMP_SIGMA_S,
+    RENEWED_S,
     RETRY_S,
     BackgroundCalibrator,
     CalibrationJob,
@@ -30,6 +31,7 @@ from smoother.live.calibrations import (
     calibrate_excerpts,
 )
 from smoother.live.camera_clock import USUAL_LATENCY_S, CameraClock
+from smoother.live.imu import LiveImu
 from smoother.measurements.clock import constant_clock
 from smoother.recording import ImuStream
 
@@ -65,7 +67,7 @@ class Session:
 
     calibrator: AtOnce
     calibrations: Calibrations
-    imu: ImuBuffer = field(default_factory=lambda: ImuBuffer(500.0))
+    imu: LiveImu = field(default_factory=lambda: LiveImu(FOREARM, 500.0))
     frames: FrameBuffer = field(default_factory=lambda: FrameBuffer(500.0))
     camera: CameraClock = field(default_factory=CameraClock)
     t_s: float = 0.0
@@ -83,7 +85,7 @@ class Session:
             self.t_s += 0.5
             self.calibrations.fetch()
             count = len(self.calibrator.jobs)
-            self.calibrations.ask(self.imu, self.frames, self.camera)
+            self.calibrations.ask({"forearm": self.imu}, self.frames, self.camera)
             asked += [self.t_s] * (len(self.calibrator.jobs) - count)
         return asked
 
@@ -108,9 +110,9 @@ def test_it_is_tried_again_until_it_works_and_then_farther_and_farther_apart() -
     assert live.calibrations.reason == "the arm has to move more" and live.calibrations.last is None
     assert np.isnan(live.calibrations.offset_s)
     live = session(failed(), failed(), *[worked()] * 6)
-    asked = live.until(FIRST_S + 2 * RETRY_S + sum(AGAIN_S) + AGAIN_S[-1] + 5.0)
+    asked = live.until(FIRST_S + 2 * RETRY_S + sum(RENEWED_S) + RENEWED_S[-1] + 5.0)
     assert asked[0] == pytest.approx(FIRST_S, abs=0.6)
-    assert np.diff(asked) == pytest.approx([RETRY_S, RETRY_S, *AGAIN_S, AGAIN_S[-1]], abs=0.6)
+    assert np.diff(asked) == pytest.approx([RETRY_S, RETRY_S, *RENEWED_S, RENEWED_S[-1]], abs=0.6)
     assert live.calibrations.reason == "calibrated from 10 s of motion"
 
 
@@ -118,14 +120,14 @@ def test_what_does_not_work_leaves_the_last_one() -> None:
     live = session(worked(), failed())
     live.until(FIRST_S + 1.0)
     last = live.calibrations.last
-    live.until(FIRST_S + AGAIN_S[0] + 1.5)
+    live.until(FIRST_S + RENEWED_S[0] + 1.5)
     assert live.calibrations.last is last and len(live.calibrator.jobs) == 2
     assert live.calibrations.offset_s == pytest.approx(-0.02)
 
 
 def test_the_arrival_says_how_far_the_clocks_are_apart_until_a_calibration_does() -> None:
     live = session(worked(0.3), worked())
-    live.until(FIRST_S + AGAIN_S[0] + 1.5)
+    live.until(FIRST_S + RENEWED_S[0] + 1.5)
     first, second = live.calibrator.jobs
     assert first.offset_s == pytest.approx(0.1 - USUAL_LATENCY_S, abs=1e-6)
     assert second.offset_s == pytest.approx(0.3)

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from live_play import simulated
 
-from smoother.live.buffers import ImuBuffer
+from smoother.body import FOREARM
+from smoother.live.imu import LiveImu
 from smoother.live.imu_check import ImuCheck
 from smoother.recording import ImuStream
 
@@ -30,11 +31,11 @@ def doubtful(acc, gyro) -> tuple[np.ndarray, np.ndarray]:
 def test_sound_samples_of_simulated_arms_are_not_doubted():
     for seed in (1, 2):
         imu = simulated(seed, 20.0, ()).recording.imu
-        buffer, doubted = ImuBuffer(60.0), 0
+        buffer, doubted = LiveImu(FOREARM, 60.0), 0
         for first in range(0, len(imu), 5):
             rows = slice(first, first + 5)
             buffer.add(ImuStream("", imu.t_s[rows], imu.acc[rows], imu.gyro[rows]))
-            buffer.check()
+            buffer.check(0.0)
             doubted = int((buffer.doubt(-np.inf) > 0).any(axis=1).sum())
         assert doubted <= 0.002 * len(imu)  # an impact may look like a spike
 
@@ -82,11 +83,11 @@ def test_units_ranges_and_limits():
 def test_a_doubtful_stretch_is_replaced_and_left_to_no_calibration():
     acc, gyro = moving()
     acc[40:80], gyro[40:80] = acc[40], gyro[40]
-    buffer = ImuBuffer(60.0)
+    buffer = LiveImu(FOREARM, 60.0)
     for first in range(0, 100, 5):
         rows = slice(first, first + 5)
         buffer.add(ImuStream("", T[rows], acc[rows], gyro[rows]))
-        buffer.check()
+        buffer.check(0.0)
     assert np.abs(buffer.stream(-np.inf).gyro[45:75]).max() == 0.0
     assert len(buffer.sound_stream()) == 61
-    assert not buffer.doubtful_because or buffer.end_s - T[80] < 0.5
+    assert not buffer.because or buffer.end_s - T[80] < 0.5

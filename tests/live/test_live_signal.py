@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from smoother.live.buffers import ImuBuffer
+from smoother.body import FOREARM
+from smoother.live.imu import LiveImu
 from smoother.live.signal import LiveSignal, increments_between, propagated
 from smoother.recording import ImuStream
 from smoother.units import GRAVITY
@@ -21,13 +22,13 @@ def rows(t: np.ndarray) -> ImuStream:
     return ImuStream("", t, acc, np.column_stack([1.5 * np.sin(2.0 * t), np.ones_like(t), 0.3 * t]))
 
 
-def buffer(t: np.ndarray = T) -> ImuBuffer:
-    made = ImuBuffer(10.0)
+def buffer(t: np.ndarray = T) -> LiveImu:
+    made = LiveImu(FOREARM, 10.0)
     made.add(rows(t))
     return made
 
 
-def live(imu: ImuBuffer) -> LiveSignal:
+def live(imu: LiveImu) -> LiveSignal:
     return LiveSignal(imu, np.zeros((2, 3, 3)))
 
 

@@ -5,8 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from smoother.live.buffers import FrameBuffer, ImuBuffer, SkeletonFrame
+from smoother.body import FOREARM
+from smoother.live.buffers import FrameBuffer, SkeletonFrame
 from smoother.live.camera_clock import CameraClock, Shift, ShiftCause
+from smoother.live.imu import LiveImu
 from smoother.recording import ImuStream
 
 
@@ -20,15 +22,17 @@ def frame(t: float, arrival: float | None = None) -> SkeletonFrame:
 
 
 def test_late_samples_are_sorted_in_and_older_ones_counted():
-    buffer = ImuBuffer(10.0)
-    assert buffer.add(batch(0.0, 0.01, 0.02, 0.3)) is None
-    assert buffer.add(batch(0.2, 0.1)) == 0.1
-    np.testing.assert_array_equal(buffer.t, [0.0, 0.01, 0.02, 0.1, 0.2, 0.3])
-    np.testing.assert_array_equal(buffer.stream(-np.inf).acc[:, 0], buffer.t)
-    assert buffer.add(batch(1.0)) is None
-    assert buffer.add(batch(0.4)) is None and buffer.late == 1
-    assert buffer.add(batch(1.0)) is None and buffer.duplicate == 1
-    assert buffer.add(batch(np.nan)) is None and buffer.invalid == 1
+    imu = LiveImu(FOREARM, 10.0)
+    imu.add(batch(0.0, 0.01, 0.02, 0.3))
+    assert imu.changed_s is None
+    imu.add(batch(0.2, 0.1))
+    assert imu.changed_s == 0.1
+    np.testing.assert_array_equal(imu.t, [0.0, 0.01, 0.02, 0.1, 0.2, 0.3])
+    np.testing.assert_array_equal(imu.stream(-np.inf).acc[:, 0], imu.t)
+    imu.changed_s = None
+    for times in ((1.0,), (0.4,), (1.0,), (np.nan,)):
+        imu.add(batch(*times))
+    assert imu.changed_s is None and (imu.late, imu.duplicate, imu.invalid) == (1, 1, 1)
 
 
 def test_frames_out_of_order():

@@ -48,9 +48,8 @@ def test_messages_are_those_of_a_result(played):
     source, step = played
     messages, output = LiveMessages(source.infos[0]), step.output
     sent = [
-        *messages.estimate(output.now, TOPICS.__contains__),
-        *messages.estimate(output.settled, TOPICS.__contains__),
-        *messages.frames(step.frames, 0.012, TOPICS.__contains__),
+        *messages.arm(output.now, TOPICS.__contains__, step.frames, 0.012),
+        *messages.arm(output.settled, TOPICS.__contains__),
         *messages.gap(step.gap),
         messages.line("the camera is back", 2.0),
     ]
@@ -119,7 +118,7 @@ def test_a_client_reads_the_arm_and_nothing_is_made_where_nobody_looks(played, m
         assert server.address.startswith("ws://127.0.0.1:")
         server.send(step)  # announces all topics
         with monkeypatch.context() as patched:
-            patched.setattr(LiveMessages, "estimate", lambda *_: pytest.fail("made for nobody"))
+            patched.setattr(LiveMessages, "arm", lambda *_: pytest.fail("made for nobody"))
             server._drawn_s = [-1.0]
             server.send(step)
 

@@ -6,26 +6,28 @@ import numpy as np
 import pytest
 
 from smoother.errors import RecordingError
+from smoother.streams.arrivals import Rows
 from smoother.streams.channels import ImuChannels, StreamLabels, belongs, is_accelerometer
-from smoother.streams.lsl_source import ImuHalves, LslSamples
+from smoother.streams.lsl_source import ImuHalves
 
 
-def sent(rate_hz: float, begin_s: float = 0.0, step_s: float = 0.0) -> LslSamples:
+def sent(rate_hz: float, begin_s: float = 0.0, step_s: float = 0.0) -> Rows:
     """A half of 6 s whose values are linear in time, and whose clock steps at 3 s."""
     t = begin_s + np.arange(0.0, 6.0, 1 / rate_hz)
-    return LslSamples(t + np.where(t > 3.0, step_s, 0.0), np.stack([t, 2.0 * t, -t], axis=1), t + 0.004)
+    values = np.stack([t, 2.0 * t, -t], axis=1)
+    return Rows(t + np.where(t > 3.0, step_s, 0.0), t + 0.004, {"values": values})
 
 
-def played(acc: LslSamples, gyro: LslSamples) -> tuple[LslSamples, list[str]]:
+def played(acc: Rows, gyro: Rows) -> tuple[Rows, list[str]]:
     """All joined samples, and what was said, played by arrival."""
     halves, out, said = ImuHalves("acc", "gyro"), [], []
     for now in np.arange(0.0, 6.2, 0.033):
         new = [each.select((each.arrival_s > now - 0.033) & (each.arrival_s <= now)) for each in (acc, gyro)]
-        joined, events = halves.joined(*([each] for each in new))
-        out += joined
+        joined, events = halves.joined(*new)
+        out.append(joined)
         said += events
     assert max(map(len, halves._waiting)) <= 201  # two seconds
-    return LslSamples.joined(out), said
+    return Rows.joined(out), said
 
 
 def test_the_accelerometer_is_interpolated_at_the_gyroscopes_stamps_but_not_where_it_pauses():
@@ -36,16 +38,16 @@ def test_the_accelerometer_is_interpolated_at_the_gyroscopes_stamps_but_not_wher
     inside = (t >= acc.t_s[0]) & (t <= acc.t_s[-1]) & ((t <= first) | (t >= second))
     assert not said
     np.testing.assert_array_equal(joined.t_s, t[inside])
-    np.testing.assert_allclose(joined.values[:, :3], gyro.values[inside], atol=1e-12)  # linear: exact
-    np.testing.assert_array_equal(joined.values[:, 3:], gyro.values[inside])
-    assert not len(played(LslSamples(), gyro)[0])
+    np.testing.assert_allclose(joined["values"][:, :3], gyro["values"][inside], atol=1e-12)  # linear: exact
+    np.testing.assert_array_equal(joined["values"][:, 3:], gyro["values"][inside])
+    assert not len(played(Rows(), gyro)[0])
 
 
 def test_each_halfs_clock_is_put_right():
     joined, said = played(sent(50, step_s=50.0), sent(100))
     assert len(said) == 1 and "the clock of acc stepped by +50.0" in said[0]
     assert joined.t_s[-1] > 5.9
-    np.testing.assert_allclose(joined.values[:, 0], joined.t_s, atol=0.011)  # to an interval's accuracy
+    np.testing.assert_allclose(joined["values"][:, 0], joined.t_s, atol=0.011)  # to an interval's accuracy
 
 
 def stream(kind: str, unit: str = "g") -> StreamLabels:

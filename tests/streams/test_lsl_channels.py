@@ -86,7 +86,7 @@ def test_a_skeleton_of_the_right_arm_in_mm():
     values = np.full((3, 10), 1000.0)
     values[:, 9] = [0.9, 0.4, np.nan]
     values[1, 0:3], values[2, 3:6] = 0.0, np.nan
-    position, state = channels.values(values)
+    position, state = channels.values(values).values()
     assert position[0, 2].tolist() == [1.0, 1.0, 1.0]
     tracked, inferred, lost = JointState.TRACKED, JointState.INFERRED, JointState.NOT_TRACKED
     assert state.tolist() == [
@@ -103,7 +103,7 @@ def test_states_of_a_kinect_stay_states_in_every_batch():
     for value, state in ((0, JointState.NOT_TRACKED), (1, JointState.INFERRED), (2, JointState.TRACKED)):
         values = np.ones((1, 10))
         values[0, 9] = value
-        assert channels.values(values)[1][0, 2] == state
+        assert channels.values(values)["state"][0, 2] == state
 
 
 def test_which_arm():

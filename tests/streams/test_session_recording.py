@@ -94,7 +94,7 @@ def test_the_metadata_says_what_was_done(original, tmp_path):
     source, recording, session = begun(original, tmp_path / "session.mcap")
     (arm,) = source.arms
     imu = arm.imus["forearm"]
-    stepped = imu.stamped(imu.t_s + np.where(imu.t_s > 3.0, 3.0, 0.0))
+    stepped = dataclasses.replace(imu, t_s=imu.t_s + np.where(imu.t_s > 3.0, 3.0, 0.0))
     source.play([dataclasses.replace(arm, imus={"forearm": stepped})])
     session.run(never)
     recording.close()

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from smoother.streams.arrivals import ImuRows, StampSteps
+from smoother.streams.arrivals import Rows, StampSteps
 from smoother.streams.session_figures import StreamHealth
 
 
@@ -42,28 +42,23 @@ def test_a_stream_lost_and_back():
     health, _ = fed(T[there], T[there], 1)
     assert (health.lost_times, health.is_lost) == (1, False)
     assert health.lost_s == pytest.approx(4.0, abs=0.03)
-    assert health.look(30.5) == ()
+    assert health.look(30.5) == []
     (said,) = health.look(32.0)
     assert said == "wrist: nothing for 2.0 s"
-    assert health.look(33.0) == ()
+    assert health.look(33.0) == []
     (said,) = health.take(np.array([35.0]), np.array([35.0]))
     assert said == "wrist: back, after 5.0 s"
 
 
-def imu(t, arrival) -> ImuRows:
-    t = np.asarray(t, float)
-    return ImuRows(t, np.zeros((len(t), 3)), np.zeros((len(t), 3)), np.asarray(arrival, float))
-
-
 def passed(t, arrival, batch: int = 7) -> tuple[np.ndarray, list[str], StampSteps]:
     """What comes out of stamps that arrive in batches, with the events."""
-    steps: StampSteps[ImuRows] = StampSteps("wrist")
+    steps = StampSteps("wrist")
     rows, events = [], []
     for start in range(0, len(t), batch):
-        corrected, said = steps.corrected(imu(t[start : start + batch], arrival[start : start + batch]))
+        corrected, said = steps.corrected(Rows(t[start : start + batch], arrival[start : start + batch]))
         rows.append(corrected)
         events += said
-    return ImuRows.joined(rows).t_s, events, steps
+    return Rows.joined(rows).t_s, events, steps
 
 
 TRUE = np.arange(0, 20, 0.01)
