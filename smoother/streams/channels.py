@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -91,12 +91,10 @@ class StreamLabels:
         more = f", and {len(labels) - 8} more" if len(labels) > 8 else ""
         return f"its channels are {printable(', '.join(labels[:8])[:150])}{more}"
 
-    def factor(
-        self, columns: Axes, known: dict[str, float], what: str, such_as: str, plain: Callable[[str], str]
-    ) -> float:
+    def factor(self, columns: Axes, known: dict[str, float], what: str, such_as: str) -> float:
         """What a unit of these channels is in SI."""
         units = {self.units[column].strip() for column in columns}
-        factors = {known.get(plain(unit)) for unit in units}
+        factors = {known.get(plain_unit(unit)) for unit in units}
         if len(factors) == 1 and (factor := factors.pop()) is not None:
             return factor
         stated = printable(", ".join(sorted(units))[:60])
@@ -137,7 +135,7 @@ class ImuChannels:
         units = {}
         for kind in wanted:
             what, known, such_as = _SENSORS[kind]
-            units[kind] = stream.factor(axes[kind], known, what, such_as, plain_unit)
+            units[kind] = stream.factor(axes[kind], known, what, such_as)
         return cls(axes, units)
 
     def with_gyroscope(self, gyro: ImuChannels, behind: int) -> ImuChannels:
@@ -212,7 +210,7 @@ class SkeletonChannels:
         axes = by_side.get(chosen, by_side.get(""))
         if axes is None:
             raise stream.refused(f"shows no {chosen} arm: {stream.shown}.")
-        metres = stream.factor(next(iter(axes.values())), METRES, "positions", "m or mm", str.lower)
+        metres = stream.factor(next(iter(axes.values())), METRES, "positions", "m or mm")
         beside = {joint: columns.confidence.get(f"{joint}_{chosen}") for joint in axes}
         known = {joint: at for joint, at in beside.items() if at is not None}
         states = {joint for joint, at in known.items() if _STATES & set(words_of(stream.labels[at]))}

@@ -218,9 +218,10 @@ class _Imu:
 
     def take(self, say: Callable[[str], None], found_gyro: Callable[..., LslInlet]) -> None:
         """Take down what it sends, unless its gyroscope has a stream that is still to come."""
-        labels, name = self.inlet.labels, self.inlet.name
+        labels = self.inlet.labels
         if self.channels is not None or labels is None:
             return
+        name = self.inlet.name
         where = "" if self.segment == FOREARM.name else f" of the {SEGMENTS[self.segment].label}"
         if self.gyro is None and is_accelerometer(labels):
             beside = [each for each in self.inlet.others if each.uid() != self.inlet.stream.uid()]
