@@ -9,7 +9,6 @@ import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
-from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
@@ -78,9 +77,7 @@ def print_session(figures: dict[str, Any], arm: str = "") -> None:
     streams = {"IMU": figures["imu"], "camera": figures["skeleton"]}
     streams |= {f"IMU on the {SEGMENTS[name].label}": one for name, one in figures.get("further", {}).items()}
     rows = [{"stream": name, **stream} for name, stream in streams.items()]
-    columns = ("stream", "came", "missing", "late", "times lost", "lost, s")
-    keys = ("stream", "count", "missing", "late", "lost_times", "lost_s")
-    show(tabulated("Streams", rows, dict(zip(columns, keys, strict=True))))
+    show(tabulated("Streams", rows, "stream count=came missing late lost_times=times_lost lost_s"))
     done = figures["frame_done"]
     if done["count"]:
         say(
@@ -98,44 +95,43 @@ ALONE = {"--foxglove": "8765"}
 def live(
     out: Out,
     imu: Annotated[
-        list[str] | None,
-        o.option(
+        o.Texts,
+        o.value(
+            "[PLACE=]STREAM",
             "The IMU's LSL stream; a topic with --replay. Of several each with its place: upper-arm, hand;"
             " with --arms both right, left, right-upper-arm, ..",
-            metavar="[PLACE=]STREAM",
         ),
     ] = None,
     gyro: Annotated[
-        str | None, o.option("The gyroscope's LSL stream, if it has one of its own.", metavar="STREAM")
+        o.Text, o.value("STREAM", "The gyroscope's LSL stream, if it has one of its own.")
     ] = None,
     skeleton: Annotated[
-        str | None, o.option("The skeleton's LSL stream; a topic with --replay.", metavar="STREAM")
+        o.Text, o.value("STREAM", "The skeleton's LSL stream; a topic with --replay.")
     ] = None,
     side: o.Side = None,
     arms: Annotated[Literal["one", "both"], o.option("Both arms of a person, each with its IMU.")] = "one",
-    body: Annotated[str | None, o.option("Which of the skeleton's bodies.", metavar="N")] = None,
+    body: Annotated[o.Text, o.value("N", "Which of the skeleton's bodies.")] = None,
     calibration: o.Calibration = None,
-    lag: Annotated[float, o.option("Delay of the settled result.", metavar="S", min=0, max=2)] = 0.2,
+    lag: Annotated[float, o.value("S", "Delay of the settled result.", min=0, max=2)] = 0.2,
     record: Annotated[
         o.File, o.value("OUT.mcap", "Record everything that arrives.", callback=o.as_mcap), o.WRITTEN
     ] = None,
-    replay: Annotated[Path | None, o.option("Replay a recording in real time.", metavar="REC.mcap")] = None,
-    speed: Annotated[float, o.option("Of the replay; 0 = as fast as possible.", metavar="X", min=0)] = 1.0,
+    replay: Annotated[o.File, o.value("REC.mcap", "Replay a recording in real time.")] = None,
+    speed: Annotated[float, o.value("X", "Of the replay; 0 = as fast as possible.", min=0)] = 1.0,
     foxglove: Annotated[
-        int | None,
-        o.option("Show it in Foxglove, on port 8765 (0: a free one).", metavar="[PORT]", min=0, max=65535),
+        o.Count, o.value("[PORT]", "Show it in Foxglove, on port 8765 (0: a free one).", min=0, max=65535)
     ] = None,
     config_file: o.ConfigFile = None,
     latency: Annotated[
-        float | None, o.rare("Of a replay's camera.  [default: 0.1 s]", metavar="S", min=0, max=2)
+        o.Number, o.rare_value("S", "Of a replay's camera.  [default: 0.1 s]", min=0, max=2)
     ] = None,
     lsl_out: Annotated[
-        str | None, o.rare("Send the arm as LSL streams NAME and NAME_settled.", metavar="NAME")
+        o.Text, o.rare_value("NAME", "Send the arm as LSL streams NAME and NAME_settled.")
     ] = None,
     lsl_network: Annotated[
         bool, o.rare("Announce them to the whole network, not only here.", "--lsl-network")
     ] = False,
-    wait: Annotated[float, o.rare("How long to wait for the streams.", metavar="S", min=0)] = 30.0,
+    wait: Annotated[float, o.rare_value("S", "How long to wait for the streams.", min=0)] = 30.0,
 ) -> None:
     """Recover the arm live: now, and a moment ago with less error.
 

@@ -109,6 +109,13 @@ class JointResiduals:
         """Distances of those joints (k,) from the prediction."""
         return np.asarray(np.linalg.norm(self.residual[self.used], axis=1))
 
+    @property
+    def mean_squared(self) -> float:
+        """Squared error in sigmas of the joints' mean, per axis: what they share is not noise."""
+        mean = self.residual[self.used].mean(axis=0)
+        # their errors are nearly the prediction's, which they share
+        return float(mean @ np.linalg.solve(self.covariance[self.used].mean(axis=0), mean)) / 3.0
+
 
 @dataclass(frozen=True)
 class _Seen:
@@ -136,7 +143,7 @@ class CameraMonitor:
         self._limit_s, self._jump_m = LONGEST_S, np.inf
         self._solutions: deque[LagSolution] = deque()
         self._seen: deque[_Seen] = deque(maxlen=LOOKED_AT)
-        self._waited: deque[tuple[_Seen, JointResiduals]] = deque(maxlen=LOOKED_AT // 2)
+        self._waited: deque[_Seen] = deque(maxlen=LOOKED_AT // 2)
         self._bad = self._fits = self._repeats = self._resting = 0
         self._count = 0
         self._suspicion = Suspicion(DOUBT_S, LONGEST_DOUBT_S, DOUBTED_AGAIN_S)
@@ -187,7 +194,7 @@ class CameraMonitor:
                 return self._left_out(t_s, "it jumped away from the IMU's prediction", np.inf)
             return self._imu_wrong(t_s, t_s - DOUBT_BEFORE_S, accepted)
         if before is not None and first is not None:
-            self._bad = self._bad + 1 if _mean_squared(before) > CONTRADICTS_BEFORE else 0
+            self._bad = self._bad + 1 if before.mean_squared > CONTRADICTS_BEFORE else 0
             if self._bad >= FRAMES_IN_A_ROW:
                 return self._contradicted(t_s, first, accepted)
         if self._bad == 0 and not np.isfinite(self.sound_since_s):
@@ -259,14 +266,16 @@ class CameraMonitor:
         fits = (now.squared < FITS) & (now.off_m < near_m)
         self._fits = self._fits + 1 if fits.all() else 0
         assert self.since_s is not None
-        self._waited.append((self._seen[-1], now))
-        if self._fits >= FITS_IN_A_ROW and not _rests(*self._waited[0], *self._waited[-1]):
+        self._waited.append(self._seen[-1])
+        first, last = self._waited[0], self._waited[-1]
+        rests = _rests(first, first.now, last, last.now)
+        if self._fits >= FITS_IN_A_ROW and not rests:
             away_s, self.since_s = t_s - self.since_s, None
             self._solutions.clear()
             self._visible_s = t_s
             return FrameFinding(accepted, Culprit.NOBODY, f"the camera fits again, after {away_s:.1f} s")
         nothing = np.zeros(len(JOINTS), bool)
-        if _rests(*self._waited[0], *self._waited[-1]):
+        if rests:
             self._limit_s = LONGEST_S  # it is not the tracker that strayed
         if t_s - self.since_s > self._limit_s or now.predicted_m > PREDICTED_M:
             return FrameFinding(nothing, Culprit.TRACKER, _ANEW)
@@ -345,11 +354,3 @@ def _rests(first: _Seen, before: JointResiduals, last: _Seen, after: JointResidu
 _IMU_WRONG = "the IMU does not fit the camera's motion; the camera is followed meanwhile"
 _RESTS = "its joints are frozen while the IMU moves"
 _ANEW = "camera and solution contradict each other, and it is unclear which is wrong: the smoother restarts"
-
-
-def _mean_squared(residuals: JointResiduals) -> float:
-    """Squared error in sigmas of the joints' mean, per axis: what they share is not noise."""
-    mean = residuals.residual[residuals.used].mean(axis=0)
-    # their errors are nearly the prediction's, which they share
-    covariance = residuals.covariance[residuals.used].mean(axis=0)
-    return float(mean @ np.linalg.solve(covariance, mean)) / 3.0

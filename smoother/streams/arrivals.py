@@ -55,8 +55,8 @@ class Rows:
             return parts[0] if parts else Rows()
         names = [name for name in parts[0].columns if all(name in part.columns for part in parts)]
         columns = {name: np.concatenate([part[name] for part in parts]) for name in names}
-        times = (np.concatenate([getattr(part, name) for part in parts]) for name in ("t_s", "arrival_s"))
-        return Rows(*times, columns)
+        t_s, arrival_s = [part.t_s for part in parts], [part.arrival_s for part in parts]
+        return Rows(np.concatenate(t_s), np.concatenate(arrival_s), columns)
 
 
 @dataclass(frozen=True)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import threading
 import time
 
 import numpy as np
@@ -17,6 +18,7 @@ from smoother.errors import UnoccludeError
 from smoother.io import open_recording, read_recording, write_recording
 from smoother.io.mcap.repair import repair_container
 from smoother.smoothing import smooth
+from smoother.streams import session_recording
 from smoother.streams.replay import Replay
 from smoother.streams.session import LiveSession
 from smoother.streams.session_recording import (
@@ -144,6 +146,21 @@ def test_a_full_disk_ends_the_recording_and_not_the_session(original, tmp_path, 
     assert source.ended
     (said,) = [sentence for _, sentence in session.figures[0].events if "recording has ended" in sentence]
     assert "the session continues" in said and "unocclude repair" in said and "session.recording.mcap" in said
+    assert not recording.is_whole
+
+
+def test_a_disk_that_does_not_take_the_end_is_said(original, tmp_path, monkeypatch):
+    """The end mark was dropped silently, and the file closed while it was being written."""
+    source, recording, session = begun(original, tmp_path / "session.mcap")
+    hangs = threading.Event()
+    monkeypatch.setattr(session_recording, "_CLOSE_S", 0.2)
+    monkeypatch.setattr(recording._output, "write", lambda *_: hangs.wait(30.0))
+    session.run(lambda: source.now_s() > 1.0)
+    recording.close()
+    hangs.set()
+    said = [sentence for _, sentence in session.figures[0].events if "has no end" in sentence]
+    assert len(said) == 1 and "unocclude repair" in said[0]
+    assert not recording.is_whole and not (tmp_path / "session.mcap").exists()
 
 
 @pytest.mark.slow
