@@ -10,7 +10,7 @@ import sys
 from contextlib import suppress
 from typing import Any
 
-from ..runtime.allocation import keep_freed_memory
+from ..runtime.packages import keep_freed_memory
 
 
 def main() -> None:
@@ -24,7 +24,9 @@ def main() -> None:
     os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "1")
     keep_freed_memory()
     _open_closed_streams()
-    _print_without_reader()
+    if isinstance(old := sys.stdout, io.TextIOWrapper) and not old.isatty():
+        raw = io.BufferedWriter(_Output(1, "wb", closefd=False))
+        sys.stdout = io.TextIOWrapper(raw, old.encoding, old.errors, line_buffering=old.line_buffering)
     try:
         from .run import run
 
@@ -33,7 +35,12 @@ def main() -> None:
         print("unocclude: interrupted", file=sys.stderr)
         code = 1
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # nothing is left to interrupt
-    _flush()
+    for stream in (sys.stdout, sys.stderr):
+        try:
+            stream.flush()
+        except (OSError, ValueError):  # the reader is gone; Python tries once more as it ends
+            with suppress(OSError, ValueError):
+                os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
     gc.freeze()  # or Python looks through all that was imported once more before it ends: 0.07 s
     sys.exit(code)
 
@@ -47,12 +54,8 @@ def _open_closed_streams() -> None:
     for number, name, mode in ((0, "stdin", "r"), (1, "stdout", "w"), (2, "stderr", "w")):
         try:
             os.fstat(number)
-        except OSError:
-            null = os.open(os.devnull, os.O_RDWR)
-            if null != number:
-                os.dup2(null, number)
-                os.close(null)
-            os.set_inheritable(number, True)  # worker processes want it as well
+        except OSError:  # the lowest free number is this one; worker processes want it as well
+            os.set_inheritable(os.open(os.devnull, os.O_RDWR), True)
         if getattr(sys, name) is None:
             stream = open(number, mode, encoding="utf-8", closefd=False)  # noqa: SIM115 - open to the end
             setattr(sys, name, stream)
@@ -62,29 +65,6 @@ class _Output(io.FileIO):
     """Standard output; what is printed after its reader went away (| head) goes nowhere."""
 
     def write(self, data: Any, /) -> int:
-        try:
+        with suppress(BrokenPipeError):
             return super().write(data)
-        except BrokenPipeError:
-            null = os.open(os.devnull, os.O_WRONLY)
-            os.dup2(null, 1)
-            os.close(null)
-            return len(data)
-
-
-def _print_without_reader() -> None:
-    """Let a command write its results although nobody reads what it prints."""
-    old = sys.stdout
-    if isinstance(old, io.TextIOWrapper) and not old.isatty():
-        raw = io.BufferedWriter(_Output(1, "wb", closefd=False))
-        sys.stdout = io.TextIOWrapper(raw, old.encoding, old.errors, line_buffering=old.line_buffering)
-
-
-def _flush() -> None:
-    """Write what is still to be printed; discard it where the reader is gone."""
-    for stream in (sys.stdout, sys.stderr):
-        try:
-            if stream is not None:
-                stream.flush()
-        except (OSError, ValueError):
-            with suppress(OSError, ValueError):
-                os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
+        return len(data)

@@ -67,12 +67,9 @@ def flat(function: Callable[..., None]) -> Callable[..., None]:
         only_lists = "list" in (given.get("settings") or ())  # what can be set; nothing is written
         files: dict[str, list[Path]] = {WRITTEN: [], ADDED_TO: [], SHARED: [], UNCHECKED: [], "read": []}
         for each in shown:
-            value = given[each.name]
-            how = next(
-                (mark for mark in getattr(each.annotation, "__metadata__", ()) if mark in files), "read"
-            )
-            paths = value if isinstance(value, list) else [value]
-            files[how] += [path for path in paths if isinstance(path, Path)]
+            marks = [mark for mark in getattr(each.annotation, "__metadata__", ()) if mark in files]
+            paths = value if isinstance(value := given[each.name], list) else [value]
+            files[marks[0] if marks else "read"] += [path for path in paths if isinstance(path, Path)]
         for name, group in groups.items():
             given[name] = group(**{each.name: given.pop(each.name) for each in fields(group)})
             if hasattr(given[name], "check_files") and not only_lists:
@@ -80,19 +77,6 @@ def flat(function: Callable[..., None]) -> Callable[..., None]:
         function(**given)
 
     command.__signature__ = inspect.Signature(shown)  # type: ignore[attr-defined]
-    return command
-
-
-def imported(module: str, name: str) -> Any:
-    """A command of a module; the last paragraph of its docstring is its example, shown below the options."""
-    place = import_module(f".{module}", __package__)
-    function = getattr(place, name.replace("-", "_"))
-    text, _, example = (inspect.getdoc(function) or "").partition("\n\nExample: ")
-    epilog = "Example: " + example.replace("\n\n", "\n\n\b\n")  # what follows the line keeps its lines
-    app = typer.Typer(add_completion=False, rich_markup_mode=None)
-    app.command(name, cls=Command, help=text, epilog=epilog)(flat(function))
-    command = typer.main.get_command(app)
-    command.alone = getattr(place, "ALONE", {})  # type: ignore[attr-defined]
     return command
 
 
@@ -106,10 +90,22 @@ class Commands(TyperGroup):
         super().__init__(commands=everything | (commands or {}), **attributes)
 
     def get_command(self, ctx: Any, cmd_name: str) -> Any:
-        """The command of a name, or None."""
-        command: Any = self.commands.get(cmd_name)
-        if isinstance(command, str):
-            command = self.commands[cmd_name] = imported(command, cmd_name)
+        """The command of a name, or None.
+
+        The last paragraph of its docstring is its example, shown below the options.
+        """
+        known: Any = self.commands.get(cmd_name)
+        if not isinstance(known, str):
+            return known
+        place = import_module(f".{known}", __package__)
+        function = getattr(place, cmd_name.replace("-", "_"))
+        text, _, example = (inspect.getdoc(function) or "").partition("\n\nExample: ")
+        epilog = "Example: " + example.replace("\n\n", "\n\n\b\n")  # what follows the line keeps its lines
+        own = typer.Typer(add_completion=False, rich_markup_mode=None)
+        own.command(cmd_name, cls=Command, help=text, epilog=epilog)(flat(function))
+        command: Any = typer.main.get_command(own)
+        command.alone = getattr(place, "ALONE", {})
+        self.commands[cmd_name] = command
         return command
 
     def format_commands(self, ctx: Any, formatter: Any) -> None:
@@ -132,8 +128,9 @@ def _group(help_text: str, **modules: str) -> typer.Typer:
     )
 
 
+PURPOSE = "Recover arm motion that a depth camera could not see, with a wrist IMU."
 app = _group(
-    "Recover arm motion that a depth camera could not see, with a wrist IMU.",
+    PURPOSE,
     demo="app demo",
     recordings="info check match repair cut",
     smooth="smooth",
@@ -154,30 +151,29 @@ def _version(wanted: bool) -> None:
         raise typer.Exit
 
 
-@app.callback(epilog="Example: unocclude smooth session.mcap -o recovered.mcap --report report.html")
-def _root(
-    version: Annotated[
-        bool, typer.Option("--version", callback=_version, is_eager=True, help="Print the version.")
-    ] = False,
-) -> None:
-    """Recover arm motion that a depth camera could not see, with a wrist IMU."""
+_Version = Annotated[
+    bool, typer.Option("--version", callback=_version, is_eager=True, help="Print the version.")
+]
 
 
-for _name, _help, _modules in (
-    (
-        "import",
-        "Make a recording from other files.",
-        {"imports": "csv files video formats describe broad utd-mhad strap"},
-    ),
-    (
-        "calibrate",
-        "Measure once what does not change; write a calibration file.",
-        {"calibrate": "motion imu magnetometer cameras forearm", "calibrate_rig": "clock panel world"},
-    ),
-    (
-        "simulate",
-        "Simulate recordings with truth.",
-        {"simulate": "arm people strap imu magnetometer panel clock"},
-    ),
-):
-    app.add_typer(_group(_help, **_modules), name=_name)
+@app.callback(
+    help=PURPOSE, epilog="Example: unocclude smooth session.mcap -o recovered.mcap --report report.html"
+)
+def _root(version: _Version = False) -> None:
+    pass
+
+
+_imports = _group(
+    "Make a recording from other files.", imports="csv files video formats describe broad utd-mhad strap"
+)
+app.add_typer(_imports, name="import")
+_calibrations = _group(
+    "Measure once what does not change; write a calibration file.",
+    calibrate="motion imu magnetometer cameras forearm",
+    calibrate_rig="clock panel world",
+)
+app.add_typer(_calibrations, name="calibrate")
+_simulations = _group(
+    "Simulate recordings with truth.", simulate="arm people strap imu magnetometer panel clock"
+)
+app.add_typer(_simulations, name="simulate")

@@ -11,7 +11,7 @@ import typer
 
 from ..table import tabulated
 from . import options as o
-from .load import Which, camera_frame_of, usual_draws
+from .load import Which, camera_frame_of
 from .output import (
     check_outputs,
     end_strictly,
@@ -44,22 +44,19 @@ _FIGURES_MARKS = b'"recordings"', b'"done_before"'
 
 #: `--report` alone: the page is in the study's folder.
 ALONE = {"--report": ""}
+_source = (
+    "A folder of .mcap files, a pattern in quotation marks, or a text file with one recording per line"
+    " (optionally a tab and its calibration)."
+)
 
 
 def batch(
-    source: Annotated[
-        str,
-        o.argument(
-            "FOLDER|PATTERN|LIST",
-            "A folder of .mcap files, a pattern in quotation marks, or a text file with one recording"
-            " per line (optionally a tab and its calibration).",
-        ),
-    ],
+    source: Annotated[str, o.argument("FOLDER|PATTERN|LIST", _source)],
     output: o.FolderOutput,
     which: Which,
     calibration_file: o.Calibration = None,
     report: Annotated[
-        str | None, o.value("[OUT.html]", "Also write the study's page, in FOLDER if alone.")
+        o.Text, o.value("[OUT.html]", "Also write the study's page, in FOLDER if alone.")
     ] = None,
     reports: Annotated[bool, o.option("Also write the report of each recording.", "--reports")] = False,
     measures: Annotated[bool, o.option("Also measure each arm, for `progress`.", "--measures")] = False,
@@ -68,14 +65,14 @@ def batch(
     force: Annotated[bool, o.option("Use a folder with other files; recompute all.", "--force")] = False,
     config_file: o.ConfigFile = None,
     scheduler: Annotated[
-        str | None, o.rare_value("tcp://HOST:PORT", "The workers of this Dask scheduler.")
+        o.Text, o.rare_value("tcp://HOST:PORT", "Use this Dask scheduler's workers.")
     ] = None,
     processes: o.Processes = None,
     retry_failed: Annotated[bool, o.rare("Retry failed recordings too.", "--retry-failed")] = False,
     time_limit: Annotated[
         float, o.rare_value("MINUTES", "Longer ones fail here; 0 = no limit.", min=0)
     ] = TIME_LIMIT_MINUTES,
-    draws: Annotated[o.Count, o.rare("Drawn motions for --measures.  [default: 64]", min=0, max=1000)] = None,
+    draws: o.Draws = None,
 ) -> None:
     """Recover many recordings; run again to continue.
 
@@ -87,7 +84,7 @@ def batch(
     Example: unocclude batch sessions -o recovered --calibration arm.toml --report
     """
     from ..measures.definitions import FEWEST_DRAWS
-    from ..runtime.outputs import check_output
+    from ..result.draws import USUAL_DRAWS
     from ..study.inputs import find_entries
     from ..study.job import StudySettings
     from ..study.run import run_study, study_folder
@@ -115,7 +112,7 @@ def batch(
         retry_failed=retry_failed,
         time_limit_s=60 * time_limit,
         measures=measures,
-        draws=usual_draws(draws) if measures else 0,
+        draws=0 if not measures else USUAL_DRAWS if draws is None else draws,
     )
     entries = find_entries(source, folder.path)
     inside = page is not None and page.resolve().is_relative_to(folder.path.resolve())
@@ -123,9 +120,8 @@ def batch(
     # what is not a file, such as a pipe, fails by itself and stops no other
     inputs = [calibration_file, config_file, *(path for path in recordings if os.path.isfile(path))]
     check_outputs(True, [None if inside else page, json_file], inputs)
-    for path, marks in ((page, _PAGE_MARKS), (json_file, _FIGURES_MARKS)):
-        if path is not None and path.is_file() and not _begins_with(path, marks):
-            check_output(path, force)  # what an earlier run wrote is renewed, never another program's file
+    _refuse_others(page, _PAGE_MARKS, force)
+    _refuse_others(json_file, _FIGURES_MARKS, force)
     workers = local(processes or 0) if scheduler is None else cluster(scheduler)
     try:
         with progress_bar("recovering") as bar:
@@ -163,18 +159,14 @@ def batch(
 def write_reports(rows: pa.Table, folder: Path, processes: int, anew: bool) -> None:
     """Write the report of each result of a study that has none, or one that is older than the result."""
     from ..report.study import report_of
-    from ..runtime.outputs import check_output
     from ..runtime.pool import Pool
 
-    results = [folder / row["output"] for row in rows.to_pylist() if row["status"] == "done"]
     todo = []
-    for result in results:
+    for result in (folder / row["output"] for row in rows.to_pylist() if row["status"] == "done"):
         page = folder / report_of(str(result.relative_to(folder)))
-        if page.is_file() and not anew and page.stat().st_mtime >= result.stat().st_mtime:
-            continue
-        if page.is_file() and not _begins_with(page, _PAGE_MARKS[:1]):
-            check_output(page, force=False)  # another program's file is not replaced
-        todo.append((result, page))
+        if anew or not page.is_file() or page.stat().st_mtime < result.stat().st_mtime:
+            _refuse_others(page, _PAGE_MARKS[:1], anew)
+            todo.append((result, page))
     with Pool(processes, frames=10**9 if len(todo) > 1 else 0) as workers:
         for _ in workers.map(_write_report, todo):
             pass
@@ -189,11 +181,14 @@ def _write_report(files: tuple[Path, Path]) -> None:
     write_arms_report(arms, files[1], camera_frame=camera_frame_of(files[0]), force=True)
 
 
-def _begins_with(path: Path, marks: Sequence[bytes]) -> bool:
-    """Whether the first lines of a file have all these marks."""
-    with open(path, "rb") as file:
-        start = file.read(1000)
-    return all(mark in start for mark in marks)
+def _refuse_others(path: Path | None, marks: Sequence[bytes], force: bool) -> None:
+    """Refuse to replace another program's file; what an earlier run wrote has these marks, and is renewed."""
+    from ..runtime.outputs import check_output
+
+    if path is not None and path.is_file():
+        with open(path, "rb") as file:
+            start = file.read(1000)
+        check_output(path, force or all(mark in start for mark in marks))
 
 
 def study_figures(rows: pa.Table, tally: Tally) -> dict[str, Any]:

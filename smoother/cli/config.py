@@ -9,7 +9,7 @@ import sys
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, TypeVar
 
 import typer
 
@@ -28,24 +28,23 @@ if TYPE_CHECKING:
 
 
 def read_config(
-    path: Path | None,
+    config_file: Path | None,
     processes: int | None = None,
     anatomy: str | None = None,
-    height_m: float | None = None,
+    body_height: float | None = None,
 ) -> Config:
     """Read a configuration; what neither it nor the options name keeps its default."""
     from pydantic import ValidationError
 
-    from ..config import Anatomy, ArmPrior, Config
+    from ..config import Config
 
-    config = with_processes(read_settings(path, Config), processes)
-    arm: dict[str, Any] = {} if anatomy is None else {"anatomy": Anatomy(anatomy)}
-    if height_m is not None:
-        try:
-            arm["height_m"] = ArmPrior(height_m=height_m).height_m
-        except ValidationError as error:
-            raise typer.BadParameter(f"--body-height is in m, as 1.75; not {height_m:g}") from error
-    return config.model_copy(update={"arm": config.arm.model_copy(update=arm)}) if arm else config
+    config = with_processes(read_settings(config_file, Config), processes)
+    given = {"anatomy": anatomy, "height_m": body_height}
+    arm = config.arm.model_dump() | {name: value for name, value in given.items() if value is not None}
+    try:
+        return config.model_copy(update={"arm": type(config.arm).model_validate(arm)})
+    except ValidationError as error:
+        raise typer.BadParameter(f"--body-height is in m, as 1.75; not {body_height:g}") from error
 
 
 def read_settings(path: Path | None, kind: type[Settings]) -> Settings:
@@ -90,26 +89,16 @@ def to_toml(config: BaseModel) -> str:
     lines: list[str] = []
     for name, field in type(config).model_fields.items():
         value = getattr(config, name)
-        if not hasattr(value, "model_fields"):
-            lines.append(_line(name, value, field.description))
+        if hasattr(value, "model_fields"):
+            summary = (type(value).__doc__ or "").strip().splitlines()
+            lines += [*([""] if lines else []), *(f"# {each}" for each in summary[:1]), f"[{name}]"]
+            lines.append(to_toml(value).rstrip("\n"))
             continue
-        summary = (type(value).__doc__ or "").strip().splitlines()
-        lines += [*([""] if lines else []), *(f"# {each}" for each in summary[:1]), f"[{name}]"]
-        leaves = type(value).model_fields.items()
-        lines += [_line(key, getattr(value, key), leaf.description) for key, leaf in leaves]
+        comment = f"  # {field.description}" if field.description else ""
+        # strings, numbers, flags and lists are written as JSON writes them
+        known = f"{name} = {json.dumps(value, ensure_ascii=False)}"
+        lines.append((f"# {name} =" if value is None else known) + comment)
     return "\n".join(lines) + "\n"
-
-
-def _line(name: str, value: Any, description: str | None) -> str:
-    """A setting; its strings, numbers and flags are written as JSON writes them."""
-    comment = f"  # {description}" if description else ""
-    return f"# {name} ={comment}" if value is None else f"{name} = {_value(value)}{comment}"
-
-
-def _value(value: Any) -> str:
-    if isinstance(value, list | tuple):
-        return f"[{', '.join(map(_value, value))}]"
-    return json.dumps(value, ensure_ascii=False)
 
 
 def config(out: Out, config_file: o.ConfigFile = None) -> None:
@@ -162,15 +151,14 @@ def doctor(out: Out) -> None:
 def solve_something() -> str:
     """Fuse two measurements of a point with GTSAM."""
     import gtsam
-    import numpy as np
 
     graph, start = gtsam.NonlinearFactorGraph(), gtsam.Values()
     for measured in (0.0, 2.0):
         noise = gtsam.noiseModel.Isotropic.Sigma(3, 0.1)
-        graph.add(gtsam.PriorFactorPoint3(1, np.array([measured, 0.0, 0.0]), noise))
-    start.insert(1, np.array([5.0, 5.0, 5.0]))
+        graph.add(gtsam.PriorFactorPoint3(1, gtsam.Point3(measured, 0.0, 0.0), noise))
+    start.insert(1, gtsam.Point3(5.0, 5.0, 5.0))
     answer = gtsam.LevenbergMarquardtOptimizer(graph, start).optimize().atPoint3(1)
-    if not np.allclose(answer, [1.0, 0.0, 0.0], atol=1e-6):
+    if max(abs(answer - gtsam.Point3(1.0, 0.0, 0.0))) > 1e-6:
         raise ArithmeticError(f"gtsam answers {answer} where (1, 0, 0) is right")
     return "gtsam solves a small problem"
 
@@ -181,7 +169,7 @@ def use_open3d() -> str:
 
     open3d = load_open3d()
     scene = open3d.t.geometry.RaycastingScene()
-    scene.add_triangles(open3d.t.geometry.TriangleMesh.from_legacy(open3d.geometry.TriangleMesh.create_box()))
+    scene.add_triangles(open3d.t.geometry.TriangleMesh.create_box())
     ray = open3d.core.Tensor([[0.5, 0.5, -1.0, 0.0, 0.0, 1.0]], open3d.core.Dtype.Float32)
     distance = float(scene.cast_rays(ray)["t_hit"].numpy()[0])
     if abs(distance - 1.0) > 1e-4:

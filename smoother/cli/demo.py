@@ -29,8 +29,8 @@ def demo(
     from ..evaluation.validate import validate
     from ..io import read_recording, write_recovery
     from ..report import write_report
+    from ..result.draws import USUAL_DRAWS
     from .config import read_config
-    from .load import usual_draws
     from .smooth import print_recovery, smooth_figures
 
     folder.mkdir(parents=True, exist_ok=True)
@@ -40,7 +40,7 @@ def demo(
     say(f"recording: {source}")
     config = read_config(None, processes)
     with progress_bar("recovering") as progress:
-        recovery = smooth(recording, None, config, progress, draws=usual_draws(None))
+        recovery = smooth(recording, None, config, progress, draws=USUAL_DRAWS)
     result, report = folder / "demo_recovered.mcap", folder / "demo_report.html"
     write_recovery([recovery], result, source=source, force=True)
     truth = recording.truth

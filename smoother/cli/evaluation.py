@@ -21,20 +21,16 @@ from .load import (
     ResultInput,
     baseline_settings,
     camera_frame_of,
-    choose,
-    damage,
     refuse_several,
     refuse_twice,
 )
 from .output import (
     Out,
-    arms_figures,
     each_arm,
     part_of,
     print_notes,
     progress_bar,
     say,
-    say_arm,
     say_more,
     say_written,
     show,
@@ -47,13 +43,14 @@ from .output import (
 if TYPE_CHECKING:
     from calib.sigma_factor import LengthFactor
 
-    from ..calibration import ArmCalibration
     from ..evaluation.compare import Comparison
     from ..evaluation.gaps import GapTable
     from ..evaluation.reference import ReferenceAlignment
     from ..evaluation.validate import Validation
     from ..recording import Recording, Truth
     from ..result import Recovery
+    from ..runtime.pool import Progress
+    from .load import Arm
 
 
 #: More gaps than this are not printed, `--json` has them all; without --verbose this many notes and measures.
@@ -74,8 +71,7 @@ def validate(
     ],
     markers: Annotated[o.File, o.value("MAP.toml", "Which markers form a joint or are on the IMU.")] = None,
     calibration: Annotated[
-        Path | None,
-        o.value("CAL.toml", "[camera_from_mocap]; else aligned by motion."),
+        o.File, o.value("CAL.toml", "[camera_from_mocap]; else aligned by motion.")
     ] = None,
     align: o.Align = False,
     pool: Annotated[o.Files, o.value("FILE.json", "Add the measures of an earlier --json file.")] = None,
@@ -93,6 +89,7 @@ def validate(
     from ..evaluation.measure_agreement import read_pairs, unique_pairs
     from ..evaluation.reference import read_reference
     from ..evaluation.validate import validate
+    from ..io.mcap.messages import damage
 
     pooled = unique_pairs(pair for path in pool or () for pair in read_pairs(path))
     recoveries = arms.load(result)
@@ -113,17 +110,16 @@ def validate(
         from ..report import write_arms_report
 
         write_arms_report([(None, *each) for each in results], report, camera_frame=axes, force=out.force)
-    validations, figures = [], []
-    for recovery, one, _ in results:
-        damaged = [note for note in damage(recovery.notes) if note not in one.notes]
-        validations.append(replace(one, notes=(*damaged, *one.notes)))
-        verdict = {"trusted": recovery.estimates.trusted, "verdict": recovery.estimates.verdict}
-        figures.append(validations[-1].to_dict() | verdict)
-    out.json(arms_figures(recoveries, figures))
+    validations = [
+        replace(one, notes=tuple(dict.fromkeys((*damage(recovery.notes), *one.notes))))
+        for recovery, one, _ in results
+    ]
+    figures = [
+        one.to_dict() | {"trusted": of.estimates.trusted, "verdict": of.estimates.verdict}
+        for of, one in zip(recoveries, validations, strict=True)
+    ]
     warn(recoveries)
-    for recovery, validation in zip(recoveries, validations, strict=True):
-        say_arm(recovery, len(recoveries))
-        print_validation(validation, verbose)
+    out.arms(recoveries, figures, lambda number: print_validation(validations[number], verbose))
 
 
 def print_validation(validation: Validation, verbose: bool = False) -> None:
@@ -180,7 +176,7 @@ def compare(
     """
     from ..evaluation.compare import compare
 
-    names = [*choose(methods), *(LIVE_METHODS if live else ())]
+    names = [*o.listed(methods, METHODS, "method"), *(LIVE_METHODS if live else ())]
     baselines = baseline_settings(names, orientation)
     if truth is None and (markers is not None or align):
         raise typer.BadParameter("--markers and --align are for a truth named with --truth")
@@ -195,19 +191,17 @@ def compare(
             " `unocclude gaps`"
         )
 
-    def compare_arm(place: int) -> tuple[Recovery, Comparison]:
+    def compare_arm(place: int, progress: Progress) -> tuple[Recovery, Comparison]:
         recording, given = arms[place]
         blind, clock = replace(recording, truth=None), source.clock(recording)
-        first, second = (part_of(part_of(progress, place, len(arms)), half, 2) for half in (0, 1))
+        first, second = (part_of(progress, half, 2) for half in (0, 1))
         running = make_methods([GRAPH, *names], given, config, baselines, first, clock, latency)
         graph = running[GRAPH](blind)
         own, alignment = truth_for(recording, graph, truth, markers, source.calibration_file, align)
         chosen = {name: running[name] for name in names}
         return graph, compare(blind, graph, own, chosen, alignment, second, config.windows.processes)
 
-    with progress_bar("comparing") as progress:
-        answers, left_out = each_arm(recordings, compare_arm)
-    compared = [recording for recording, _ in answers]
+    answers, left_out = each_arm("comparing", recordings, compare_arm)
     if report is not None:
         from ..report.method_comparison import comparison_page
 
@@ -219,16 +213,18 @@ def compare(
         | {"trusted": graph.estimates.trusted, "verdict": graph.estimates.verdict, "notes": notes}
         for (recording, (graph, comparison)), notes in zip(answers, noted, strict=True)
     ]
-    out.json(arms_figures(compared, figures))
     warn([graph for _, (graph, _) in answers])
-    for (recording, (_, comparison)), notes in zip(answers, noted, strict=True):
-        say_arm(recording, len(compared))
+
+    def tell(place: int) -> None:
+        comparison = answers[place][1][1]
         errors, joints, lags = comparison.tables
         show(errors)
         show(joints)
         say(comparison.camera_words)
         show(lags)
-        print_notes(notes)
+        print_notes(noted[place])
+
+    out.arms([recording for recording, _ in answers], figures, tell)
     out.end(report)
 
 
@@ -256,13 +252,9 @@ def truth_for(
     frame = None
     if calibration is not None and (of_markers or align):
         frame = calibration if "camera_from_mocap" in read_calibration(calibration).tables else None
+    axes = recording.camera_frame
     return read_reference(
-        truth_file,
-        graph,
-        markers=markers,
-        calibration=frame,
-        camera_frame=recording.camera_frame,
-        align=align,
+        truth_file, graph, markers=markers, calibration=frame, camera_frame=axes, align=align
     )
 
 
@@ -301,7 +293,7 @@ def gaps(
     from .config import with_processes
 
     lengths_s = parse_lengths(lengths)
-    names = [*choose(methods), *(LIVE_METHODS if live else ())]
+    names = [*o.listed(methods, METHODS, "method"), *(LIVE_METHODS if live else ())]
     baselines = baseline_settings(names, orientation)
     if keep_in is not None and GRAPH not in names:
         raise typer.BadParameter(f"--keep-in keeps what {GRAPH} needs; add it to --methods")
@@ -311,28 +303,25 @@ def gaps(
     config = settings.read()
     side_by_side = config.windows.processes or os.cpu_count() or 1
     inner = with_processes(config, max(side_by_side // (len(lengths_s) * repetitions), 1))
-    given: list[ArmCalibration | None] = []
-    recordings: list[Recording] = []
-    several = False
-    for arms in map(source.load, recording_files):
-        several = several or len(arms) > 1
-        for recording, known in arms:
-            name = f"{recording.name}, {recording.arm_label}" if len(arms) > 1 else recording.name
-            while name in [each.name for each in recordings]:
+    arms: list[Arm] = []
+    loaded = [source.load(path) for path in recording_files]
+    for file in loaded:
+        for recording, known in file:
+            name = f"{recording.name}, {recording.arm_label}" if len(file) > 1 else recording.name
+            while name in [each.name for each, _ in arms]:
                 name += " (again)"
-            recordings.append(replace(recording, name=name))
             # what is measured anew is not applied before
-            given.append(replace(known, sigma_factors=None) if keep_in and known is not None else known)
+            of_arm = replace(known, sigma_factors=None) if keep_in and known is not None else known
+            arms.append((replace(recording, name=name), of_arm))
 
-    def hide_and_recover(place: int) -> GapTable:
-        recording, of_arm = recordings[place], part_of(progress, place, len(recordings))
+    def hide_and_recover(place: int, progress: Progress) -> GapTable:
+        recording, known = arms[place]
         clock = source.clock(recording)
-        running = make_methods(names, given[place], inner, baselines, clock=clock, latency_s=latency)
+        running = make_methods(names, known, inner, baselines, clock=clock, latency_s=latency)
         how = {"seed": seed, "repetitions": repetitions, "gaps_per_run": gaps_per_run}
-        return evaluate_gaps(recording, lengths_s, running, progress=of_arm, processes=side_by_side, **how)
+        return evaluate_gaps(recording, lengths_s, running, progress=progress, processes=side_by_side, **how)
 
-    with progress_bar("hiding and recovering") as progress:
-        evaluated, left_out = each_arm(recordings, hide_and_recover)
+    evaluated, left_out = each_arm("hiding and recovering", [one for one, _ in arms], hide_and_recover)
     recordings, tables = [recording for recording, _ in evaluated], [own for _, own in evaluated]
     table = pooled(tables)
     real = compare_real_gaps(recordings, table)
@@ -349,7 +338,7 @@ def gaps(
     if live:
         figures["since_last_frame"] = since
     by_arm: dict[tuple[str, int | None], list[GapTable]] = {}  # of all recordings together
-    for recording, own in evaluated if several else ():
+    for recording, own in evaluated if len(arms) > len(loaded) else ():
         by_arm.setdefault((recording.side, recording.body), []).append(own)
     each = {arm: pooled(by_arm[arm]) for arm in sorted(by_arm, key=str)}
     if each:
@@ -381,10 +370,7 @@ def keep(factors: Sequence[LengthFactor], reference: str, names: list[str], path
             f"{path} was not written: sigma has to be multiplied by {worst:.0f}, so it is not sigma"
             " that is wrong; check clock, axes and mounting"
         )
-    rows = [
-        {name: value if isinstance(value, int) else round(value, 4) for name, value in row.to_dict().items()}
-        for row in factors
-    ]
+    rows = [{name: round(value, 4) for name, value in row.to_dict().items()} for row in factors]
     write_calibration(path, with_sigma_table(CalibrationFile(), rows, reference, names))
 
 
@@ -434,12 +420,9 @@ def benchmark(
         raise typer.BadParameter(f"name the folder of the data sets with --data, or in {VARIABLE}")
     if not folder.is_dir():
         raise UnoccludeError(f"{folder} is not a folder; name the folder that contains the data sets")
-    keys = list(dict.fromkeys(part.strip() for part in datasets.split(",") if part.strip()))
-    keys = list(DATASETS) if keys == ["all"] else keys
-    if not keys or set(keys) - set(DATASETS):
-        raise typer.BadParameter(f"--datasets takes {', '.join(DATASETS)} or all, not '{datasets}'")
+    keys = o.listed(datasets, DATASETS, "data set")
     splits = list(SPLITS) if split == "all" else [split]
-    names = tuple(choose(method))
+    names = tuple(o.listed(method, METHODS, "method"))
     files = [output / name for name in _FILES]
     out.check(files if output.is_dir() else [])
     found, missing = find_trials(folder, keys, splits, trials)

@@ -3,18 +3,16 @@
 from __future__ import annotations
 
 import os
-import signal
 import subprocess
 import tempfile
+from contextlib import suppress
 from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, get_args
 
-import typer
-
 from ..errors import UnoccludeError
 from . import options as o
-from .load import ResultInput, camera_frame_of, damage
+from .load import ResultInput, camera_frame_of
 from .output import Out, print_notes, say, warn, write_text
 
 if TYPE_CHECKING:
@@ -45,8 +43,8 @@ def export(
     rate: Annotated[o.Number, o.value("HZ", "Rate of trc, mot and c3d.  [default: the IMU's]")] = None,
     origin: Annotated[Literal["camera", "shoulder"] | None, o.option("Of trc and c3d.")] = None,
     subject: Annotated[o.Text, o.rare_value("LABEL", "For bids.  [default: the result's name]")] = None,
-    session: Annotated[str | None, o.rare_value("LABEL", "For bids: session.")] = None,
-    task: Annotated[str | None, o.rare_value("LABEL", "For bids: task.  [default: arm]")] = None,
+    session: Annotated[o.Text, o.rare_value("LABEL", "For bids: session.")] = None,
+    task: Annotated[o.Text, o.rare_value("LABEL", "For bids: task.  [default: arm]")] = None,
     recording: Annotated[o.File, o.rare_value("REC.mcap", "For bids: what the result was made from.")] = None,
 ) -> None:
     """Write a result for OpenSim, MATLAB, R and others.
@@ -56,36 +54,38 @@ def export(
 
     Example: unocclude export recovered.mcap --format trc -o recovered.trc
     """
-    of_files = {"--frame": frame, "--origin": origin, "--rate": rate}
+    from ..io.mcap.messages import damage
+
+    given = {"--frame": frame, "--origin": origin, "--rate": rate}
     of_bids = {"--subject": subject, "--session": session, "--task": task, "--recording": recording}
     _check(
-        format_name, output, rate, [name for name, value in (of_files | of_bids).items() if value is not None]
+        format_name, output, rate, [name for name, value in (given | of_bids).items() if value is not None]
     )
     recoveries = arms.load(result)
     if format_name == "bids":
-        figures, notes = _bids(recoveries, output, (subject, session, task), recording, out)
+        figures = _bids(recoveries, output, (subject, session, task), recording, out)
     else:
-        figures, notes = _files(result, recoveries, output, format_name, frame, rate, origin, out)
+        figures = _files(result, recoveries, output, (format_name, frame, rate, origin), out)
     out.json(figures)
     warn(recoveries)
-    print_notes([*(note for recovery in recoveries for note in damage(recovery.notes)), *notes])
+    of_files = (note for file in figures.get("files", [figures]) for note in file["notes"])
+    print_notes([*(note for recovery in recoveries for note in damage(recovery.notes)), *of_files])
 
 
 def _files(
     result: Path,
     recoveries: list[Recovery],
     output: Path,
-    format_name: str,
-    frame: str | None,
-    rate: float | None,
-    origin: str | None,
+    chosen: tuple[str, str | None, float | None, str | None],
     out: Out,
-) -> tuple[dict[str, Any], list[str]]:
+) -> dict[str, Any]:
     """A file for each arm, or one for all; all arms are ready before the first is written."""
     from .. import __version__
     from ..io.export.prepare import DEFAULT_FRAME, prepare_export
+    from ..io.mcap.messages import damage
     from ..result.untrusted import untrusted_sentences
 
+    format_name, frame, rate, origin = chosen
     together = format_name == "rrd"
     paths = [output] if together else output_names(output, recoveries)
     out.check(paths, [result])
@@ -94,8 +94,8 @@ def _files(
     else:
         wants_up = (frame or DEFAULT_FRAME.get(format_name)) == "opensim"
         level_down = _level_down(result, recoveries) if wants_up else None
-        chosen = (format_name, frame, rate, level_down, __version__, origin or "camera")
-        exports = [prepare_export(recovery, *chosen) for recovery in recoveries]
+        how = (format_name, frame, rate, level_down, __version__, origin or "camera")
+        exports = [prepare_export(recovery, *how) for recovery in recoveries]
     for path, ready in zip(paths, exports, strict=True):
         ready.write(path, out.force)
         say(f"written: {path} ({ready.rows} row{'s' if ready.rows != 1 else ''})")
@@ -115,7 +115,7 @@ def _files(
         }
         for recovery, path, ready in zip(recoveries, paths, exports, strict=False)
     ]
-    return {"files": figures}, [note for ready in exports for note in ready.notes]
+    return {"files": figures}
 
 
 def _bids(
@@ -124,7 +124,7 @@ def _bids(
     labels: tuple[str | None, str | None, str | None],
     source: Path | None,
     out: Out,
-) -> tuple[dict[str, Any], list[str]]:
+) -> dict[str, Any]:
     """A session of a data set: the recording, where it is named, and the answer."""
     from .. import __version__
     from ..io import read_recordings
@@ -133,27 +133,21 @@ def _bids(
     subject, session, task = labels
     names = BidsNames(subject or label_of(recoveries[0].name), session or "", task or "arm")
     wanted = {(recovery.side, recovery.body) for recovery in recoveries}
-    recordings, notes = [], []
-    if source is None:
-        notes.append("the data set has the answer alone; --recording REC.mcap adds what it was made from")
-    else:
-        recordings = [each for each in read_recordings(source) if (each.side, each.body) in wanted]
-        if not recordings:
-            raise UnoccludeError(
-                f"{source} has none of the result's arms; name the recording it was made from"
-            )
+    read = [] if source is None else read_recordings(source)
+    recordings = [each for each in read if (each.side, each.body) in wanted]
+    if source is not None and not recordings:
+        raise UnoccludeError(f"{source} has none of the result's arms; name the recording it was made from")
+    alone = "the data set has the answer alone; --recording REC.mcap adds what it was made from"
     count = write_bids(output, names, recordings, recoveries, __version__, out.force)
     say(f"written: {output} ({count} motion files of sub-{names.subject})")
     figures = {"folder": str(output), "subject": names.subject, "session": names.session, "task": names.task}
-    return figures | {"motion_files": count, "notes": notes}, notes
+    return figures | {"motion_files": count, "notes": [alone] if source is None else []}
 
 
 def output_names(output: Path, recoveries: list[Recovery]) -> list[Path]:
     """One file per arm: the name as given, or with body, side (and a number) before its ending."""
-    if len(recoveries) == 1:
-        return [output]
-    names: list[Path] = []
-    for recovery in recoveries:
+    names: list[Path] = [output] if len(recoveries) == 1 else []
+    for recovery in recoveries[len(names) :]:
         mark = ("" if recovery.body is None else f"body_{recovery.body}_") + (recovery.side or "arm")
         marks = (mark, *(f"{mark}{number}" for number in range(2, len(recoveries) + 1)))
         each = (output.with_name(f"{output.stem}_{mark}{output.suffix}") for mark in marks)
@@ -166,16 +160,20 @@ def _check(format_name: str, output: Path, rate: float | None, given: list[str])
     from ..io.export.prepare import WITH_FRAME, WITH_RATE
 
     of_format = {"--frame": WITH_FRAME, "--origin": WITH_FRAME, "--rate": WITH_RATE}
-    for option in given:
-        if format_name not in (formats := of_format.get(option, ("bids",))):
-            raise typer.BadParameter(f"{option} is for {', '.join(formats)}, not for {format_name}")
-    if rate is not None and not 1 <= rate <= 10_000:
-        raise typer.BadParameter(f"--rate is between 1 and 10000 Hz, not {rate:g}")
+    fitting = {option: of_format.get(option, ("bids",)) for option in given}
+    wrong: dict[str, object] = {
+        f"{option} is for {', '.join(formats)}, not for {format_name}": format_name not in formats
+        for option, formats in fitting.items()
+    }
+    if rate is not None:
+        wrong[f"--rate is between 1 and 10000 Hz, not {rate:g}"] = not 1 <= rate <= 10_000
     ending = output.suffix.lower().removeprefix(".")
-    if ending != format_name and ending in (*FORMATS, *NO_FORMATS):
-        other = f", or --format {ending}" if ending in FORMATS else ""
-        name = output.with_suffix(f".{format_name}")
-        raise typer.BadParameter(f"{output}: the output is {format_name}; name it {name}{other}")
+    other = f", or --format {ending}" if ending in FORMATS else ""
+    name = output.with_suffix(f".{format_name}")
+    wrong[f"{output}: the output is {format_name}; name it {name}{other}"] = (
+        ending != format_name and ending in (*FORMATS, *NO_FORMATS)
+    )
+    o.refuse(wrong)
 
 
 def _level_down(result: Path, recoveries: list[Recovery]) -> FloatArray | None:
@@ -256,18 +254,14 @@ def view(result: o.Result, arms: ResultInput) -> None:
 
 
 def window(file: Path) -> list[str]:
-    """Command line of the viewer in a window."""
-    return [str(program()), "--bind", LOOPBACK, "--port", "auto", "--hide-welcome-screen", str(file)]
-
-
-def program() -> Path:
-    """Rerun's viewer itself: its wrapper in Python hides how it ended, and lives on when it is stopped."""
+    """Command line of the viewer itself: its wrapper in Python hides how it ended, and outlives it."""
     spec = find_spec("rerun_cli")
-    for folder in (spec.submodule_search_locations or ()) if spec else ():
-        for name in ("Rerun.app/Contents/MacOS/Rerun", "rerun", "rerun.exe"):
-            if (file := Path(folder) / name).is_file():
-                return file
-    raise UnoccludeError(f"rerun-sdk is installed without its viewer; {INSTEAD}")
+    folders = list(spec.submodule_search_locations or ()) if spec else []
+    names = ("Rerun.app/Contents/MacOS/Rerun", "rerun", "rerun.exe")
+    programs = [path for folder in folders for name in names if (path := Path(folder) / name).is_file()]
+    if not programs:
+        raise UnoccludeError(f"rerun-sdk is installed without its viewer; {INSTEAD}")
+    return [str(programs[0]), "--bind", LOOPBACK, "--port", "auto", "--hide-welcome-screen", str(file)]
 
 
 def environment() -> dict[str, str]:
@@ -276,31 +270,19 @@ def environment() -> dict[str, str]:
     Rerun reports its use to tel.rerun.io unless `CI` is set, and asks GitHub for newer versions whatever is
     set: its way out leads to a proxy that is not there.
     """
-    proxies = ("http_proxy", "https_proxy", "all_proxy", "no_proxy")
+    proxies = dict.fromkeys(("http_proxy", "https_proxy", "all_proxy"), NOWHERE)
+    proxies["no_proxy"] = f"{LOOPBACK},localhost"
     dropped = {"force_rerun_analytics", *proxies}
     variables = {name: value for name, value in os.environ.items() if name.lower() not in dropped}
-    for name in proxies:
-        value = f"{LOOPBACK},localhost" if name == "no_proxy" else NOWHERE
-        variables |= {name: value, name.upper(): value}
-    return variables | {"CI": "true"}
+    return variables | proxies | {name.upper(): value for name, value in proxies.items()} | {"CI": "true"}
 
 
 def show_window(arguments: list[str]) -> None:
-    """Run the viewer until it is closed."""
-    with tempfile.TemporaryFile("w+", encoding="utf-8", errors="replace") as words:
-        viewer = subprocess.Popen(arguments, env=environment(), stdout=words, stderr=subprocess.STDOUT)
-        # Ending this command ends the viewer, and the file with the patient's motion is deleted.
-        before = signal.signal(signal.SIGTERM, signal.default_int_handler)
-        try:
-            code = viewer.wait()
-        except KeyboardInterrupt:
-            return
-        finally:
-            signal.signal(signal.SIGTERM, before)
-            viewer.terminate()
-            viewer.wait()
-        words.seek(0)
-        lines = [line.strip() for line in words if line.strip()]
-    if code:
-        last = lines[-1][:300] if lines else "it said nothing"
-        raise UnoccludeError(f"Rerun's viewer ended with an error ({last}); {INSTEAD}")
+    """Run the viewer until it is closed; it ends with this command."""
+    with suppress(KeyboardInterrupt):
+        words = subprocess.PIPE, subprocess.STDOUT
+        viewer = subprocess.run(arguments, env=environment(), stdout=words[0], stderr=words[1], check=False)
+        if viewer.returncode:
+            said = viewer.stdout.decode("utf-8", "replace").split("\n")
+            last = next((line.strip()[:300] for line in reversed(said) if line.strip()), "it said nothing")
+            raise UnoccludeError(f"Rerun's viewer ended with an error ({last}); {INSTEAD}")

@@ -9,8 +9,6 @@ from difflib import get_close_matches
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-import typer
-
 from ..errors import RecordingError, UnoccludeError
 from ..table import tabulated
 from . import options as o
@@ -24,20 +22,15 @@ if TYPE_CHECKING:
     from ..recording import Recording
 
 
-#: More people make MediaPipe slower, and no room holds them.
-_MOST_PEOPLE = 10
 #: One session's files; which IMU; where its samples begin: shared by `files` and `video`.
 OneSession = Annotated[bool, o.rare("Refuse files whose dates are a day apart.", "--one-session")]
-ImuFile = Annotated[
-    list[str] | None,
-    o.value(
-        "[NAME=]FILE[,FILE]",
-        "An IMU's file, or its accelerometer's and gyroscope's; NAME as in recording.toml (forearm_right,"
-        " upper_arm_left, ..), FILE#SENSOR for one of several.",
-        "--imu",
-    ),
-]
+_imu = (
+    "An IMU's file, or its accelerometer's and gyroscope's; NAME as in recording.toml (forearm_right,"
+    " upper_arm_left, ..), FILE#SENSOR for one of several."
+)
+ImuFile = Annotated[o.Texts, o.value("[NAME=]FILE[,FILE]", _imu, "--imu")]
 ImuStarts = Annotated[o.Number, o.value("S", "First IMU sample, seconds after the camera's first frame.")]
+_FormatName = Annotated[o.Text, o.rare_value("FORMAT", "Format, if recognised wrongly.")]
 
 
 def csv(
@@ -104,46 +97,37 @@ def utd_mhad(
     """
     from ..io import import_utd_mhad
 
-    skeleton = skeleton or _skeleton_beside(inertial)
+    if skeleton is None:
+        name = inertial.name.replace("inertial", "skeleton")
+        places = inertial.with_name(name), inertial.parent.parent / "Skeleton" / name
+        skeleton = next((path for path in places if name != inertial.name and path.is_file()), None)
+    if skeleton is None:
+        raise UnoccludeError(
+            f"{inertial}: no skeleton file was found beside it; name it as the second argument"
+        )
     out.check([], [skeleton])
     write_imported(import_utd_mhad(inertial, skeleton), output, out)
 
 
-def _skeleton_beside(inertial: Path) -> Path:
-    """The skeleton file that belongs to an inertial file, in its folder or in `Skeleton/` beside it."""
-    name = inertial.name.replace("inertial", "skeleton")
-    places = [inertial.with_name(name), inertial.parent.parent / "Skeleton" / name]
-    for place in places:
-        if name != inertial.name and place.is_file():
-            return place
-    raise UnoccludeError(f"{inertial}: no skeleton file was found beside it; name it as the second argument")
+_skeletons = "A skeleton's file; of several cameras each with its NAME, results in the first one's frame."
+_lenses = (
+    "Lenses, and places, of cameras with keypoints in images: OpenCV or ROS (YAML, JSON), Kalibr's camchain,"
+    " Pose2Sim's Calib.toml; its names are the NAMEs of --skeleton."
+)
 
 
 def files(
     output: o.Output,
     out: Out,
     paths: Annotated[o.Files, o.argument("FOLDER", "Files of devices, or their folder.")] = None,
-    skeleton: Annotated[
-        list[str] | None,
-        o.value(
-            "[NAME=]FILE",
-            "A skeleton's file; of several cameras each with its NAME, results in the first one's frame.",
-        ),
-    ] = None,
+    skeleton: Annotated[o.Texts, o.value("[NAME=]FILE", _skeletons)] = None,
     imu: ImuFile = None,
     truth: Annotated[o.File, o.value("FILE", "Poses of the forearm IMU in the camera frame (.csv).")] = None,
     imu_starts_at: ImuStarts = None,
-    intrinsics: Annotated[
-        Path | None,
-        o.value(
-            "FILE",
-            "Lenses, and places, of cameras with keypoints in images: OpenCV or ROS (YAML, JSON), Kalibr's"
-            " camchain, Pose2Sim's Calib.toml; its names are the NAMEs of --skeleton.",
-        ),
-    ] = None,
+    intrinsics: Annotated[o.File, o.value("FILE", _lenses)] = None,
     template: o.Templates = None,
-    skeleton_format: Annotated[str | None, o.rare_value("FORMAT", "Format, if recognised wrongly.")] = None,
-    imu_format: Annotated[str | None, o.rare_value("FORMAT", "Format, if recognised wrongly.")] = None,
+    skeleton_format: _FormatName = None,
+    imu_format: _FormatName = None,
     one_session: OneSession = False,
 ) -> None:
     """Import files as exported by devices and camera programs.
@@ -157,10 +141,9 @@ def files(
     from ..io.tables.recording_toml import read_templates
 
     reader = FileReader(imu_format, skeleton_format, read_templates(template or []))
-    named_skeletons = sorted((skeleton_file(text) for text in skeleton or []), key=lambda each: bool(each[0]))
-    skeletons, imus = [path for _, path in named_skeletons], [imu_files(text) for text in imu or []]
-    own = [*skeletons, *(path for files in imus for path in files.paths)]
-    out.check([output], [*own, *_inside(paths or [])])
+    cameras = sorted((skeleton_file(text) for text in skeleton or []), key=lambda each: bool(each[0]))
+    skeletons, imus = [path for _, path in cameras], list(map(imu_files, imu or []))
+    out.check([output], [*skeletons, *_paths(imus), *_inside(paths or [])])
     more_skeletons, more_imus, passed_over = sort_files(paths or [], reader, output)
     file, reports = import_files(
         skeletons + more_skeletons,
@@ -168,7 +151,7 @@ def files(
         imu_starts_at_s=imu_starts_at,
         reader=reader,
         one_session=one_session or bool(paths),
-        cameras=[name for name, _ in named_skeletons],
+        cameras=[name for name, _ in cameras],
         lenses=None if intrinsics is None else read_camera_file(intrinsics),
     )
     if truth is not None:
@@ -185,7 +168,8 @@ def video(
     imu_starts_at: ImuStarts = None,
     mirrored: Annotated[bool, o.option("The pictures are mirror images.", "--mirrored")] = False,
     turn: Annotated[int, o.value("90|180|270", "Rotate the pictures clockwise, degrees.")] = 0,
-    people: Annotated[int, o.option("Find at most this many people.", min=1, max=_MOST_PEOPLE)] = 2,
+    # more people make MediaPipe slower, and no room holds them
+    people: Annotated[int, o.option("Find at most this many people.", min=1, max=10)] = 2,
     template: o.Templates = None,
     one_session: OneSession = False,
 ) -> None:
@@ -201,10 +185,9 @@ def video(
     from ..io.tables.table import read_head
     from ..io.tables.video import TURNS, pose_video
 
-    if turn not in TURNS:
-        raise typer.BadParameter("--turn is 90, 180 or 270")
-    imus = [imu_files(text) for text in imu or []]
-    out.check([output], [path for files in imus for path in files.paths])
+    o.refuse({"--turn is 90, 180 or 270": turn not in TURNS})
+    imus = list(map(imu_files, imu or []))
+    out.check([output], _paths(imus))
     with progress_bar("opening the video") as progress:
         camera = pose_video(model, people, mirrored, turn, progress)
         reader = FileReader(templates=[camera, *read_templates(template or [])])
@@ -216,6 +199,10 @@ def video(
             [file], imus, imu_starts_at_s=imu_starts_at, reader=reader, one_session=one_session
         )
     write_imported(recording, output, out, reports)
+
+
+def _paths(imus: Iterable[ImuFiles]) -> list[Path]:
+    return [path for each in imus for path in each.paths]
 
 
 def write_imported(
@@ -233,8 +220,7 @@ def write_imported(
         say(report.sentence)
     write_recording(recording, output, force=out.force)
     about = describe(output)
-    files = {} if reports is None else {"files": [vars(report) for report in reports]}
-    out.json({**about, **files})
+    out.json(about | ({} if reports is None else {"files": [vars(report) for report in reports]}))
     show(topic_table(about))
     print_notes([*recording.notes, *passed_over], imported=reports is None)
 
@@ -259,7 +245,7 @@ def skeleton_file(text: str) -> tuple[str, Path]:
 #: Where an IMU may be worn, and words that such a name may be made of; it may also have another name.
 _LIMBS = ("forearm", "upper_arm", "hand", "wrist")
 _ROLES = (*_LIMBS, *(f"{limb}_{side}" for limb in _LIMBS for side in ("left", "right")), "trunk", "base")
-_WORDS = {part for role in _ROLES for part in role.split("_")} | {"l", "r", "lower"}
+_WORDS = {part for role in _ROLES for part in role.split("_")} | {"l", "r", "lower", ""}
 
 
 def imu_files(text: str) -> ImuFiles:
@@ -269,13 +255,12 @@ def imu_files(text: str) -> ImuFiles:
     name, rest = named_file("--imu", text, "forearm_right=imu.csv")
     # a misspelled place would be taken for a name without meaning
     near = get_close_matches(name.lower(), _ROLES, n=1, cutoff=0.8)
-    if near and not set(re.split(r"[_\W\d]+", name.lower())) <= {*_WORDS, ""}:
+    if near and not set(re.split(r"[_\W\d]+", name.lower())) <= _WORDS:
         raise UnoccludeError(f"--imu {name}=: there is no such place; did you mean {near[0]}?")
-    sensor = ""
-    marks = [at for at, mark in enumerate(rest) if mark == "#"]
-    if not Path(rest).exists() and marks:
-        at = next((at for at in marks if Path(rest[:at]).exists()), marks[-1])
-        rest, sensor = rest[:at], rest[at + 1 :]
+    # the sensor begins at the first # behind which a file's name is whole, else at the last
+    marks = [] if Path(rest).exists() else [at for at, mark in enumerate(rest) if mark == "#"]
+    at = next((at for at in marks if Path(rest[:at]).exists()), marks[-1] if marks else len(rest))
+    rest, sensor = rest[:at], rest[at + 1 :]
     parts = [rest] if Path(rest).exists() else [part.strip() for part in rest.split(",") if part.strip()]
     if not parts:
         raise UnoccludeError(f"--imu {text} names no file; give NAME=FILE, as in --imu forearm_right=imu.csv")
@@ -289,8 +274,8 @@ def formats(out: Out) -> None:
     """
     from ..io.registry import formats as importers
 
-    keys = ("key", "title", "kind", "recognised_by")
-    figures = [{"format": each.key, **{key: getattr(each, key) for key in keys[1:]}} for each in importers()]
+    keys = {"format": "key", "title": "title", "kind": "kind", "recognised_by": "recognised_by"}
+    figures = [{name: getattr(each, key) for name, key in keys.items()} for each in importers()]
     out.json({"formats": figures})
     show(tabulated("Formats of device files", figures, "format title=what_it_is kind=holds recognised_by"))
 
@@ -321,15 +306,13 @@ def describe(
         return
     (path,) = paths
     importer, sheet, guess = guessed_table(path, reader)
-    figures: dict[str, object] = {"format": importer and importer.key, "recording_toml": None, "unsure": []}
-    text = "" if guess is None else toml_of(path, guess, name)
-    if guess is not None:
-        figures |= {"recording_toml": text, **asdict(guess)}
-    out.json(figures)
+    text = None if guess is None else toml_of(path, guess, name)
+    guessed = {"unsure": []} if guess is None else asdict(guess)
+    out.json({"format": importer and importer.key, "recording_toml": text, **guessed})
     if importer is not None:
         option = "--skeleton" if importer.kind == "skeleton" else "--imu"
         say(f"# {path.name} is recognised as {importer.title}: unocclude import files {option} {path} ..")
-    if sheet is not None and guess is not None:
+    if sheet is not None and guess is not None and text is not None:
         say(f"# {len(sheet):,} rows, {sheet.width} columns, parted by {sheet.separator!r}")
         for sentence in (*sheet.notes, *(f"unsure: {each}" for each in guess.unsure)):
             say(f"# {sentence}")
@@ -341,11 +324,9 @@ def _print_streams(found: list[DescribedFile]) -> None:
     rows: list[dict[str, object]] = []
     for each in found:
         about: dict[str, object] = {"file": Path(each.file).name, "format": each.title or None}
-        for stream in each.streams:
-            holds = ", ".join(stream["holds"]) + (f" ({stream['name']})" if stream["name"] else "")
-            rows.append(about | stream | {"holds": holds})
-        if not each.streams:
-            rows.append(about)
+        for stream in each.streams or ({},):
+            name = f" ({stream['name']})" if stream.get("name") else ""
+            rows.append(about | stream | {"holds": ", ".join(stream.get("holds", ())) + name})
     keys = "file format holds rate_hz count=samples duration_s=length_s units"
     show(tabulated(f"{len(found)} files", rows, keys))
     print_notes(f"{Path(each.file).name}: {note}" for each in found for note in each.notes)
@@ -364,8 +345,8 @@ def strap(
     out: Out,
     calibration: o.Calibration = None,
     radius_m: Annotated[o.Number, o.option("Axis of the forearm to the sensor.", min=0.01, max=0.1)] = None,
-    colour_topic: Annotated[str | None, o.rare_value("TOPIC", "Colour images to take.")] = None,
-    depth_topic: Annotated[str | None, o.rare_value("TOPIC", "Depth images to take.")] = None,
+    colour_topic: Annotated[o.Text, o.rare_value("TOPIC", "Colour images to take.")] = None,
+    depth_topic: Annotated[o.Text, o.rare_value("TOPIC", "Depth images to take.")] = None,
 ) -> None:
     """Find the strap in colour images and add it as a joint.
 

@@ -25,10 +25,10 @@ if TYPE_CHECKING:
     from ..recording import CameraFrame, Recording
     from ..result import Recovery
 
+    Arm = tuple[Recording, ArmCalibration | None]
 
-def load_arm(
-    path: Path, calibration_file: Path | None = None, **reading: Unpack[FileReading]
-) -> tuple[Recording, ArmCalibration | None]:
+
+def load_arm(path: Path, calibration_file: Path | None = None, **reading: Unpack[FileReading]) -> Arm:
     """Read the one arm that is meant; a side that is left open a calibration of one arm settles."""
     return load_arms(path, calibration_file, alone=True, **reading)[0]
 
@@ -39,7 +39,7 @@ def load_arms(
     remedy: Remedy | None = None,
     alone: bool = False,
     **reading: Unpack[FileReading],
-) -> list[tuple[Recording, ArmCalibration | None]]:
+) -> list[Arm]:
     """Read every arm of a recording that has an IMU, with its calibration, and print what was chosen."""
     check_allowance()
     from ..io.recording.read import read_arms
@@ -50,20 +50,6 @@ def load_arms(
         joints = ", ".join(recording.arm.present) or "no joint tracked"
         say(f"{path}: IMU {recording.imu.name}, {name} of {recording.arm.name} ({joints})")
     return arms
-
-
-def choose(names: str) -> list[str]:
-    """The methods of a comma-separated list; "all" is every one."""
-    from ..evaluation.methods import METHODS
-
-    wanted = [name.strip() for name in names.split(",") if name.strip()]
-    if wanted == ["all"]:
-        return list(METHODS)
-    unknown = [name for name in wanted if name not in METHODS]
-    if unknown or not wanted:
-        what = f"there is no method '{unknown[0]}'" if unknown else "name a method"
-        raise typer.BadParameter(f"{what}; methods: {', '.join(METHODS)}")
-    return list(dict.fromkeys(wanted))
 
 
 def baseline_settings(names: Sequence[str], orientation: str | None) -> BaselineSettings:
@@ -78,13 +64,6 @@ def baseline_settings(names: Sequence[str], orientation: str | None) -> Baseline
             f" method was chosen, but {', '.join(names)}"
         )
     return BaselineSettings(orientation or DEFAULT_ORIENTATION)
-
-
-def usual_draws(draws: int | None) -> int:
-    """How many motions are drawn: as was said, or as usual."""
-    from ..result.draws import USUAL_DRAWS
-
-    return USUAL_DRAWS if draws is None else draws
 
 
 def refuse_twice(paths: Iterable[Path], option: str = "") -> None:
@@ -108,34 +87,26 @@ def refuse_several(arms: Sequence[Recording | Recovery], truth: Path) -> None:
         )
 
 
-def damage(notes: Iterable[str]) -> list[str]:
-    """Of some notes those on a file that was cut off or is damaged."""
-    from ..io.mcap.messages import damage as of_files
-
-    return of_files(notes)
-
-
 def camera_frame_of(path: Path) -> CameraFrame | None:
     """The axes of the camera as stated in the recording inside a result, or None."""
     from ..io import open_recording
 
     file = open_recording(path)
-    implied = (arm.camera_frame for arm in file.arms)
-    return file.camera_frame or next((frame for frame in implied if frame is not None), None)
+    return file.camera_frame or next(filter(None, (arm.camera_frame for arm in file.arms)), None)
 
 
 @dataclass(frozen=True)
 class ConfigInput:
-    """The settings of the method."""
+    """The settings of the method; what neither their file nor an option names keeps its default."""
 
     config_file: o.ConfigFile = None
     processes: o.Processes = None
 
     def read(self) -> Config:
-        """The configuration; what neither its file nor an option names keeps its default."""
+        """The configuration."""
         from .config import read_config
 
-        return read_config(self.config_file, self.processes)
+        return read_config(**vars(self))
 
 
 @dataclass(frozen=True)
@@ -144,12 +115,6 @@ class PersonConfigInput(ConfigInput):
 
     anatomy: o.Anatomy = None
     body_height: o.BodyHeight = None
-
-    def read(self) -> Config:
-        """The configuration, with the person's limbs."""
-        from .config import read_config
-
-        return read_config(self.config_file, self.processes, self.anatomy, self.body_height)
 
 
 @dataclass(frozen=True)
@@ -164,15 +129,12 @@ class ResultInput:
         from ..io import read_recovery
 
         recoveries = read_recovery(path)
-        taken = [
-            each for each in recoveries if self.side in (None, each.side) and self.body in (None, each.body)
-        ]
+        wanted = {name: value for name, value in vars(self).items() if value is not None}
+        taken = [arm for arm in recoveries if all(getattr(arm, name) == wanted[name] for name in wanted)]
         if not taken:
-            wanted = [f"--{name} {value}" for name, value in vars(self).items() if value is not None]
+            options = " ".join(f"--{name} {value}" for name, value in wanted.items())
             has = ", ".join(each.arm_label for each in recoveries) or "none"
-            raise UnoccludeError(
-                f"{path}: there is no recovered arm for {' '.join(wanted)}; the file has: {has}"
-            )
+            raise UnoccludeError(f"{path}: there is no recovered arm for {options}; the file has: {has}")
         return taken
 
 
@@ -205,11 +167,10 @@ class ArmInput(Which):
 
     def __post_init__(self) -> None:
         is_a_clock = isfinite(self.clock_offset or 0) and isfinite(self.sigma_s) and self.sigma_s > 0
+        lacks_clock = self.clock_sigma is not None and self.clock_offset is None
         o.refuse(
             {
-                "--clock-sigma belongs to --clock-offset: give the measured clock too": (
-                    self.clock_sigma is not None and self.clock_offset is None
-                ),
+                "--clock-sigma belongs to --clock-offset: give the measured clock too": lacks_clock,
                 "--clock-offset is a time in s, --clock-sigma one above zero": not is_a_clock,
                 "--mirror, --swap and --negate need a name each": "" in (self.mirror, self.swap, self.negate),
             }
@@ -239,9 +200,7 @@ class ArmInput(Which):
         swapped = () if self.swaps_sides else _names(self.swap)
         return Remedy(self.mirror or "", swapped, _names(self.negate), frame)
 
-    def load(
-        self, path: Path, **reading: Unpack[FileReading]
-    ) -> list[tuple[Recording, ArmCalibration | None]]:
+    def load(self, path: Path, **reading: Unpack[FileReading]) -> list[Arm]:
         """Every arm, as `load_arms` reads it."""
         reading.update(self.chosen)
         reading["swap_sides"] = self.swaps_sides

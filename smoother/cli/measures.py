@@ -10,13 +10,12 @@ from typing import TYPE_CHECKING, Annotated
 from ..errors import UnoccludeError
 from ..table import Table, percent
 from . import options as o
-from .load import ResultInput, damage
-from .output import Out, arms_figures, part_of, print_notes, progress_bar, say, say_arm, show, write_csv
+from .load import ResultInput
+from .output import Out, print_notes, progress_bar, say, show, write_csv
 
 if TYPE_CHECKING:
     from ..evaluation.progress import PersonProgress
-    from ..measures import BothArms, Measure, Measures, MeasureSettings
-    from ..result import Recovery
+    from ..measures import BothArms, Measure, Measures
 
 
 def csv_rows(rows: Sequence[Measures], pairs: Sequence[BothArms]) -> Iterator[Sequence[object]]:
@@ -33,30 +32,14 @@ def csv_rows(rows: Sequence[Measures], pairs: Sequence[BothArms]) -> Iterator[Se
 
 def _table(title: str, first: str, rows: Sequence[Measure]) -> Table:
     """Measures that are known, with their intervals, as pages write them."""
-    from ..evaluation.words import worded
+    from ..evaluation.words import measure_words
 
-    cells = []
-    for row in rows:
-        if not row.is_known:
-            continue
-        recovered = percent(row.recovered_share) or "-"
-        if row.note:
-            recovered += f" ({percent(row.untrusted_share)} not trusted)"
-        cells.append((row.name, worded(row.key, row.value, row.unit), _interval(row), recovered))
-    return Table(title, (first, "value", "95 % interval", "recovered"), cells)
+    def recovered(row: Measure) -> str:
+        share = percent(row.recovered_share) or "-"
+        return f"{share} ({percent(row.untrusted_share)} not trusted)" if row.note else share
 
-
-def _interval(row: Measure) -> str:
-    from ..evaluation.words import interval, is_signed, worded
-
-    if not row.has_interval:
-        return "-"
-    low, high = (worded(row.key, end, row.unit) for end in (row.low, row.high))
-    if low == high:
-        return low
-    if row.key.endswith("_reached"):
-        return f"{low} to {high}"
-    return interval(row.low, row.high, row.unit, is_signed(row.key))
+    cells = [(row.name, measure_words(row), recovered(row)) for row in rows if row.is_known]
+    return Table(title, (first, "value (95 % interval)", "recovered"), cells)
 
 
 def measures(
@@ -76,51 +59,32 @@ def measures(
 
     Example: unocclude measures out.mcap --csv measures.csv --json measures.json
     """
+    from ..io.mcap.messages import damage
     from ..measures import MeasureSettings
+    from ..measures.symmetry import measure_arms
     from .config import read_settings
 
     settings = read_settings(config_file, MeasureSettings)
     recoveries = arms.load(result)
-    rows, pairs = measured(recoveries, settings, processes or 0)
+    with progress_bar("measuring") as progress:
+        rows, pairs = measure_arms(recoveries, settings, processes or 0, progress)
     if report is not None:
         from ..report.measures import measures_page
 
         measures_page(rows, pairs).write(report, out.force)
     write_csv(csv, csv_rows(rows, pairs), out.force)
-    figures = arms_figures(recoveries, [one.as_dict() for one in rows])
-    if pairs:
-        figures["symmetry"] = [{"body": both.left.body, "measures": both.as_dict()} for both in pairs]
-    out.json(figures)
-    for recovery, one in zip(recoveries, rows, strict=True):
-        say_arm(recovery, len(recoveries))
-        print_arm(one, damage(recovery.notes))
+    symmetry = [{"body": both.left.body, "measures": both.as_dict()} for both in pairs]
+    out.arms(
+        recoveries,
+        [one.as_dict() for one in rows],
+        lambda number: print_arm(rows[number], damage(recoveries[number].notes)),
+        **({"symmetry": symmetry} if pairs else {}),
+    )
     for both in pairs:
         of = "" if both.left.body is None else f" of body {both.left.body}"
         title = f"Right arm{of} against left: 0 = alike, above it the right has more"
         show(_table(title, "symmetry", both.rows))
     out.end(csv, report)
-
-
-def measured(
-    recoveries: list[Recovery], settings: MeasureSettings, processes: int
-) -> tuple[list[Measures], list[BothArms]]:
-    """The measures of each arm, and the comparison of each person's two arms."""
-    from ..measures.measuring import Measuring
-    from ..measures.symmetry import both_arms
-
-    done: list[Measuring] = []
-    with progress_bar("measuring") as progress:
-        for number, recovery in enumerate(recoveries):
-            of_arm = part_of(progress, number, len(recoveries))
-            done.append(Measuring(recovery, settings, processes, of_arm))
-        progress(1.0, "done")
-    pairs = []
-    for body in dict.fromkeys(one.recovery.body for one in done):
-        arms = [one for one in done if one.recovery.body == body]
-        by_side = {one.recovery.side: one for one in arms}
-        if len(arms) == 2 and by_side.keys() == {"left", "right"}:
-            pairs.append(both_arms(by_side["left"], by_side["right"]))
-    return [one.measures() for one in done], pairs
 
 
 def print_arm(one: Measures, damaged: list[str]) -> None:
@@ -132,11 +96,9 @@ def print_arm(one: Measures, damaged: list[str]) -> None:
         say(f"{one.verdict} The measures below are those of an answer that is not to be trusted.")
     shown = [row for row in one.session if "_zone_" not in row.key]
     show(_table(f"{one.name}, {one.arm_label}: the session", "measure", shown))
-    reasons: dict[str, dict[str, None]] = {}
-    for row in one.session:
-        if not row.is_known and row.note:
-            reasons.setdefault(row.note, {})[row.name.partition(",")[0]] = None
-    for reason, names in reasons.items():
+    unknown = [row for row in one.session if not row.is_known and row.note]
+    for reason in dict.fromkeys(row.note for row in unknown):
+        names = dict.fromkeys(row.name.partition(",")[0] for row in unknown if row.note == reason)
         say(f"not measured: {', '.join(names)}. {reason}")
     say(f"{len(one.movements)} movements, {len(one.repetitions)} repetitions: --csv, --json and the report")
     print_notes([*damaged, *one.notes])
@@ -148,26 +110,22 @@ NO_DIAGNOSIS = (
 )
 
 
+_sessions = (
+    "Person and date of each recording: file, person, session or date [, task]; without it they are taken"
+    " from folders: PERSON/SESSION.mcap or PERSON/SESSION/TASK.mcap."
+)
+_changes = (
+    "Minimal detectable changes: what `validate --json` or `progress --reliability --json` wrote, or a .toml"
+    " with [mdc95]."
+)
+
+
 def progress(
     study: Annotated[Path, o.argument("STUDY", "The folder that `unocclude batch` wrote.")],
     out: Out,
-    person: Annotated[str | None, o.value("NAME", "Only this person.")] = None,
-    sessions: Annotated[
-        Path | None,
-        o.value(
-            "FILE.csv",
-            "Person and date of each recording: file, person, session or date [, task]; without it"
-            " they are taken from folders: PERSON/SESSION.mcap or PERSON/SESSION/TASK.mcap.",
-        ),
-    ] = None,
-    mdc: Annotated[
-        Path | None,
-        o.value(
-            "FILE",
-            "Minimal detectable changes: what `validate --json` or `progress --reliability --json`"
-            " wrote, or a .toml with [mdc95].",
-        ),
-    ] = None,
+    person: Annotated[o.Text, o.value("NAME", "Only this person.")] = None,
+    sessions: Annotated[o.File, o.value("FILE.csv", _sessions)] = None,
+    mdc: Annotated[o.File, o.value("FILE", _changes)] = None,
     reliability: Annotated[bool, o.option("No true change: print ICC, SEM, MDC.", "--reliability")] = False,
     measure: Annotated[o.Texts, o.value("KEY", "Only this measure; may be repeated.")] = None,
     report: o.Report = None,
@@ -191,23 +149,19 @@ def progress(
     rows = read_rows(study)
     attendances, left_out = sessions_of(study, rows, sessions)
     persons = progress_of(rows, attendances, detectable)
-    if person is not None:
-        has = ", ".join(each.person for each in persons[:20])
-        persons = [each for each in persons if each.person == person]
-        if not persons:
-            raise UnoccludeError(f"the study has no person {person}; it has: {has}")
+    names = ", ".join(each.person for each in persons[:20])
+    persons = [each for each in persons if person in (None, each.person)]
+    if person is not None and not persons:
+        raise UnoccludeError(f"the study has no person {person}; it has: {names}")
     known = {series.key for each in persons for series in each.series}
-    if unknown := ", ".join(sorted({*(measure or ())} - known)) if known else "":
+    wanted = set(measure or known)
+    if known and (unknown := ", ".join(sorted(wanted - known))):
         examples = ", ".join(series.key for series in persons[0].main[:5])
         raise UnoccludeError(f"the study has no measure {unknown}; measures are as {examples}")
-    if measure:
-        persons = [
-            replace(each, series=tuple(one for one in each.series if one.key in measure)) for each in persons
-        ]
+    persons = [replace(p, series=tuple(one for one in p.series if one.key in wanted)) for p in persons]
+    if report is not None and len(persons) > 1:
+        raise UnoccludeError(f"a page is of one person; choose one with --person: {names}")
     if report is not None:
-        if len(persons) > 1:
-            names = ", ".join(each.person for each in persons[:20])
-            raise UnoccludeError(f"a page is of one person; choose one with --person: {names}")
         progress_page(persons[0]).write(report, out.force)
     repeated = reliability_of(persons) if reliability else []
     if reliability and not repeated:

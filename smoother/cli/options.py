@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import os
 import shlex
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -42,7 +42,7 @@ def value(metavar: str, help: str, *flags: str, **more: Any) -> Any:
 
 
 rare, rare_value = partial(option, panel=ADVANCED), partial(value, panel=ADVANCED)
-_arm, _set_up = partial(option, panel=ARM), partial(option, panel=SET_UP)
+_arm, _set_up = partial(value, panel=ARM), partial(value, panel=SET_UP)
 
 #: What may be left out.
 File = Path | None
@@ -51,69 +51,10 @@ Text = str | None
 Texts = list[str] | None
 Number = float | None
 Count = int | None
-
-CalibrationOutput = Annotated[
-    Path, value("CAL.toml", "File to write or to add to.", "-o", "--output"), ADDED_TO
-]
-Calibration = Annotated[
-    File, value("CAL.toml", "IMU mounting, lever arms, limb lengths.", "--calibration"), SHARED
-]
-Known = Annotated[File, value("CAL.toml", "Calibration file with values to use as given.", "--known"), SHARED]
-Json = Annotated[Path | None, value("FILE", "Also write the figures as JSON.", "--json"), WRITTEN]
-Force = Annotated[bool, option("Overwrite outputs that exist.", "--force")]
-Strict = Annotated[bool, option("Exit with 3 where a result is not to be trusted.", "--strict")]
-Verbose = Annotated[bool, option("Print all estimates, gaps and notes.", "--verbose")]
-Seed = Annotated[int, value("S", "Same seed, same result.", min=0)]
-Settings = Annotated[
-    list[str] | None,
-    value(
-        "KEY=VALUE", "A setting, as imu_rate_hz=100; may be given again. `--set list` prints all.", "--set"
-    ),
-]
-
-Imu = Annotated[str | None, _arm("The forearm IMU, where there are several.", "--imu", metavar="TOPIC")]
-Skeleton = Annotated[Text, _arm("The skeleton, where there are several.", "--skeleton", metavar="TOPIC")]
-Side = Annotated[Literal["left", "right"] | None, _arm("The arm that wears the IMU.")]
-Body = Annotated[int | None, _arm("The person, where the camera saw several.", metavar="N")]
-
-Mirror = Annotated[str | None, _set_up("Undo a skeleton mirrored along this axis.", metavar="x|y|z")]
-Swap = Annotated[str | None, _set_up("Swap two joints (elbow,wrist), or left,right.", metavar="A,B")]
-Negate = Annotated[Text, _set_up("Reverse accelerometer, gyroscope or both.", metavar="SENSOR,..")]
-CameraAxes = Annotated[
-    Literal["kinect", "optical", "zup"] | None,
-    _set_up("kinect, optical or zup, overriding the file.", "--camera-frame", metavar="AXES"),
-]
-ClockOffset = Annotated[Number, _set_up("IMU time minus camera time.  [default: estimated]", metavar="S")]
-#: One standard deviation of a clock that was measured, where none is stated, s.
-CLOCK_SIGMA_S = 0.02
-ClockSigma = Annotated[
-    float | None,
-    _set_up(f"Standard deviation of --clock-offset.  [default: {CLOCK_SIGMA_S:g}]", metavar="S"),
-]
-
-ConfigFile = Annotated[File, rare_value("CONF.toml", "Settings, as `unocclude config` prints.", "--config")]
-Processes = Annotated[int | None, rare_value("N", "Worker processes; 0 = one per core.", min=0)]
-Orientation = Annotated[
-    Literal["vqf", "madgwick", "comotti", "complementary"] | None,
-    rare_value("FILTER", "vqf (default), madgwick, comotti or complementary; not of graph."),
-]
-Anatomy = Annotated[Literal["adult", "child", "any"] | None, rare("Range of limb lengths that is plausible.")]
-BodyHeight = Annotated[Number, rare_value("M", "For limb lengths before a camera without depth.")]
-Live = Annotated[bool, rare("Also replay it through the live smoother and two simple methods.", "--live")]
-Latency = Annotated[float, rare_value("S", "Latency of the camera for --live, s.", min=0.0, max=1.0)]
-
-Align = Annotated[bool, option("Align poses given as truth (other frame or clock).", "--align")]
-Templates = Annotated[Files, value("FILE.toml", "A table layout of your own; tried first.", "--template")]
-Depth = Annotated[Files, value("D.png", "Depth image, 16 bit, mm; one per panel pose.")]
-Infrared = Annotated[Files, value("I.png", "Infrared image of the same moment.")]
-Intrinsics = Annotated[
-    Path | None,
-    value("K.toml", "width, height, fx, fy, cx, cy, distortion = [k1, k2, p1, p2, k3]."),
-]
-Panel = Annotated[
-    Path | None,
-    value("P.toml", "[panel] markers = [[x, y], ..], extent = [[xmin, ymin], [xmax, ymax]], m."),
-]
+SideName = Literal["left", "right"] | None
+Axes = Literal["kinect", "optical", "zup"] | None
+Filter = Literal["vqf", "madgwick", "comotti", "complementary"] | None
+Limbs = Literal["adult", "child", "any"] | None
 
 
 def refuse(wrong: Mapping[str, object]) -> None:
@@ -121,6 +62,18 @@ def refuse(wrong: Mapping[str, object]) -> None:
     for sentence, holds in wrong.items():
         if holds:
             raise typer.BadParameter(sentence)
+
+
+def listed(text: str, known: Collection[str], what: str) -> list[str]:
+    """The names of a comma-separated list, each once; "all" is every one that is known."""
+    wanted = [name.strip() for name in text.split(",") if name.strip()]
+    unknown = [name for name in wanted if name not in known]
+    if wanted == ["all"]:
+        return list(known)
+    if unknown or not wanted:
+        why = f"there is no {what} '{unknown[0]}'" if unknown else f"name a {what}"
+        raise typer.BadParameter(f"{why}; {what}s: {', '.join(known)}")
+    return list(dict.fromkeys(wanted))
 
 
 #: Endings of what a report is not, of what `unocclude export` writes, and of what else is no recording.
@@ -144,7 +97,7 @@ def as_mcap(path: Path | None) -> Path | None:
     return path
 
 
-def as_result(path: Path) -> Path | None:
+def _as_result(path: Path) -> Path | None:
     """The same of a result, which can be exported."""
     if (ending := path.suffix.lower()) in _EXPORTED:
         mcap = path.with_suffix(".mcap")
@@ -164,7 +117,57 @@ RecordingPath = Annotated[Path, argument("REC.mcap", "The recording.", callback=
 Result = Annotated[Path, argument("OUT.mcap", "What `smooth` wrote.", callback=_there)]
 _out = partial(value, "FILE", "Output file.", "-o", "--output")
 Output = Annotated[Path, _out(callback=as_mcap), WRITTEN]
-ResultOutput = Annotated[Path, _out(callback=as_result), WRITTEN]
+ResultOutput = Annotated[Path, _out(callback=_as_result), WRITTEN]
 FolderOutput = Annotated[Path, value("FOLDER", "Where results go.", "-o", "--output"), UNCHECKED]
+CalibrationOutput = Annotated[
+    Path, value("CAL.toml", "File to write or to add to.", "-o", "--output"), ADDED_TO
+]
 Report = Annotated[File, value("OUT.html", "Also write a report, one HTML page.", callback=_page), WRITTEN]
 Csv = Annotated[File, value("FILE", "Also write all values as a table.", "--csv"), WRITTEN]
+Json = Annotated[File, value("FILE", "Also write the figures as JSON.", "--json"), WRITTEN]
+Force = Annotated[bool, option("Overwrite outputs that exist.", "--force")]
+
+Calibration = Annotated[
+    File, value("CAL.toml", "IMU mounting, lever arms, limb lengths.", "--calibration"), SHARED
+]
+Known = Annotated[File, value("CAL.toml", "Calibration file with values to use as given.", "--known"), SHARED]
+Strict = Annotated[bool, option("Exit with 3 where a result is not to be trusted.", "--strict")]
+Verbose = Annotated[bool, option("Print all estimates, gaps and notes.", "--verbose")]
+Seed = Annotated[int, value("S", "Same seed, same result.", min=0)]
+_how_set = "A setting, as imu_rate_hz=100; may be given again. `--set list` prints all."
+Settings = Annotated[Texts, value("KEY=VALUE", _how_set, "--set")]
+Draws = Annotated[Count, rare("Drawn motions; 0 = none.  [default: 64]", min=0, max=1000)]
+Align = Annotated[bool, option("Align poses given as truth (other frame or clock).", "--align")]
+Templates = Annotated[Files, value("FILE.toml", "A table layout of your own; tried first.", "--template")]
+Depth = Annotated[Files, value("D.png", "Depth image, 16 bit, mm; one per panel pose.")]
+Infrared = Annotated[Files, value("I.png", "Infrared image of the same moment.")]
+_lens = "width, height, fx, fy, cx, cy, distortion = [k1, k2, p1, p2, k3]."
+Intrinsics = Annotated[File, value("K.toml", _lens)]
+_board = "[panel] markers = [[x, y], ..], extent = [[xmin, ymin], [xmax, ymax]], m."
+Panel = Annotated[File, value("P.toml", _board)]
+
+Imu = Annotated[Text, _arm("TOPIC", "The forearm IMU, where there are several.", "--imu")]
+Skeleton = Annotated[Text, _arm("TOPIC", "The skeleton, where there are several.", "--skeleton")]
+Side = Annotated[SideName, option("The arm that wears the IMU.", panel=ARM)]
+Body = Annotated[Count, _arm("N", "The person, where the camera saw several.")]
+
+Mirror = Annotated[Text, _set_up("x|y|z", "Undo a skeleton mirrored along this axis.")]
+Swap = Annotated[Text, _set_up("A,B", "Swap two joints (elbow,wrist), or left,right.")]
+Negate = Annotated[Text, _set_up("SENSOR,..", "Reverse accelerometer, gyroscope or both.")]
+CameraAxes = Annotated[
+    Axes, _set_up("AXES", "kinect, optical or zup, overriding the file.", "--camera-frame")
+]
+ClockOffset = Annotated[Number, _set_up("S", "IMU time minus camera time.  [default: estimated]")]
+#: One standard deviation of a clock that was measured, where none is stated, s.
+CLOCK_SIGMA_S = 0.02
+_clock_sigma = f"Standard deviation of --clock-offset.  [default: {CLOCK_SIGMA_S:g}]"
+ClockSigma = Annotated[Number, _set_up("S", _clock_sigma)]
+
+ConfigFile = Annotated[File, rare_value("CONF.toml", "Settings, as `unocclude config` prints.", "--config")]
+Processes = Annotated[Count, rare_value("N", "Worker processes; 0 = one per core.", min=0)]
+_filters = "vqf (default), madgwick, comotti or complementary; not of graph."
+Orientation = Annotated[Filter, rare_value("FILTER", _filters)]
+Anatomy = Annotated[Limbs, rare("Range of limb lengths that is plausible.")]
+BodyHeight = Annotated[Number, rare_value("M", "For limb lengths before a camera without depth.")]
+Live = Annotated[bool, rare("Also replay it through the live smoother and two simple methods.", "--live")]
+Latency = Annotated[float, rare_value("S", "Latency of the camera for --live, s.", min=0.0, max=1.0)]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 import math
 import os
@@ -37,8 +38,8 @@ def progress_bar(text: str) -> Iterator[Progress]:
 
     Where the environment names a file in `UNOCCLUDE_PROGRESS`, it is written there instead.
     """
-    if file := os.environ.get(PROGRESS_FILE):
-        yield progress_file(Path(file))
+    if file := os.environ.get("UNOCCLUDE_PROGRESS"):
+        yield _into_file(Path(file))
         return
     if not sys.stderr.isatty():
         yield lambda fraction, text: None
@@ -47,38 +48,26 @@ def progress_bar(text: str) -> Iterator[Progress]:
     from rich.progress import BarColumn, TextColumn, TimeElapsedColumn
     from rich.progress import Progress as Bar
 
-    bar = Bar(
+    shown = (
         TextColumn("{task.description}", markup=False),
         BarColumn(),
         TextColumn("{task.percentage:3.0f} %"),
-        TimeElapsedColumn(),
-        console=Console(stderr=True),
-        transient=True,
-        auto_refresh=False,  # it would take a thread, and worker processes start fastest without
     )
-    with bar:
+    # of itself it would take a thread, and worker processes start fastest without
+    how: dict[str, Any] = {"transient": True, "auto_refresh": False}
+    with Bar(*shown, TimeElapsedColumn(), console=Console(stderr=True), **how) as bar:
         task = bar.add_task(text, total=1.0)
         yield lambda fraction, text: bar.update(
             task, completed=fraction, description=printable(text), refresh=True
         )
 
 
-def part_of(progress: Progress, number: int, count: int) -> Progress:
-    """Progress of one of several jobs as that of all."""
-    return lambda share, text: progress((number + share) / count, text)
-
-
-#: Variable of the environment that names a file for how far a command is.
-PROGRESS_FILE = "UNOCCLUDE_PROGRESS"
-#: Shortest time between two updates, s.
+#: Shortest time between two updates of that file, s.
 _PROGRESS_STEP_S = 0.1
 
 
-def progress_file(path: Path) -> Progress:
-    """A function (part done 0 to 1, what is being done) that writes both into a file, as JSON.
-
-    A file that cannot be written is not a reason to end the command.
-    """
+def _into_file(path: Path) -> Progress:
+    """Progress as JSON in a file; one that cannot be written is not a reason to end the command."""
     written_s = -math.inf
 
     def show(share: float, text: str) -> None:
@@ -94,6 +83,11 @@ def progress_file(path: Path) -> Progress:
     return show
 
 
+def part_of(progress: Progress, number: int, count: int) -> Progress:
+    """Progress of one of several jobs as that of all."""
+    return lambda share, text: progress((number + share) / count, text)
+
+
 #: Files of a command; some may not be given.
 Paths = Iterable[Path | None]
 
@@ -104,7 +98,7 @@ def check_outputs(force: bool, outputs: Paths, inputs: Paths = ()) -> None:
     from ..runtime.outputs import check_output, is_stream, remove_stale_tempfiles
 
     read: set[object] = set()
-    for path in (path for path in inputs if path is not None):
+    for path in filter(None, inputs):
         check_input(path)
         read |= _identity(path)
     written: set[object] = set()
@@ -130,12 +124,11 @@ def _identity(path: Path) -> set[object]:
 
 def write_text(path: Path | None, text: str, force: bool) -> None:
     """Write a text, whole or not at all, where a file is named."""
-    if path is None:
-        return
-    from ..runtime.outputs import writing
+    if path is not None:
+        from ..runtime.outputs import writing
 
-    with writing(path, force) as temporary:
-        temporary.write_text(text, encoding="utf-8", errors="backslashreplace", newline="\n")
+        with writing(path, force) as temporary:
+            temporary.write_text(text, encoding="utf-8", errors="backslashreplace", newline="\n")
 
 
 def write_json(path: Path | None, figures: dict[str, Any], force: bool) -> None:
@@ -146,16 +139,12 @@ def write_json(path: Path | None, figures: dict[str, Any], force: bool) -> None:
 
 def write_csv(path: Path | None, rows: Iterable[Sequence[object]], force: bool) -> None:
     """Write rows as CSV, the first with the columns' names, where a file is named."""
-    if path is None:
-        return
-    from ..runtime.csv_rows import write_rows
-    from ..runtime.outputs import writing
+    if path is not None:
+        from ..runtime.csv_rows import write_rows
 
-    with (
-        writing(path, force) as temporary,
-        open(temporary, "w", encoding="utf-8", errors="backslashreplace", newline="") as file,
-    ):
-        write_rows(file, (map(_csv_cell, row) for row in rows))
+        text = io.StringIO()
+        write_rows(text, (map(_csv_cell, row) for row in rows))
+        write_text(path, text.getvalue(), force)
 
 
 def _csv_cell(value: object) -> object:
@@ -165,11 +154,10 @@ def _csv_cell(value: object) -> object:
 
 
 def _is_number(text: str) -> bool:
-    try:
+    with suppress(ValueError):
         float(text.strip("-+% ") or 0)
-    except ValueError:
-        return False
-    return True
+        return True
+    return False
 
 
 def show(table: Table, most: int | None = None, rest: str = "rows more; --json has them all") -> None:
@@ -183,14 +171,12 @@ def show(table: Table, most: int | None = None, rest: str = "rows more; --json h
     from rich.text import Text
 
     cells = [[printable(cell_text(value), lines=True) for value in row] for row in table.rows[:most]]
-    grid = Grid()
+    grid, screen = Grid(), console()
     for place, column in enumerate(table.columns):
-        is_number = all(_is_number(row[place]) for row in cells)
-        heading = Text(printable(column), style="bold")
-        grid.add_column(heading, justify="right" if is_number else "left", overflow="fold")
+        side: Any = "right" if all(_is_number(row[place]) for row in cells) else "left"
+        grid.add_column(Text(printable(column), style="bold"), justify=side, overflow="fold")
     for row in cells:
         grid.add_row(*map(Text, row))
-    screen = console()
     screen.print(Text(printable(table.title), style="bold"))
     screen.print(grid)
     say_more(len(table.rows), most, rest)
@@ -234,18 +220,25 @@ def say(text: str) -> None:
     """
     text = printable(text, lines=True)
     if sys.stdout.isatty():
-        width = shutil.get_terminal_size().columns
-        text = "\n".join(_wrapped(line, width) for line in text.splitlines())
+        wrapper = textwrap.TextWrapper(
+            shutil.get_terminal_size().columns,
+            subsequent_indent="  ",
+            break_long_words=False,
+            break_on_hyphens=False,
+        )
+        text = "\n".join(map(wrapper.fill, text.splitlines()))
     print(text)
-
-
-def _wrapped(line: str, width: int) -> str:
-    return textwrap.fill(line, width, subsequent_indent="  ", break_long_words=False, break_on_hyphens=False)
 
 
 def say_command(*words: object) -> None:
     """Print the command to try next, on one line, so that it can be copied."""
     print(f"try: {shlex.join(['unocclude', *map(str, words)])}")
+
+
+def say_written(*paths: Path | None) -> None:
+    """Print what was written, if anything."""
+    if files := [str(path) for path in paths if path is not None]:
+        say(f"written: {', '.join(files)}")
 
 
 @dataclass(frozen=True)
@@ -268,18 +261,24 @@ class Out:
         """Write the figures, if they are wanted: before anything is printed, which nobody may read."""
         write_json(self.json_file, figures, self.force)
 
+    def arms(
+        self,
+        arms: Sequence[Any],
+        figures: Sequence[dict[str, Any]],
+        tell: Callable[[int], None],
+        **more: object,
+    ) -> dict[str, Any]:
+        """Write the figures of all arms, then tell of each by its number; the figures that were written."""
+        together = arms_figures(arms, figures) | more
+        self.json(together)
+        for number, arm in enumerate(arms):
+            say_arm(arm, len(arms))
+            tell(number)
+        return together
+
     def end(self, *written: Path | None) -> None:
         """Print what was written."""
         say_written(*written, self.json_file)
-
-
-def say_written(*paths: Path | None) -> None:
-    """Print what was written, if anything."""
-    if files := [str(path) for path in paths if path is not None]:
-        say(f"written: {', '.join(files)}")
-
-
-Answer = TypeVar("Answer")
 
 
 def arms_figures(arms: Sequence[Any], figures: Sequence[dict[str, Any]]) -> dict[str, Any]:
@@ -294,30 +293,32 @@ def arms_figures(arms: Sequence[Any], figures: Sequence[dict[str, Any]]) -> dict
     together = {**each[0], "arms": each}
     if "trusted" not in together:
         return together
-    trusted = [mine["trusted"] for mine in each]
-    together["trusted"] = False if False in trusted else None if None in trusted else True
+    trusted = {mine["trusted"] for mine in each}
+    together["trusted"] = next((word for word in (False, None) if word in trusted), True)
     labelled = [(arm.arm_label, mine) for arm, mine in zip(arms, each, strict=True)]
-    reasons = ((label, reason) for label, mine in labelled for reason in mine.get("reasons", ()))
-    together["reasons"] = [f"{label}: {reason}" for label, reason in reasons]
+    together["reasons"] = [f"{label}: {why}" for label, mine in labelled for why in mine.get("reasons", ())]
     if "verdict" in together:
-        verdicts = (f"{label.capitalize()}: {mine['verdict']}" for label, mine in labelled)
-        together["verdict"] = " ".join(verdicts)
+        together["verdict"] = " ".join(f"{label.capitalize()}: {mine['verdict']}" for label, mine in labelled)
     if pairings := [mine["pairing"] for mine in each if mine.get("pairing")]:
         together["pairing"] = max(pairings, key=lambda one: (not one["proved"], one["chance"] or 0.0))
     return together
 
 
+Answer = TypeVar("Answer")
+
+
 def each_arm(
-    recordings: Sequence[Recording], work: Callable[[int], Answer]
+    text: str, recordings: Sequence[Recording], work: Callable[[int, Progress], Answer]
 ) -> tuple[list[tuple[Recording, Answer]], list[str]]:
     """Some work on every arm; one of several that cannot be worked on is left out, and said."""
     answers, left_out, errors = [], [], []
-    for number, recording in enumerate(recordings):
-        try:
-            answers.append((recording, work(number)))
-        except UnoccludeError as error:
-            errors.append(error)
-            left_out.append(f"The {recording.arm_label} was left out: {str(error).rstrip('.')}.")
+    with progress_bar(text) as progress:
+        for number, recording in enumerate(recordings):
+            try:
+                answers.append((recording, work(number, part_of(progress, number, len(recordings)))))
+            except UnoccludeError as error:
+                errors.append(error)
+                left_out.append(f"The {recording.arm_label} was left out: {str(error).rstrip('.')}.")
     if not answers:
         raise errors[0]
     return answers, left_out
@@ -330,9 +331,7 @@ def say_arm(arm: Any, count: int) -> None:
 
 
 def warn(recoveries: Sequence[Recovery]) -> None:
-    """A line on stderr for each result that is not to be trusted, or not everywhere; of several it names the
-    arm.
-    """
+    """A line on stderr for each result that is not to be trusted everywhere; of several it names the arm."""
     from ..result.untrusted import standing
 
     for recovery in recoveries:

@@ -49,26 +49,37 @@ def topic_table(about: Figures) -> Table:
     return tabulated(title, about["topics"], "name=topic schema count=messages rate_hz duration_s=length_s")
 
 
+#: What is said of an arm that would be recovered: words for its figures.
+_TAKEN = {
+    "upper_imu": "on the upper arm",
+    "hand_imu": "on the hand",
+    "trunk_imu": "on the trunk",
+    "cameras": "further cameras",
+    "joints": "joints",
+    "duration_s": "both recorded, s",
+    "gaps": "gaps",
+    "gap_total_s": "occluded, s",
+    "gap_longest_s": "longest gap, s",
+}
+
+
+def _of_each(arms: list[Figures], label: str = "label") -> Iterator[tuple[str, Figures]]:
+    """Arms, each after its name where there are several."""
+    for arm in arms:
+        yield f"{arm[label]}: " if len(arms) > 1 and arm[label] else "", arm
+
+
 def _streams(about: Figures) -> Iterator[tuple[str, object]]:
     """The streams found, and what would be taken of them."""
     for what, texts in (("IMU", about["imus"]), ("skeleton", about["skeletons"]), ("truth", about["poses"])):
         yield from ((f"{what} found", text) for text in texts)
-    for arm in about["arms"]:
-        of = f"{arm['label']}: " if len(about["arms"]) > 1 else ""
+    for of, arm in _of_each(about["arms"]):
         body = "" if arm["body"] is None else f" (body {arm['body']})"
-        found = {
-            "taken": f"{arm['imu']}, {arm['side'] or 'no side'} arm of {arm['skeleton']}{body}",
-            "on the upper arm": arm["upper_imu"],
-            "on the hand": arm["hand_imu"],
-            "on the trunk": arm["trunk_imu"],
-            "further cameras": "\n".join(arm.get("cameras", [])),
-            "joints": ", ".join(arm["joints"]) or "none tracked",
-            "both recorded, s": arm["duration_s"],
-            "gaps": arm["gaps"],
-            "occluded, s": arm["gap_total_s"],
-            "longest gap, s": arm["gap_longest_s"],
-        }
-        yield from ((of + what, value) for what, value in found.items() if value != "")
+        yield f"{of}taken", f"{arm['imu']}, {arm['side'] or 'no side'} arm of {arm['skeleton']}{body}"
+        for key, words in _TAKEN.items():
+            value = arm.get(key, "")
+            text = ", ".join(value) or "none tracked" if isinstance(value, list) else value
+            yield from [(of + words, text)] if text != "" else []
     if about["arms"]:
         yield "camera frame", about["camera_frame"] or "not stated"
     for topic, clock in about["clocks"].items():
@@ -79,29 +90,25 @@ def _streams(about: Figures) -> Iterator[tuple[str, object]]:
 
 def print_missing(about: Figures) -> None:
     """Print what is missing for recovering first, then in short what it can do without."""
+    missing = dict(about["missing"])
+    cannot = missing.pop("smooth", None)
     if about["result"]:
         say("contains a result: use validate or export")
-    elif "smooth" in about["missing"]:
-        say(f"cannot be recovered: {about['missing']['smooth']}")
+    elif cannot:
+        say(f"cannot be recovered: {cannot}")
     else:
-        for arm in about["arms"]:
-            of = f"{arm['label']}: " if len(about["arms"]) > 1 else ""
-            say(
-                of
-                + (arm["allows"] if arm["ready"] else f"not ready for `unocclude smooth`: it {arm['allows']}")
-            )
+        for of, arm in _of_each(about["arms"]):
+            say(f"{of}{'' if arm['ready'] else 'not ready for `unocclude smooth`: it '}{arm['allows']}")
         if about["ready"]:
             say("ready for `unocclude smooth`")
-    for each in about["verdicts"]:  # of a result's arms
-        of = f"{each['arm']}: " if each["arm"] else ""
+    for of, each in _of_each(about["verdicts"], "arm"):  # of a result's arms
         if each["verdict"]:
             say(f"{of}{each['verdict']}")
         if each["trusted"] is not False and (times := each["untrusted"]):
             count = f"{len(times)} {'time' if len(times) == 1 else 'times'}"
             say(f"{of}not to be trusted at {count}; export lists them")
-    for step, reason in about["missing"].items():
-        if step != "smooth":
-            say(f"{step}: {reason}")
+    for step, reason in missing.items():
+        say(f"{step}: {reason}")
     if about["optional"] and not about["result"]:
         lacks = ", ".join(f"{what} ({use})" for what, use in about["optional"].items())
         say(f"not in the file, not needed to recover: {lacks}")
@@ -160,14 +167,14 @@ def repair(
     if not report["losses"]:
         say("no message before the end is lost" if report["notes"] else "nothing damaged was met")
     start = min((loss["first_ns"] for loss in report["losses"] if loss["first_ns"] is not None), default=0)
-    lines = [
-        {"bytes": f"{loss['start_byte']} .. {loss['stop_byte']}", "what": loss["what"]}
-        | {"from_s": loss["first_ns"] and (loss["first_ns"] - start) / 1e9}
-        | {"to_s": loss["last_ns"] and (loss["last_ns"] - start) / 1e9}
-        for loss in report["losses"]
-    ]
+    columns: dict[str, Callable[[Any], object]] = {
+        "bytes": lambda loss: f"{loss['start_byte']} .. {loss['stop_byte']}",
+        "from, s": lambda loss: loss["first_ns"] and f"{(loss['first_ns'] - start) / 1e9:.2f}",
+        "to, s": lambda loss: loss["last_ns"] and f"{(loss['last_ns'] - start) / 1e9:.2f}",
+        "what": lambda loss: loss["what"],
+    }
     title = "What is damaged (s after the first damage)"
-    show(tabulated(title, lines, "bytes from_s to_s what"), MOST_ROWS)
+    show(tabulated(title, report["losses"], columns), MOST_ROWS)
     print_notes(report["notes"])
     if report["attachments_left_out"]:
         say(f"note: {report['attachments_left_out']} damaged attachments were left out.")

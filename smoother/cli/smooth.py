@@ -13,11 +13,11 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from ..errors import UnoccludeError
-from ..evaluation.methods import GRAPH, METHODS
+from ..evaluation.methods import GRAPH, METHODS, make_methods
 from ..table import tabulated
 from . import options as o
-from .load import ArmInput, PersonConfigInput, baseline_settings, choose, damage, usual_draws
-from .output import Out, arms_figures, end_strictly, is_imported, progress_bar, say, say_arm, say_more, show
+from .load import ArmInput, PersonConfigInput, baseline_settings
+from .output import Out, end_strictly, is_imported, progress_bar, say, say_more, show
 
 if TYPE_CHECKING:
     from ..calibration import ArmCalibration
@@ -45,7 +45,7 @@ def smooth(
     solve_lever_arms: Annotated[
         bool, o.rare("Estimate the offset of strap and IMU, else zero.", "--solve-lever-arms")
     ] = False,
-    draws: Annotated[o.Count, o.rare("Drawn motions; 0 = none.  [default: 64]", min=0, max=1000)] = None,
+    draws: o.Draws = None,
     seed: Annotated[int | None, o.rare("Seed of the drawn motions.  [default: 0]", min=0)] = None,
 ) -> None:
     """Recover the motion in every gap, with its uncertainty.
@@ -61,12 +61,11 @@ def smooth(
     from ..io import write_recovery
     from ..result import is_of_arm
 
-    names = choose(method)
-    if len(names) != 1:
-        raise typer.BadParameter("--method takes one method; `unocclude compare` runs several")
+    names = o.listed(method, METHODS, "method")
+    several = "--method takes one method; `unocclude compare` runs several"
+    not_a_length = "--max-sigma-m is a length above zero, in m"
+    o.refuse({several: len(names) > 1, not_a_length: max_sigma_m is not None and not max_sigma_m > 0})
     baselines = baseline_settings(names, orientation)
-    if max_sigma_m is not None and not max_sigma_m > 0:
-        raise typer.BadParameter("--max-sigma-m is a length above zero, in m")
     motions = drawn_motions(draws, seed, names[0])
     config = settings.read()
     with ExitStack() as ended:
@@ -94,11 +93,8 @@ def smooth(
             from ..report import write_arms_report
 
             write_arms_report(results, report, force=out.force)
-        if out.json_file is not None:
-            out.json(arms_figures(answers, [smooth_figures(*each) for each in results]))
-        for recording, recovery in results:
-            say_arm(recovery, len(results))
-            print_recovery(recording, recovery, verbose)
+        figures = [{} if out.json_file is None else smooth_figures(*each) for each in results]
+        out.arms(answers, figures, lambda number: print_recovery(*results[number], verbose))
         out.end(output, report)
     if strict:
         end_strictly(recovery.estimates.trusted for recovery in answers)
@@ -153,6 +149,7 @@ def print_recovery(recording: Recording, recovery: Recovery, verbose: bool = Fal
     from calib.motion import found_in
 
     from ..evaluation.summary import cameras, gap_summaries
+    from ..io.mcap.messages import damage
     from ..result.untrusted import untrusted_sentences
 
     gaps = list(enumerate(gap_summaries(recovery), start=1))
@@ -224,14 +221,16 @@ SIGMAS_95 = 1.96
 
 def drawn_motions(draws: int | None, seed: int | None, method: str) -> int:
     """How many motions are drawn from the posterior: as usual unless something else was said."""
-    if method != GRAPH:
-        if draws or seed is not None:
-            option = "--draws" if draws else "--seed"
-            raise typer.BadParameter(f"{option} belongs to the method {GRAPH}: '{method}' has no posterior")
-        return 0
-    if seed is not None and draws == 0:
-        raise typer.BadParameter("--seed is for the drawn motions, and --draws 0 draws none; leave one out")
-    return usual_draws(draws)
+    from ..result.draws import USUAL_DRAWS
+
+    if method == GRAPH:
+        contradictory = "--seed is for the drawn motions, and --draws 0 draws none; leave one out"
+        o.refuse({contradictory: seed is not None and draws == 0})
+        return USUAL_DRAWS if draws is None else draws
+    option = "--draws" if draws else "--seed"
+    no_posterior = f"{option} belongs to the method {GRAPH}: '{method}' has no posterior"
+    o.refuse({no_posterior: draws or seed is not None})
+    return 0
 
 
 def recover_arms(
@@ -249,19 +248,18 @@ def recover_arms(
 
     Motions are drawn from the graph's posterior only.
     """
-    from ..evaluation.methods import make_methods
     from ..several_arms import smooth_arms, together
 
     if name == GRAPH:
         return smooth_arms(recordings, calibrations, config, progress, clocks=clocks, draws=draws, seed=seed)
-    answers: list[Recovery | UnoccludeError] = []
-    for recording, calibration, clock in zip(recordings, calibrations, clocks, strict=True):
-        recover = make_methods([name], calibration, config, settings, progress, clock)[name]
+
+    def recovered(recording: Recording, given: ArmCalibration | None, clock: Clock | None) -> Any:
         try:
-            answers.append(recover(recording))
+            return make_methods([name], given, config, settings, progress, clock)[name](recording)
         except UnoccludeError as error:
-            answers.append(error)
-    return together(recordings, answers)
+            return error
+
+    return together(recordings, list(map(recovered, recordings, calibrations, clocks)))
 
 
 #: How far the camera's strap may lie from the IMU where that is to be found, m per axis.

@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Mapping
-from typing import Any
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from ..measures import Measure
 
 #: By the unit of a measure: factor, unit for people, decimals.
 _SHOWN: dict[str, tuple[float, str, int]] = {
@@ -60,6 +63,19 @@ def interval(low: float | None, high: float | None, unit: str, signed: bool = Fa
     if low is None or high is None or not math.isfinite(low) or not math.isfinite(high):
         return ""
     return f"{number(low, unit, signed)} to {quantity(high, unit, signed)}"
+
+
+def measure_words(row: Measure | None) -> str:
+    """The value of a measure, its 95 % interval in brackets, and the unit."""
+    if row is None:
+        return "–"
+    value, between = worded(row.key, row.value, row.unit), interval(row.low, row.high, row.unit)
+    if row.key.endswith("_reached") and row.has_interval:
+        return value if row.low == row.high else f"{value} (no to yes)"
+    if not row.has_interval or row.unit.startswith("deg"):
+        return f"{value} ({between})" if between else value
+    value, low, high = (number(each, row.unit, is_signed(row.key)) for each in (row.value, row.low, row.high))
+    return f"{value} ({low} to {high})\u00a0{shown_unit(row.unit)}".rstrip()
 
 
 def limits_words(row: Mapping[str, Any]) -> str:

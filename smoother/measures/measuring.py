@@ -30,7 +30,7 @@ from .figures import (
 )
 from .measure import UNKNOWN, Figure, Measure, Measures, MeasureSettings, Movement, Scope, share_of
 from .motion import ElbowBend, Motion, grid_of, motion_of
-from .movements import as_movements, find_movements, find_repetitions
+from .movements import find_movements, find_repetitions
 
 #: A scope and the number in it.
 Place = tuple[Scope, int | None]
@@ -51,10 +51,8 @@ class Layout:
     """
 
     settings: MeasureSettings
-    places: tuple[slice, ...]  # Rows of the movements
-    movements: tuple[Movement, ...]  # In times
-    rounds: tuple[slice, ...]  # Rows of the repetitions
-    repetitions: tuple[Movement, ...]
+    rows: dict[Place, slice]  # Of the session, each movement, each repetition
+    times: dict[Place, Movement]  # Of movements and repetitions
     known: dict[str, BoolArray]  # bool (n,): Where an angle is known, by its name
     centres_deg: dict[str, float]  # What an angle lies within half a turn of
     voxel_m: float  # Size of the cubes of which one place counts for the alpha shape
@@ -62,23 +60,21 @@ class Layout:
     @classmethod
     def of(cls, motion: Motion, settings: MeasureSettings) -> Layout:
         """As an answer's motion has it."""
-        places = find_movements(motion.speed, motion.grid, settings.movements)
-        repetitions = find_repetitions(motion, settings.repetitions)
         t, voxel_m, hand = motion.grid.t_s, settings.reach.voxel_m, motion.hand_from_shoulder
         hand = hand[np.isfinite(hand).all(axis=1)]
         while len(hand) > MOST_PLACES and len(voxel_means(hand, voxel_m)) > MOST_PLACES:
             voxel_m *= 1.25
-        rounds = [np.searchsorted(t, [each.start_s, each.end_s]).tolist() for each in repetitions]
-        return cls(
-            settings,
-            tuple(places),
-            as_movements(places, motion.grid),
-            tuple(slice(first, last + 1) for first, last in rounds),
-            repetitions,
-            {name: np.isfinite(angle) for name, angle in motion.angles.items()},
-            {name: centre_of(angle) for name, angle in motion.angles.items()},
-            voxel_m,
-        )
+        rows: dict[Place, slice] = {SESSION: slice(0, len(t))}
+        times: dict[Place, Movement] = {}
+        for k, part in enumerate(find_movements(motion.speed, motion.grid, settings.movements)):
+            rows["movement", k] = part
+            times["movement", k] = Movement(float(t[part.start]), float(t[part.stop - 1]), "movement")
+        for k, each in enumerate(find_repetitions(motion, settings.repetitions)):
+            first, last = np.searchsorted(t, [each.start_s, each.end_s]).tolist()
+            rows["repetition", k], times["repetition", k] = slice(first, last + 1), each
+        known = {name: np.isfinite(angle) for name, angle in motion.angles.items()}
+        centres_deg = {name: centre_of(angle) for name, angle in motion.angles.items()}
+        return cls(settings, rows, times, known, centres_deg, voxel_m)
 
     def figures(self, motion: Motion) -> dict[Place, Figures]:
         """All figures of a motion on the same grid: of the session, the movements, the repetitions."""
@@ -89,19 +85,24 @@ class Layout:
         }
         own = find_movements(motion.speed, motion.grid, self.settings.movements)
         of_own = [self._of_hand(motion, place) for place in own]
-        everything = slice(0, len(motion.grid.t_s))
-        session = self._of_time(motion, everything, angles, of_own) | self._of_counts(motion, own)
-        by_place = {SESSION: _listed("session", angles, session)}
+        by_place: dict[Place, Figures] = {}
+        for place, rows in self.rows.items():
+            figures = self._of_angles_and_way(motion, rows, angles)
+            if place[0] == "movement":
+                figures |= self._of_hand(motion, rows)
+            else:
+                parts = zip(of_own, own, strict=True)
+                inside = [each for each, part in parts if part.start < rows.stop and part.stop > rows.start]
+                figures |= self._of_long_time(motion, rows, inside)
+            if place == SESSION:
+                figures |= self._of_counts(motion, own)
+            by_place[place] = {
+                key: figures.get(key, UNKNOWN)  # of the angles that there are
+                for key, row in definitions().items()
+                if place[0] in row.scopes and (not row.angle or row.angle in angles)
+            }
         for name, angle in angles.items():
             by_place[SESSION] |= zone_figures(name, angle, motion.occluded)
-        for k, place in enumerate(self.places):
-            figures = self._of_angles_and_way(motion, place, angles) | self._of_hand(motion, place)
-            by_place["movement", k] = _listed("movement", angles, figures)
-        for k, place in enumerate(self.rounds):
-            parts = zip(of_own, own, strict=True)
-            inside = [each for each, part in parts if part.start < place.stop and part.stop > place.start]
-            figures = self._of_time(motion, place, angles, inside)
-            by_place["repetition", k] = _listed("repetition", angles, figures)
         return by_place
 
     def _of_counts(self, motion: Motion, places: list[slice]) -> Figures:
@@ -122,22 +123,19 @@ class Layout:
         share = share_of(motion.occluded)
         return {key: Figure(value, share) for key, value in values.items()}
 
-    def _of_time(
-        self, motion: Motion, place: slice, angles: dict[str, FloatArray], movements: list[Figures]
-    ) -> Figures:
-        """What both a session and a repetition have."""
+    def _of_long_time(self, motion: Motion, rows: slice, movements: list[Figures]) -> Figures:
+        """What both a session and a repetition have beyond a movement."""
         lengths, reach = bone_lengths(motion), self.settings.reach
         bones = ("upper_arm", "forearm", *(("hand",) if motion.hand_joint == "hand" else ()))
         arm_m = sum(lengths.get(bone, np.nan) for bone in bones)
-        places, occluded = motion.hand_from_shoulder[place], motion.occluded[place]
-        figures = self._of_angles_and_way(motion, place, angles)
-        figures |= reach_figures(places, occluded, arm_m, self.voxel_m, reach.alpha_m)
-        figures |= zone_figures_of(motion, place, reach)
+        places, occluded = motion.hand_from_shoulder[rows], motion.occluded[rows]
+        figures = reach_figures(places, occluded, arm_m, self.voxel_m, reach.alpha_m)
+        figures |= zone_figures_of(motion, rows, reach)
         for key, row in definitions().items():
             known = [each[key] for each in movements if key in each and np.isfinite(each[key].value)]
             if row.over_movements and known:
                 middle = np.median if row.over_movements == "median" else np.mean
-                values, shares = ([figure[k] for figure in known] for k in (0, 1))
+                values, shares = zip(*known, strict=True)
                 figures[key] = Figure(float(middle(values)), float(np.mean(shares)))
         return figures
 
@@ -168,15 +166,6 @@ class Layout:
         share = share_of(occluded)
         figures = {key: Figure(value, share) for key, value in values.items()}
         return figures | straightness_figures(motion.hand[place], pace, occluded, rate_hz)
-
-
-def _listed(scope: Scope, angles: dict[str, FloatArray], figures: Figures) -> Figures:
-    """The table's rows of a scope, of the angles that there are; what was not found is not known."""
-    return {
-        key: figures.get(key, UNKNOWN)
-        for key, row in definitions().items()
-        if scope in row.scopes and (not row.angle or row.angle in angles)
-    }
 
 
 def _figures_of(task: tuple[Layout, Motion]) -> dict[Place, Figures]:
@@ -236,7 +225,7 @@ class Measuring:
             if bend is None or recovery.draws is None:
                 return drawn_of(k)
             rng = np.random.default_rng([recovery.draws.seed, k, 1])
-            return bend.corrected_draw(drawn_of(k), float(rng.uniform()))
+            return bend.corrected(drawn_of(k), float(rng.uniform()), is_drawn=True)
 
         answer = motion if bend is None else bend.corrected(motion)
         self.answer = layout.figures(answer)
@@ -295,10 +284,8 @@ class Measuring:
 
     def times(self, place: Place) -> tuple[float, float]:
         """From when to when, s; nan where there is no answer."""
-        scope, number = place
-        if number is not None:
-            kind = self.layout.movements if scope == "movement" else self.layout.repetitions
-            return kind[number].start_s, kind[number].end_s
+        if (own := self.layout.times.get(place)) is not None:
+            return own.start_s, own.end_s
         t = self.motion.grid.t_s
         return (float(t[0]), float(t[-1])) if len(t) else (float("nan"), float("nan"))
 
@@ -315,12 +302,12 @@ class Measuring:
 
     def measures(self) -> Measures:
         """What was measured, as a table of measures."""
-        recovery, layout = self.recovery, self.layout
+        recovery, times = self.recovery, self.layout.times.values()
         rows = [row for place in self.answer for row in self.rows(place)]
         return Measures(
             *(recovery.side, recovery.body, recovery.name, *self.times(SESSION), tuple(rows)),
-            movements=layout.movements,
-            repetitions=layout.repetitions,
+            movements=tuple(each for each in times if each.kind == "movement"),
+            repetitions=tuple(each for each in times if each.kind == "repetition"),
             trusted=recovery.estimates.trusted,
             verdict=recovery.estimates.verdict,
             n_draws=self.count,

@@ -285,13 +285,11 @@ class ElbowBend:
             return 1.0
         return float(np.interp(quantile * below[-1], below, _LEFT))
 
-    def corrected(self, answer: Motion) -> Motion:
-        """An answer with the flexion that is left."""
-        return _lessened(answer, self.left(0.5))
-
-    def corrected_draw(self, drawn: Motion, quantile: float) -> Motion:
-        """A drawn motion with the flexion that is left; it has the error twice."""
-        return _lessened(drawn, self.left(quantile) * self.of_draws)
+    def corrected(self, motion: Motion, quantile: float = 0.5, is_drawn: bool = False) -> Motion:
+        """A motion with the flexion that is left; a drawn one has the error twice."""
+        left = self.left(quantile) * (self.of_draws if is_drawn else 1.0)
+        flexion = lessened(motion.angles["elbow_flexion"], left)
+        return replace(motion, angles=motion.angles | {"elbow_flexion": flexion})
 
     def lower(self, low_deg: float) -> float:
         """The lower end of an angle's interval, where an error across the bend may have lengthened it."""
@@ -305,9 +303,3 @@ def lessened(flexion: FloatArray, left: float) -> FloatArray:
     """
     angle = np.radians(flexion)
     return np.asarray(np.degrees(angle - (1.0 - left) * 0.5 * np.maximum(np.sin(2.0 * angle), 0.0)))
-
-
-def _lessened(motion: Motion, left: float) -> Motion:
-    return replace(
-        motion, angles=motion.angles | {"elbow_flexion": lessened(motion.angles["elbow_flexion"], left)}
-    )

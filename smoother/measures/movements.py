@@ -72,14 +72,6 @@ def find_movements(
     return [place for place in places if place.stop - place.start >= settings.shortest_s * grid.rate_hz]
 
 
-def as_movements(places: list[slice], grid: TimeGrid) -> tuple[Movement, ...]:
-    """Rows as times."""
-    return tuple(
-        Movement(float(grid.t_s[place.start]), float(grid.t_s[place.stop - 1]), "movement")
-        for place in places
-    )
-
-
 #: Postures are compared at this rate, Hz: an exercise is slower than 2 Hz.
 RATE_HZ = 10.0
 #: A recording whose posture does not correlate with itself this well after a round has no rounds.

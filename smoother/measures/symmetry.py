@@ -10,6 +10,7 @@ import numpy as np
 from ..array_types import FloatArray
 from ..errors import UnoccludeError
 from ..result import Recovery
+from ..runtime.pool import Progress
 from .definitions import definition_of, interval
 from .measure import Measure, Measures, MeasureSettings
 from .measuring import SESSION, Measuring
@@ -96,9 +97,33 @@ def measure_both(recoveries: Sequence[Recovery], settings: MeasureSettings | Non
     if len(recoveries) != 2 or by_side.keys() != {"left", "right"} or len({r.body for r in recoveries}) != 1:
         arms = ", ".join(recovery.arm_label for recovery in recoveries) or "none"
         raise UnoccludeError(f"symmetry needs the left and the right arm of one person; there is: {arms}")
-    used = settings or MeasureSettings()
-    left, right = (Measuring(by_side[side], used) for side in ("left", "right"))
-    return both_arms(left, right)
+    return measure_arms(recoveries, settings or MeasureSettings())[1][0]
+
+
+def measure_arms(
+    recoveries: Sequence[Recovery],
+    settings: MeasureSettings,
+    processes: int = 1,
+    progress: Progress | None = None,
+) -> tuple[list[Measures], list[BothArms]]:
+    """The measures of each arm, and the comparison of each person's two arms."""
+    done: list[Measuring] = []
+
+    def of_all(share: float, text: str) -> None:
+        if progress is not None:
+            progress((len(done) + share) / len(recoveries), text)
+
+    for recovery in recoveries:
+        done.append(Measuring(recovery, settings, processes, of_all))
+    by_body: dict[int | None, dict[str, list[Measuring]]] = {}
+    for one in done:
+        by_body.setdefault(one.recovery.body, {}).setdefault(one.recovery.side, []).append(one)
+    pairs = [
+        both_arms(sides["left"][0], sides["right"][0])
+        for sides in by_body.values()
+        if sides.keys() == {"left", "right"} and all(len(arms) == 1 for arms in sides.values())
+    ]
+    return [one.measures() for one in done], pairs
 
 
 def both_arms(left: Measuring, right: Measuring) -> BothArms:

@@ -8,7 +8,7 @@ from collections.abc import Iterator, Sequence
 import plotly.graph_objects as go
 
 from ..evaluation.progress import MOSTLY_RECOVERED
-from ..evaluation.words import first_of, interval, is_main, is_signed, number, shown_unit, worded
+from ..evaluation.words import first_of, interval, is_main, measure_words
 from ..measures import BothArms, Measure, Measures
 from ..table import Table, percent
 from .sheet import (
@@ -107,17 +107,6 @@ def _of(arm: Measures, arms: Sequence[Measures]) -> str:
     return f", {arm.arm_label.replace(' arm', '')}" if len(arms) > 1 else ""
 
 
-def with_interval(row: Measure | None) -> str:
-    """The value, its 95 % interval in brackets, and the unit."""
-    if row is None:
-        return "–"
-    if not row.has_interval or row.unit.startswith("deg"):
-        value, between = worded(row.key, row.value, row.unit), interval(row.low, row.high, row.unit)
-        return f"{value} ({between})" if between else value
-    value, low, high = (number(each, row.unit, is_signed(row.key)) for each in (row.value, row.low, row.high))
-    return f"{value} ({low} to {high})\u00a0{shown_unit(row.unit)}".rstrip()
-
-
 def _ranges(arms: Sequence[Measures]) -> PageSection:
     """The smallest and the largest angle of each joint, each with its interval."""
     figure, names = go.Figure(), []
@@ -154,14 +143,14 @@ def _reach(arms: Sequence[Measures]) -> PageSection:
         if row is not None and row.has_interval and row.low == row.high:
             word = "reached" if row.value >= 1 else "not reached"
         is_away = distance is not None and distance.is_known and distance.value > 0
-        return badge(word) + (f" {with_interval(distance)} away" if is_away else "")
+        return badge(word) + (f" {measure_words(distance)} away" if is_away else "")
 
     def any_known(key: str) -> bool:
         return any((row := arm.by_key.get(key)) is not None and row.is_known for arm in arms)
 
     rows = [[words, *(reached(arm, key) for arm in arms)] for key, words in REACHED.items() if any_known(key)]
     if any_known(volume := "hand_reach_hull_l"):
-        rows.append(["reach volume", *(with_interval(arm.by_key.get(volume)) for arm in arms)])
+        rows.append(["reach volume", *(measure_words(arm.by_key.get(volume)) for arm in arms)])
     caption = "Reached: at least once in every drawn motion; followed by the hand's closest distance."
     columns = ["goal", *(arm.arm_label for arm in arms)]
     return rendered(Table("Where the hand reached", columns, rows, caption))
@@ -193,9 +182,9 @@ def _table(arms: Sequence[Measures], symmetry: dict[str, Measure]) -> PageSectio
         of_arms = [arm.by_key.get(key) for arm in arms]
         shares = (percent(row.recovered_share) if row else None for row in of_arms)
         cells: list[object] = [next(row.name for row in of_arms if row is not None)]
-        cells += [*map(with_interval, of_arms), "\u00a0/\u00a0".join(each or "–" for each in shares)]
+        cells += [*map(measure_words, of_arms), "\u00a0/\u00a0".join(each or "–" for each in shares)]
         index = symmetry.get(f"{key}_symmetry_percent")
-        rows.append([*cells, with_interval(index) if index and index.is_known else None])
+        rows.append([*cells, measure_words(index) if index and index.is_known else None])
     columns = ["measure", *(f"95 % interval{_of(arm, arms)}" for arm in arms), "recovered"]
     caption = "Over the whole recording: the value, and its 95 % interval in brackets."
     columns, rows = (

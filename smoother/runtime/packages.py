@@ -1,4 +1,4 @@
-"""Packages that may be missing: those of an extra, and Open3D where the system lacks libusb."""
+"""Packages that may be missing, Open3D where the system lacks libusb, and the C library."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import ctypes
 import platform
 import sys
 from collections.abc import Sequence
+from contextlib import suppress
 from importlib import import_module
 from types import ModuleType
 
@@ -90,3 +91,17 @@ def _forget(package: str) -> None:
     """Drop what a failed import left behind, so that the next one starts anew."""
     for name in [name for name in sys.modules if name == package or name.startswith(f"{package}.")]:
         del sys.modules[name]
+
+
+#: Parameters of glibc's `mallopt`: blocks smaller than the first are taken from the heap, at whose end up to
+#: the second stays free, bytes.
+_MMAP_THRESHOLD, _TRIM_THRESHOLD = (-3, 32 << 20), (-1, 16 << 20)
+
+
+def keep_freed_memory() -> None:
+    """Keep what is freed for what is needed next, instead of giving it back to the system at once."""
+    if sys.platform == "linux":
+        with suppress(OSError, AttributeError):  # other C libraries have no such parameters
+            library = ctypes.CDLL(None)
+            for parameter, size in (_MMAP_THRESHOLD, _TRIM_THRESHOLD):
+                library.mallopt(parameter, size)

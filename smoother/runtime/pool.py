@@ -21,7 +21,7 @@ from types import ModuleType, TracebackType
 from typing import Any, Literal, TypeVar
 
 from ..errors import UnoccludeError
-from .allocation import keep_freed_memory
+from .packages import keep_freed_memory
 
 #: Libraries and their threads take about this much, bytes; with less they end the process, or never answer.
 LEAST_BYTES = 300 << 20

@@ -13,7 +13,7 @@ from commands import done
 
 from smoother import Config, smoothing
 from smoother.baselines.registry import BASELINES
-from smoother.cli.load import choose
+from smoother.cli.options import listed
 from smoother.errors import SolveError
 from smoother.evaluation.compare import compare
 from smoother.evaluation.gaps import evaluate_gaps
@@ -40,8 +40,8 @@ PROMISED = {
 
 
 def test_every_promised_method_is_there():
-    assert set(METHODS) == PROMISED == set(choose("all"))
-    assert choose("hold, graph,hold") == ["hold", "graph"]
+    assert set(METHODS) == PROMISED == set(listed("all", METHODS, "method"))
+    assert listed("hold, graph,hold", METHODS, "method") == ["hold", "graph"]
 
 
 @pytest.mark.slow

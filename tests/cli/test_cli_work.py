@@ -94,7 +94,7 @@ def test_demo_as_a_user_runs_it(tmp_path, monkeypatch):
     assert figures["validation"]["occluded"]["position_rms_m"] < 0.04
     # a second time, over what the first one left; no figure holds a place of this machine
     report.unlink()
-    monkeypatch.setattr("smoother.cli.load.usual_draws", lambda _: 0)
+    monkeypatch.setattr("smoother.result.draws.USUAL_DRAWS", 0)
     done("demo", "-o", tmp_path / "out/demo", "--json", tmp_path / "again.json")
     assert report.is_file()
     text = (tmp_path / "again.json").read_text()
