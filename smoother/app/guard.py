@@ -8,7 +8,7 @@ from urllib.parse import parse_qs
 from starlette.responses import PlainTextResponse
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from ..runtime.local_requests import LocalDoor, Refusal, is_token, joined
+from ..runtime.local_requests import LocalDoor, is_token, joined
 
 #: Pages of the app: its own files alone, and no other address.
 OWN_PAGES = (
@@ -78,9 +78,8 @@ class Guard:
     def _refusal(self, scope: Scope, headers: dict[str, str], comes_with_token: bool) -> str:
         """Why a request is refused; "" where it is not."""
         changes = scope["method"] not in ("GET", "HEAD")
-        why = self.door.refusal(headers, changes, by_address=comes_with_token)
-        if why is not None:
-            return WRONG_HOST if why is Refusal.HOST else OTHER_SITE
+        if why := self.door.refusal(headers, changes, by_address=comes_with_token):
+            return WRONG_HOST if why == "host" else OTHER_SITE
         return "" if comes_with_token or self._has_cookie(headers.get("cookie", "")) else NO_TOKEN
 
     def _has_cookie(self, text: str) -> bool:

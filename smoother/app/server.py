@@ -19,7 +19,8 @@ from starlette.applications import Starlette
 from starlette.middleware import Middleware
 from starlette.requests import ClientDisconnect, Request
 from starlette.responses import FileResponse, JSONResponse, Response
-from starlette.routing import Route
+from starlette.routing import Mount, Route
+from starlette.staticfiles import StaticFiles
 
 from .. import __version__
 from ..errors import UnoccludeError
@@ -44,8 +45,6 @@ from .guard import REPORTS, Guard
 from .jobs import JobDesk, refuse_busy
 
 WEB = Path(__file__).parent / "web"
-#: Files of the page, and what they are.
-_PAGE = {"app.js": "text/javascript", "texts.js": "text/javascript", "app.css": "text/css"}
 #: Bytes of a request's JSON at most.
 _LONGEST_JSON = 1_000_000
 #: Bytes of an upload written at a time, and bytes that stay free on the disk.
@@ -84,10 +83,9 @@ def make_app(folder: AppFolder, desk: JobDesk, token: str, port: int) -> Starlet
     ]
     app = Starlette(
         routes=[
-            Route("/", _asset),
-            Route("/{name}", _asset),
             Route(f"{one}/files/{{name}}", _answered(_upload), methods=["PUT"]),
             *(Route(path, _answered(_asking(answer)), methods=[how]) for how, path, answer in answers),
+            Mount("/", StaticFiles(directory=WEB, html=True)),
         ],
         middleware=[Middleware(Guard, token=token, port=port)],
         lifespan=lifespan,
@@ -139,14 +137,15 @@ def _answered(handler: Callable[[Request], Any]) -> Callable[[Request], Any]:
     async def answer(request: Request) -> Response:
         try:
             result = await handler(request)
+            return result if isinstance(result, Response) else JSONResponse(result or {})
         except UnoccludeError as error:
-            return JSONResponse({"error": str(error)}, error.status if isinstance(error, AppError) else 400)
+            sentence, status = str(error), error.status if isinstance(error, AppError) else 400
         except OSError as error:
             full = error.errno in (errno.ENOSPC, errno.EDQUOT)
-            sentence = NO_SPACE if full else f"{error.strerror or error}"
             name = f"{Path(os.fsdecode(error.filename)).name}: " if error.filename else ""
-            return JSONResponse({"error": f"{name}{sentence}"}, 507 if full else 500)
-        return result if isinstance(result, Response) else JSONResponse(result or {})
+            sentence = name + (NO_SPACE if full else f"{error.strerror or error}")
+            status = 507 if full else 500
+        return JSONResponse({"error": sentence}, status)
 
     return answer
 
@@ -166,15 +165,6 @@ async def _body(request: Request) -> dict[str, Any]:
     if not isinstance(values, dict):
         raise AppError("The request is not a JSON object that can be kept.")
     return values
-
-
-async def _asset(request: Request) -> Response:
-    name = request.path_params.get("name", "")
-    if not name:
-        return FileResponse(WEB / "app.html", media_type="text/html")
-    if name not in _PAGE:
-        return JSONResponse({"error": "There is no such page."}, 404)
-    return FileResponse(WEB / name, media_type=_PAGE[name])
 
 
 def _add(asked: _Asked) -> Any:

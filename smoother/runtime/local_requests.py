@@ -10,19 +10,12 @@ from __future__ import annotations
 import hmac
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from enum import StrEnum
+from typing import Literal
 from urllib.parse import urlsplit
 
 LOOPBACK = "127.0.0.1"
 #: Names of this computer that a request may be addressed to.
 OWN_NAMES = (LOOPBACK, "localhost")
-
-
-class Refusal(StrEnum):
-    """Why a request is refused: the host name, or the origin."""
-
-    HOST = "host"
-    SITE = "site"
 
 
 @dataclass(frozen=True)
@@ -33,17 +26,19 @@ class LocalDoor:
     guests: tuple[str, ...] = ()  # Hosts of other web sites whose pages may ask too
     schemes: tuple[str, ...] = ()  # Origins of programs that are not web pages ("file", ..) and may ask too
 
-    def refusal(self, headers: Mapping[str, str], changes: bool, by_address: bool = False) -> Refusal | None:
-        """Why a request is refused; None where it is not."""
+    def refusal(
+        self, headers: Mapping[str, str], changes: bool, by_address: bool = False
+    ) -> Literal["host", "site", ""]:
+        """What a request is refused for: the name of the host, or the asking site; "" where it is not."""
         host = headers.get("host", "")
         if not self._is_own(host):
-            return Refusal.HOST
+            return "host"
         origin = headers.get("origin")
         is_ours = origin is not None and (origin == f"http://{host}" or self._is_guest(origin))
         may_ask = is_ours or (origin is None and not changes)
         site = headers.get("sec-fetch-site", "none")
         is_near = by_address or site in ("none", "same-origin") or (is_ours and bool(self.guests))
-        return None if may_ask and is_near else Refusal.SITE
+        return "" if may_ask and is_near else "site"
 
     def _is_own(self, host: str) -> bool:
         if self.port is not None:

@@ -151,7 +151,7 @@ _REFUSAL = (
 def is_allowed(head: bytes) -> bool:
     """Whether the head of a request is of no foreign page."""
     lines = (line.partition(":") for line in head.decode("latin-1").split("\r\n")[1:])
-    return DOOR.refusal(joined((key, value) for key, _, value in lines), changes=False) is None
+    return not DOOR.refusal(joined((key, value) for key, _, value in lines), changes=False)
 
 
 class _Guest(socketserver.BaseRequestHandler):
