@@ -85,7 +85,9 @@ def run(arguments: Sequence[str]) -> int:
 
     if not debugging():
         warnings.simplefilter("ignore")  # a library's warning is of no use to a user
-    say_what_can_be_shown()
+    for stream in (sys.stdout, sys.stderr):  # a name that the terminal's encoding lacks does not end it
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")
     try:
         with ending_tidily():
             code = app(list(arguments), prog_name="unocclude", standalone_mode=False)
@@ -100,28 +102,17 @@ def run(arguments: Sequence[str]) -> int:
         return _fail(*explain(error))
 
 
-def say_what_can_be_shown() -> None:
-    """Let a name that the terminal's encoding lacks be shown with escapes, instead of ending the command."""
-    for stream in (sys.stdout, sys.stderr):
-        if isinstance(stream, io.TextIOWrapper):
-            stream.reconfigure(errors="backslashreplace")
-
-
 def explain(error: BaseException) -> tuple[str, int]:
     """One sentence for an error, and the exit code."""
     if isinstance(error, typer.Abort):
         return STOPPED, FAILED
     if hasattr(error, "format_message"):  # typer's errors of use
-        return _usage(error), WRONG_USE
+        text = str(error.format_message()).rstrip(".").replace("Value error, ", "")
+        context = getattr(error, "ctx", None)
+        command = context.command_path if context is not None else "unocclude"
+        return f"{text}; see {command} --help", WRONG_USE
     missing = missing_package(error) if isinstance(error, ImportError) else None
     return missing or sentence_of(error).replace("force=True", "--force"), FAILED
-
-
-def _usage(error: BaseException) -> str:
-    text = str(error.format_message()).rstrip(".").replace("Value error, ", "")  # type: ignore[attr-defined]
-    context = getattr(error, "ctx", None)
-    command = context.command_path if context is not None else "unocclude"
-    return f"{text}; see {command} --help"
 
 
 def _fail(text: str, code: int) -> int:
