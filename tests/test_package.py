@@ -11,14 +11,20 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from scenes import ALONE
+from scenes import ALONE, moving
 
 import smoother
 from smoother.calibration import ArmCalibration, Length
 from smoother.errors import UnoccludeError
-from smoother.simulation import ArmSimulation, simulate_arm
 
 ROOT = Path(__file__).parents[1]
+
+
+def python(code: str, **more: object) -> str:
+    """What a program in a process of its own prints."""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, **more)
+    assert done.returncode == 0, done.stderr[-2000:]
+    return done.stdout
 
 
 @pytest.fixture(scope="module")
@@ -29,9 +35,7 @@ def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
         shutil.copytree(ROOT / folder, source / folder, ignore=shutil.ignore_patterns("__pycache__"))
     for name in ("pyproject.toml", "README.md", "LICENSE"):
         shutil.copy(ROOT / name, source)
-    code = f"from setuptools.build_meta import build_wheel; build_wheel({str(built)!r})"
-    done = subprocess.run([sys.executable, "-c", code], cwd=source, capture_output=True, text=True)
-    assert done.returncode == 0, done.stderr[-2000:]
+    python(f"from setuptools.build_meta import build_wheel; build_wheel({str(built)!r})", cwd=source)
     (file,) = built.glob("unocclude-*.whl")
     zipfile.ZipFile(file).extractall(built / "site")
     return built / "site"
@@ -55,12 +59,8 @@ def test_the_wheel_is_imported_light(wheel: Path, tmp_path: Path) -> None:
         "assert not {'numpy', 'gtsam', 'mcap'} & set(sys.modules)\n"
         "print(smoother.__version__, smoother.Recovery.__name__)\n"
     )
-    environment = os.environ | {"PYTHONPATH": str(wheel)}
-    done = subprocess.run(
-        [sys.executable, "-c", code], cwd=tmp_path, env=environment, capture_output=True, text=True
-    )
-    assert done.returncode == 0, done.stderr
-    assert done.stdout.split() == [smoother.__version__, "Recovery"]
+    printed = python(code, cwd=tmp_path, env=os.environ | {"PYTHONPATH": str(wheel)})
+    assert printed.split() == [smoother.__version__, "Recovery"]
 
 
 def test_every_public_name_is_there() -> None:
@@ -83,8 +83,7 @@ upper_arm_sigma_m = 0.003
 def session(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A recording of six seconds as a file, a calibration file beside it."""
     path = tmp_path_factory.mktemp("session") / "session.mcap"
-    arm = simulate_arm(ArmSimulation.preset("white", protocol="random", duration_s=6.0), 3)
-    smoother.write_recording(arm.recording, path)
+    smoother.write_recording(moving(3, "white", 6.0).recording, path)
     path.with_name("arm.toml").write_text(ARM, encoding="utf-8")
     return path
 
@@ -97,36 +96,29 @@ def handed_on(monkeypatch: pytest.MonkeyPatch) -> list[tuple]:
     return calls
 
 
-@pytest.mark.parametrize("kind", [str, Path])
-def test_a_file_is_read_and_handed_on(session: Path, handed_on: list[tuple], kind: type) -> None:
-    smoother.smooth(kind(session), config=ALONE, processes=1, draws=64, seed=3)
-    (recording, calibration, config, progress, processes, clock, *drawing) = handed_on[0]
-    assert drawing == [64, 3]
-    np.testing.assert_array_equal(recording.imu.acc, smoother.read_recording(session).imu.acc)
-    assert (calibration, config, processes) == (None, ALONE, 1) and progress is clock is None
-
-
-def test_a_calibration_file_goes_with_the_file(session: Path, handed_on: list[tuple]) -> None:
+def test_files_are_read_and_handed_on_and_recordings_go_as_they_are(
+    session: Path, handed_on: list[tuple]
+) -> None:
+    for given in (str(session), session):
+        smoother.smooth(given, config=ALONE, processes=1, draws=64, seed=3)
+        (recording, calibration, config, progress, processes, clock, *drawing) = handed_on.pop()
+        assert drawing == [64, 3]
+        np.testing.assert_array_equal(recording.imu.acc, smoother.read_recording(session).imu.acc)
+        assert (calibration, config, processes) == (None, ALONE, 1) and progress is clock is None
+    smoother.smooth(recording)
+    assert handed_on.pop()[0] is recording
     smoother.smooth(session, session.with_name("arm.toml"))
     smoother.smooth(session, ArmCalibration(side="right", upper_arm=Length(0.29, 0.01)))
     assert [calibration.upper_arm.value_m for _, calibration, *_ in handed_on] == [0.31, 0.29]
 
 
-def test_a_recording_goes_as_it_is(session: Path, handed_on: list[tuple]) -> None:
-    recording = smoother.read_recording(session)
-    smoother.smooth(recording)
-    assert handed_on[0][0] is recording
-
-
 def test_what_a_person_gets_wrong_is_one_sentence(session: Path) -> None:
-    recording = smoother.read_recording(session)
-    with pytest.raises(UnoccludeError, match=r"none\.mcap"):
-        smoother.smooth(session.with_name("none.mcap"))
-    with pytest.raises(UnoccludeError, match=r"side: smooth\(\) chooses among a file's streams"):
-        smoother.smooth(recording, side="left")
-    with pytest.raises(
-        UnoccludeError, match=r"arm\.toml: a calibration file belongs to the recording's file"
+    recording, arm = smoother.read_recording(session), session.with_name("arm.toml")
+    for given, more, sentence in (
+        ([session.with_name("none.mcap")], {}, r"none\.mcap"),
+        ([recording], {"side": "left"}, r"side: smooth\(\) chooses among a file's streams"),
+        ([recording, arm], {}, r"arm\.toml: a calibration file belongs to the recording's file"),
+        ([session], {"side": "left"}, "left"),
     ):
-        smoother.smooth(recording, session.with_name("arm.toml"))
-    with pytest.raises(UnoccludeError, match="left"):
-        smoother.smooth(session, side="left")
+        with pytest.raises(UnoccludeError, match=sentence):
+            smoother.smooth(*given, **more)

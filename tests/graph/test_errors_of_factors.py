@@ -19,7 +19,6 @@ from smoother.array_types import FloatArray
 from smoother.body import UPPER_ARM
 from smoother.graph.build import MOST_BIASES, bias_of_intervals, build
 from smoother.graph.factors import DENSITY_STEP, INTEGRATION_VARIANCE, PARENT_TIE_M, TISSUE_S
-from smoother.graph.linear_system import Jacobian
 from smoother.graph.shared_prior import shared_factors
 from smoother.recording import JOINTS
 from smoother.units import GRAVITY
@@ -312,20 +311,3 @@ def test_the_graph_begins_at_the_initial_values(window: Window) -> None:
     assert letters == {
         "x": 10, "v": 10, "b": 2, "g": 1, "u": 1, "l": 2, "s": 6, "y": 6, "w": 6, "e": 6, "m": 2, "c": 2,
     }  # fmt: skip
-
-
-@pytest.mark.parametrize("upper", [False, True])
-def test_every_group_of_factors_knows_its_rows(upper: bool) -> None:
-    """Numbers and rows follow each other, each group has its factors' dimensions, and none is left out."""
-    graph, values, groups = build(small_window(upper=upper)[0])
-    factor = row = 0
-    for group in groups:
-        assert (group.factors.start, group.rows.start) == (factor, row)
-        if group.kind != "prior":  # a Hessian's rows are those of its square root
-            rows = sum(graph.at(number).dim() for number in group.factors)
-            assert rows == group.rows.stop - group.rows.start
-        factor, row = group.factors.stop, group.rows.stop
-        assert len(group.nodes) in (0, len(group.factors))
-    assert factor == graph.size() and row == len(Jacobian.of(graph, values).rhs)
-    kinds = [(group.kind, group.of) for group in groups]
-    assert (("imu", "upper_arm") in kinds) is upper and kinds[0] == ("imu", "forearm")

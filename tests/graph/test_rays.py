@@ -14,7 +14,7 @@ from smoother.graph.columns import camera_rows
 from smoother.graph.factors import robust_across
 from smoother.graph.linear_system import Jacobian
 from smoother.graph.solved import SolvedWindow
-from smoother.measurements.rays import ALONG_M, AT_M, across, directions, linearised, squashed
+from smoother.measurements.rays import ALONG_M, AT_M, across, linearised, squashed
 from smoother.window.problem import Window
 
 ORIGIN = np.array([0.4, -0.2, -1.7])
@@ -26,25 +26,6 @@ def window() -> Window:
     small = small_window()[0]
     flat = tuple(replace(each, origin_m=ORIGIN) for each in small.joint_measurements)
     return replace(small, joint_measurements=flat, noise=replace(small.noise, cauchy=1e5))
-
-
-def test_a_keypoint_counts_as_gtsams_reprojection_factor_does() -> None:
-    """In the middle of the image, where pixels and angles are in proportion."""
-    focal, sigma_px, depth = 900.0, 3.0, 2.1
-    camera, lens = gtsam.Pose3(), gtsam.Cal3_S2(focal, focal, 0.0, 0.0, 0.0)
-    point = np.array([0.0, 0.0, depth])
-    values = gtsam.Values()
-    values.insert(0, camera)
-    values.insert(1, point)
-    reprojection = gtsam.GenericProjectionFactorCal3_S2(
-        np.zeros(2), gtsam.noiseModel.Isotropic.Sigma(2, sigma_px), 0, 1, lens
-    )
-    theirs = reprojection.linearize(values).jacobian()[0][:, -3:]
-    sigma_m = np.array([sigma_px / focal * depth])
-    ray = directions(point[None], np.zeros((1, 3)))
-    own = gtsam.PriorFactorPoint3(1, point, robust_across(squashed(ray, sigma_m)[0], 1e6))
-    ours = own.linearize(values).jacobian()[0]
-    np.testing.assert_allclose(ours.T @ ours, theirs.T @ theirs, rtol=1e-9, atol=1.1 / ALONG_M**2)
 
 
 def test_which_point_of_the_ray_it_is_does_not_matter(window: Window) -> None:

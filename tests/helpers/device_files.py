@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import struct
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -77,15 +77,20 @@ named = _table(
 android = _table("timestamp,ax,ay,az,gx,gy,gz", columns=(NANOS, ACC, GYRO))
 
 
-def apdm(path: Path) -> None:
-    """As Motion Studio exports it, two sensors."""
-    names, units, columns = ["Time"], ["s"], [TIME]
-    for sensor in ("Right Wrist", "Sternum"):
-        for quantity, unit, values in (("Acceleration", "m/s^2", ACC), ("Angular Velocity", "rad/s", GYRO)):
-            names += [f"{sensor}/{quantity}/{axis}" for axis in "XYZ"]
-            units += [unit] * 3
-            columns.append(values)
-    _lines(path, "Test Name:,7", "Sample Rate:,100,Hz", ",".join(names), ",".join(units), *rows(*columns))
+def _of_sensors(form: str) -> list[str]:
+    """A column of each axis and quantity of two sensors."""
+    kinds = [
+        (each, kind) for each in ("Right Wrist", "Sternum") for kind in ("Acceleration", "Angular Velocity")
+    ]
+    return [form.format(*each, axis) for each in kinds for axis in "XYZ"]
+
+
+#: As Motion Studio exports it, two sensors.
+apdm = _table(
+    *("Test Name:,7", "Sample Rate:,100,Hz", ",".join(["Time", *_of_sensors("{}/{}/{}")])),
+    ",".join(["s", *(["m/s^2"] * 3 + ["rad/s"] * 3) * 2]),
+    columns=(TIME, ACC, GYRO, ACC, GYRO),
+)
 
 
 def metamotion(path: Path, values: np.ndarray = ACC / GRAVITY, unit: str = "g") -> None:
@@ -142,22 +147,20 @@ def axivity(path: Path) -> None:
     path.write_bytes(bytes(raw))
 
 
-def kinect_v2(path: Path) -> None:
-    """A table of Kinect v2 joints."""
-    header = ",".join(["time_ms", *(f"{name}_{axis}" for name in KINECT_V2 for axis in "xyz")])
-    _lines(path, header, *rows(33.333 * np.arange(FRAMES), made.kinect_v2(FRAMES).reshape(FRAMES, -1)))
+def _joints(first: str, names: Sequence[str], t: np.ndarray, points: np.ndarray) -> Callable[[Path], None]:
+    """Writes a table of joints (F, J, 3), the frames' times or numbers first."""
+    header = [first, *(f"{name}_{axis}" for name in names for axis in "xyz")]
+    return _table(",".join(header), columns=(t, points.reshape(FRAMES, -1)))
 
 
-def bare_kinect(path: Path) -> None:
-    """32 joints without a header, mm."""
-    points = np.stack([1000 * made.optical(made.part(name, FRAMES)) for name in AZURE], axis=1)
-    _lines(path, *rows(points.reshape(FRAMES, -1)))
-
-
-def mediapipe(path: Path) -> None:
-    """World landmarks as a table."""
-    header = ",".join(["frame", *(f"{name}_{axis}" for name in BLAZEPOSE for axis in "xyz")])
-    _lines(path, header, *rows(np.arange(FRAMES), made.landmarks(FRAMES).reshape(FRAMES, -1)))
+SIX = [f"{side}_{joint}" for side in ("left", "right") for joint in ("shoulder", "elbow", "wrist")]
+AZURE_MM = 1000 * made.optical(made.parts(AZURE, FRAMES))
+kinect_v2 = _joints("time_ms", KINECT_V2, 33.333 * np.arange(FRAMES), made.kinect_v2(FRAMES))
+#: World landmarks.
+mediapipe = _joints("frame", BLAZEPOSE, np.arange(FRAMES), made.landmarks(FRAMES))
+joint_table = _joints("time", SIX, np.arange(FRAMES) / 30, made.parts(SIX, FRAMES))
+#: 32 joints without a header, mm.
+bare_kinect = _table(columns=(AZURE_MM.reshape(FRAMES, -1),))
 
 
 def joint_rows(path: Path) -> None:
@@ -170,14 +173,6 @@ def joint_rows(path: Path) -> None:
     _lines(path, "time,joint,x,y,z", *body)
 
 
-def joint_table(path: Path) -> None:
-    """Joints by name, one row per frame."""
-    names = ("left_shoulder", "left_elbow", "left_wrist", "right_shoulder", "right_elbow", "right_wrist")
-    points = np.stack([made.part(name, FRAMES) for name in names], axis=1)
-    header = ",".join(["time", *(f"{name}_{axis}" for name in names for axis in "xyz")])
-    _lines(path, header, *rows(np.arange(FRAMES) / 30, points.reshape(FRAMES, -1)))
-
-
 def trc(path: Path) -> None:
     """Markers of Pose2Sim."""
     names = ("RShoulder", "RElbow", "RWrist", "LShoulder", "LElbow", "LWrist", "Head", "RHip", "LHip")
@@ -186,15 +181,14 @@ def trc(path: Path) -> None:
 
 def kinect_json(path: Path) -> None:
     """As the Azure Kinect's offline processor writes it."""
-    points = np.stack([1000 * made.optical(made.part(name, FRAMES)) for name in AZURE], axis=1)
     frames = [
         {
             "frame_id": k,
             "timestamp_usec": 200_000 + 33_333 * k,
             "num_bodies": 1,
-            "bodies": [{"body_id": 1, "joint_positions": points[k].tolist()}],
+            "bodies": [{"body_id": 1, "joint_positions": points}],
         }
-        for k in range(FRAMES)
+        for k, points in enumerate(AZURE_MM.tolist())
     ]
     path.write_text(json.dumps({"joint_names": list(AZURE), "frames": frames}))
 
@@ -202,7 +196,7 @@ def kinect_json(path: Path) -> None:
 def array(path: Path) -> None:
     """FreeMoCap's array of landmarks, mm."""
     with path.open("wb") as stream:
-        np.save(stream, 1000 * np.stack([made.part(name, FRAMES) for name in BLAZEPOSE], axis=1))
+        np.save(stream, 1000 * made.parts(BLAZEPOSE, FRAMES))
 
 
 def c3d(path: Path) -> None:
@@ -210,8 +204,7 @@ def c3d(path: Path) -> None:
     from smoother.io.export.markers import write_c3d
 
     names = ("RShoulder", "RElbow", "RWrist", "LShoulder", "LElbow", "LWrist")
-    points = np.stack([made.part(name, FRAMES) for name in names], axis=1)
-    write_c3d(path, names, points, 30.0, True)
+    write_c3d(path, names, made.parts(names, FRAMES), 30.0, True)
 
 
 def xdf(path: Path) -> None:

@@ -38,7 +38,7 @@ def write_bag(path: Path, *, samples: int = 200, frames: int = 60, joint_state: 
                 fields[name] = one if of[0][1][0] == "string" else np.array(one or [0.0] * of[1], of[0][1][0])
         return store.types[kind](**fields)
 
-    points = np.stack([made.optical(made.part(name, frames)) for name in AZURE], axis=1)
+    points = made.optical(made.parts(AZURE, frames))
     t, acc, gyro = turning(samples, 100.0)
     with BagWriter(path) as bag:
 

@@ -47,6 +47,11 @@ def part(name: str, frames: int) -> np.ndarray:
     return np.round(position, 6)
 
 
+def parts(names: Sequence[str], frames: int) -> np.ndarray:
+    """Positions (frames, n, 3) of several joints."""
+    return np.stack([part(name, frames) for name in names], axis=1)
+
+
 def optical(position: np.ndarray) -> np.ndarray:
     """From the body's axes to those of a camera 2.5 m in front: x right, y down, z forward."""
     return np.round(position * [1.0, -1.0, -1.0] * [1, 1, -1] + [0.0, 1.0, 2.5], 6)
@@ -93,19 +98,17 @@ def trc(path: Path, names: dict[str, np.ndarray], unit: str = "m", rate: float =
 
 def landmarks(frames: int) -> np.ndarray:
     """World landmarks (frames, 33, 3): about the hips, x right, y down, z forward, m."""
-    points = np.stack([part(name, frames) for name in BLAZEPOSE], axis=1)
-    return np.round((points - [0.0, 0.92, 0.0]) * [1.0, -1.0, 1.0], 6)
+    return np.round((parts(BLAZEPOSE, frames) - [0.0, 0.92, 0.0]) * [1.0, -1.0, 1.0], 6)
 
 
 def kinect_v2(frames: int) -> np.ndarray:
     """Joints (frames, 25, 3) in the Kinect v2's order and axes, m."""
-    joints = np.stack([part(name, frames) for name in KINECT_V2], axis=1)
-    return np.asarray(joints + np.array([0.0, -1.0, 2.5]))
+    return np.asarray(parts(KINECT_V2, frames) + np.array([0.0, -1.0, 2.5]))
 
 
 def body_25(frames: int) -> np.ndarray:
     """OpenPose's 25 points in space (frames, 25, 3), y up, m."""
-    return np.stack([part(name, frames) for name in BODY_25], axis=1)
+    return parts(BODY_25, frames)
 
 
 def xdf(path: Path, streams: Sequence[dict[str, object]]) -> None:

@@ -319,7 +319,6 @@ def test_a_wrong_block_is_left_out_and_the_gap_recovered(
     np.testing.assert_array_equal(recovery.arm.state, recording.arm.state)
 
 
-@pytest.mark.slow
 def test_a_suspect_takes_what_lies_beside_it_along_but_not_over_a_gap() -> None:
     recording, start_s = twelfth().recording, after_gap(twelfth())
     recovery = replace(with_block(drape), arm=recording.arm)

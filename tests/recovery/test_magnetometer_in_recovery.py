@@ -6,10 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scenes import FIELD_K, Scene, point, recovered, section_windows, with_field
+from scenes import FIELD_K, Scene, point, recovered, with_field
 
 from smoother.array_types import FloatArray
-from smoother.graph.build import build
 from smoother.recovery.magnetometer import Field, middle_direction
 from smoother.simulation import SimulatedArm
 
@@ -96,23 +95,6 @@ def test_a_short_recording_and_an_empty_magnetometer_are_noted() -> None:
     seen = with_field(made.recording)
     dead = replace(seen, imu=replace(seen.imu, mag=np.full_like(seen.imu.acc, np.nan)))
     assert "too short" in note(recovered(made, seen)) and "has no samples" in note(recovered(made, dead))
-
-
-@pytest.mark.slow
-def test_the_factors_are_the_angle_under_cauchys_loss(made):
-    """The graph's error with and without the field, against the formula."""
-    windows = [job.window for job in section_windows(with_field(made.recording), made.calibration)]
-    with_measurements = [window for window in windows if window.field is not None]
-    assert with_measurements
-    for window in with_measurements:
-        field, k = window.field, window.noise.cauchy
-        graph, values, _ = build(window)
-        less = build(replace(window, field=None)).graph
-        seen = np.einsum("nij,nj->ni", window.forearm.start.R[field.node], field.in_A)
-        off = np.linalg.norm(np.cross(seen, field.in_K), axis=1) / field.sigma_rad
-        loss = 0.5 * k**2 * np.log1p((off / k) ** 2)
-        # sigma is rounded to 1e-5 rad
-        assert graph.error(values) - less.error(values) == pytest.approx(loss.sum(), rel=2e-3, abs=1e-6)
 
 
 def test_a_window_has_the_directions_of_its_time():

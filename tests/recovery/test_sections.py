@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import pairwise
 from unittest.mock import patch
 
@@ -174,18 +174,6 @@ def paused(recording: Recording, start_s: float, end_s: float) -> Recording:
     return without_imu(without_imu(recording, start_s - PAUSE_S, start_s), end_s, end_s + PAUSE_S)
 
 
-@dataclass(frozen=True)
-class Dropped:
-    """A recovery of a recording of which a section drops out, and of the same recording without it."""
-
-    start_s: float
-    end_s: float
-    recording: Recording
-    recovery: Recovery
-    expected: Recovery
-    answered: list[bool]
-
-
 def smoothed(
     recording: Recording, made: SimulatedArm, excerpts_of: Recording | None = None
 ) -> tuple[Recovery, list[bool]]:
@@ -206,18 +194,6 @@ def smoothed(
         return answer(recording, made.calibration), answered
 
 
-@pytest.fixture(scope="module", params=[START, END], ids=["start", "end"])
-def dropped(request: pytest.FixtureRequest, three_minutes: SimulatedArm) -> Dropped:
-    start_s, end_s = request.param
-    hidden = without_camera(three_minutes.recording, start_s - AWAY_S, end_s + AWAY_S, one_frame=True)
-    recording = paused(hidden, start_s, end_s)
-    shorter = without_imu(recording, start_s, end_s)
-    recovery, answered = smoothed(recording, three_minutes, excerpts_of=shorter)
-    expected, all_answered = smoothed(shorter, three_minutes)
-    assert all(all_answered)
-    return Dropped(start_s, end_s, recording, recovery, expected, answered)
-
-
 def inside(recovery: Recovery, start_s: float, end_s: float) -> FloatArray:
     return np.flatnonzero((recovery.t_s >= start_s) & (recovery.t_s <= end_s))
 
@@ -230,24 +206,25 @@ def off_in_sigmas(a: Recovery, b: Recovery) -> FloatArray:
 
 
 @pytest.mark.slow
-def test_the_section_drops_out(dropped: Dropped) -> None:
-    assert dropped.answered.count(False) == 1
-    assert dropped.answered.index(False) == (0 if dropped.start_s == START[0] else len(dropped.answered) - 1)
-    rows = inside(dropped.recovery, dropped.start_s, dropped.end_s)
-    there = dropped.recovery.rows(rows)
-    assert len(there) > 3000
+@pytest.mark.parametrize(("start_s", "end_s"), [START, END], ids=["start", "end"])
+def test_a_section_drops_out_and_the_others_answer_as_without_it(
+    three_minutes: SimulatedArm, start_s: float, end_s: float
+) -> None:
+    """By the same excerpts, so that nothing but the sections differs (other excerpts: up to 0.2 sigma)."""
+    hidden = without_camera(three_minutes.recording, start_s - AWAY_S, end_s + AWAY_S, one_frame=True)
+    recording = paused(hidden, start_s, end_s)
+    shorter = without_imu(recording, start_s, end_s)
+    recovery, answered = smoothed(recording, three_minutes, excerpts_of=shorter)
+    expected, all_answered = smoothed(shorter, three_minutes)
+    assert all(all_answered) and answered.count(False) == 1
+    assert answered[0 if start_s == START[0] else -1] is False
+    t = recovery.t_s
+    there = recovery.rows(inside(recovery, start_s, end_s))
+    assert len(there) > 3000 and there.occluded.all()
     for values in (there.position, there.quaternion, there.velocity, there.sigma_m, there.sigma_deg):
         assert np.isnan(values).all()
-    assert there.occluded.all()
     assert np.isnan(there.joints["wrist"]).all()
-
-
-@pytest.mark.slow
-def test_the_others_answer_as_without_it(dropped: Dropped) -> None:
-    """By the same excerpts, so that nothing but the sections differs (other excerpts: up to 0.2 sigma)."""
-    recovery, expected = dropped.recovery, dropped.expected
-    rows = np.flatnonzero((recovery.t_s < dropped.start_s) | (recovery.t_s > dropped.end_s))
-    others = recovery.rows(rows)
+    others = recovery.rows(np.flatnonzero((t < start_s) | (t > end_s)))
     np.testing.assert_array_equal(others.t_s, expected.t_s)
     # measured 2e-4 sigma: the optimiser's tolerance
     assert np.nanmax(off_in_sigmas(others, expected)) < 0.002
