@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import Literal
 
 import numpy as np
@@ -39,7 +38,7 @@ class Display:
         """Spread the change from what was shown to what a tracker knows now."""
         if tracker.solution is None:
             return
-        shown, known = before.state, predicted(tracker, tracker.solution, now_s).state
+        shown, known = before.state, predict(tracker.solution, tracker.signal, now_s, tracker.noise).state
         offset, turn = self._left(shown.t)
         turned = Rotation.from_matrix(Rotation.from_rotvec(turn).as_matrix() @ shown.R @ known.R.T)
         self._jump = known.t, shown.p + offset - known.p, turned.as_rotvec()
@@ -50,30 +49,24 @@ class Display:
         """The arm at the present; what the camera's clock is known to, and the frames' usual delay, s."""
         if self._jump is not None and now_s - self._jump[0] > SPREAD_S:
             self._jump = None
-        prediction = predicted(tracker, solution, now_s)
-        estimate = _estimate(
-            "now", prediction, tracker, solution, clock_sigma_s, *self._left(prediction.state.t)
-        )
+        prediction = predict(solution, tracker.signal, now_s, tracker.noise)
+        t_s, known = prediction.state.t, tracker.history.state_now(now_s, delay_s)
+        estimate = _estimate("now", known, prediction, tracker.model, clock_sigma_s, *self._left(t_s))
         if solution.shoulder is not None:  # how far it may have gone since its knot
-            beyond_s = max(prediction.state.t - solution.newest.t, 0.0)
+            beyond_s = max(t_s - solution.newest.t, 0.0)
             estimate.joint_covariance["shoulder"] += tracker.noise.shoulder_walk**2 * beyond_s * np.eye(3)
-        state, since_s = tracker.history.state_now(now_s, delay_s)
-        return replace(estimate, state=state, since_s=since_s)
+        return estimate
 
     def settled(
         self, tracker: Tracker, solution: LagSolution, now_s: float, clock_sigma_s: float
     ) -> LiveEstimate | None:
         """The arm a lag ago; None where the window does not reach so far back."""
-        settled_s, start = now_s - self._lag_s, solution.settled
+        settled_s = now_s - self._lag_s
         if settled_s < float(tracker.window.t[0]):
             return None
-        signal = tracker.signal.since(start.t)
-        prediction = predict(start, solution, signal, max(settled_s, start.t), tracker.noise)
-        estimate = _estimate(
-            "settled", prediction, tracker, solution, clock_sigma_s, np.zeros(3), np.zeros(3)
-        )
-        state, since_s = tracker.history.state_at(settled_s)
-        return replace(estimate, state=state, since_s=since_s)
+        at_s, known = max(settled_s, solution.settled.t), tracker.history.state_at(settled_s)
+        prediction = predict(solution, tracker.signal, at_s, tracker.noise, settled=True)
+        return _estimate("settled", known, prediction, tracker.model, clock_sigma_s, np.zeros(3), np.zeros(3))
 
     def _left(self, t_s: float) -> tuple[FloatArray, FloatArray]:
         """Offset and turn that are left at a time: all at first, none after `SPREAD_S`, smooth between."""
@@ -87,19 +80,19 @@ class Display:
 
 def _estimate(
     kind: Literal["now", "settled"],
+    known: tuple[LiveState, float | None],  # visible or gap, and since when
     prediction: Prediction,
-    tracker: Tracker,
-    solution: LagSolution,
+    model: SelfCalibration,
     clock_sigma_s: float,  # of the camera's clock
     offset: FloatArray,  # what of a change is still to be spread, m and rad
     turn: FloatArray,
 ) -> LiveEstimate:
-    """The arm at a moment with its covariance, as if it were visible."""
-    names, state = list(solution.levers), prediction.state
-    known = [*names, *([] if solution.shoulder is None else ["shoulder"])]
-    covariance = prediction.covariance(solution, known, "" if kind == "now" else "settled_")
+    """The arm at a moment with its covariance."""
+    solution, state = prediction.solution, prediction.state
+    names = list(solution.levers)
+    covariance = prediction.covariance([*names, *([] if solution.shoulder is None else ["shoulder"])])
     # a clock that is off by a moment moves the whole path along itself
-    common = common_error(tracker.model) + clock_sigma_s**2 * state.v[:, None] * state.v
+    common = common_error(model) + clock_sigma_s**2 * state.v[:, None] * state.v
     common = common + np.outer(offset, offset)
     covariance[:3, :3] += np.outer(turn, turn)
     p, R = state.p + offset, Rotation.from_rotvec(turn).as_matrix() @ state.R
@@ -114,8 +107,8 @@ def _estimate(
     return LiveEstimate(
         t_s=state.t,
         kind=kind,
-        state=LiveState.VISIBLE,
-        since_s=None,
+        state=known[0],
+        since_s=known[1],
         position=p,
         quaternion=Rotation.from_matrix(R).as_quat(scalar_first=True),
         velocity=state.v,
@@ -135,8 +128,3 @@ def common_error(model: SelfCalibration) -> FloatArray:
     for column in used:
         mean[:, 3 * column : 3 * column + 3] = np.eye(3) / len(used)
     return np.asarray(mean @ covariance @ mean.T)
-
-
-def predicted(tracker: Tracker, solution: LagSolution, now_s: float) -> Prediction:
-    """A solution's newest node propagated to the present."""
-    return predict(solution.newest, solution, tracker.signal.since(solution.newest.t), now_s, tracker.noise)

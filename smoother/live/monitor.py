@@ -211,9 +211,8 @@ class CameraMonitor:
         used[[k for k in _COLUMNS if accepted[k] and JOINTS[k] in names]] = True
         if not used.any() or t_s < solution.newest.t - 1e-6:
             return None
-        signal = self._signal.since(solution.newest.t)
-        prediction = predict(solution.newest, solution, signal, t_s, self._noise)
-        state, whole = prediction.state, prediction.covariance(solution, names)
+        prediction = predict(solution, self._signal, t_s, self._noise)
+        state, whole = prediction.state, prediction.covariance(names)
         place, covariance = np.full((len(JOINTS), 3), np.nan), np.full((len(JOINTS), 3, 3), np.nan)
         for k in np.flatnonzero(used):
             number = names.index(JOINTS[k])

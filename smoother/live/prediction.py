@@ -13,7 +13,7 @@ from ..measurements.inertial import integrate_one
 from ..rotation import matrix_of, rotvec_of
 from ..window.problem import NoiseModel
 from ..window.solution import LagSolution, NodeState
-from .signal import DoubtfulSignal
+from .signal import DoubtfulSignal, LiveSignal
 
 #: The IMU's last rate holds for no longer than this beyond its last sample, s.
 BEYOND_S = 0.05
@@ -23,14 +23,16 @@ BEYOND_S = 0.05
 class Prediction:
     """A state, and how it follows what the window has solved."""
 
+    solution: LagSolution
+    start: str  # "" or "settled_": the node that it begins at
     state: NodeState
     follows: FloatArray  # (9, 18)
     noise: FloatArray  # (9, 9): what the IMU's white noise adds to the covariance
 
-    def covariance(self, solution: LagSolution, names: Sequence[str], of: str = "") -> FloatArray:
-        """Of (turn, position, velocity) and of what is named, 3 each; `of` the newest or the settled node."""
-        start = [of + name for name in ("turn", "position", "velocity")]
-        before = solution.block(*start, "bias", "gravity", *names)
+    def covariance(self, names: Sequence[str]) -> FloatArray:
+        """Of (turn, position, velocity) and of what is named, 3 each."""
+        start = [self.start + name for name in ("turn", "position", "velocity")]
+        before = self.solution.block(*start, "bias", "gravity", *names)
         follows = np.zeros((9 + 3 * len(names), len(before)))
         follows[:9, :18] = self.follows
         follows[9:, 18:] = np.eye(3 * len(names))
@@ -50,12 +52,17 @@ def joint_at(
 
 
 def predict(
-    start: NodeState, solution: LagSolution, signal: DoubtfulSignal, t_s: float, noise: NoiseModel
+    solution: LagSolution, live: LiveSignal, t_s: float, noise: NoiseModel, settled: bool = False
 ) -> Prediction:
-    """Propagate a node's state to a time (Forster et al., TRO 2017, eq 32; first-order covariance)."""
-    gravity, (t, R, p, v) = solution.gravity, (start.t, start.R, start.p, start.v)
+    """Propagate the newest or settled node to a time (Forster, TRO 2017, eq 32; first-order covariance)."""
+    start = solution.settled if settled else solution.newest
+    gravity, signal, (t, R, p, v) = (
+        solution.gravity,
+        live.since(start.t),
+        (start.t, start.R, start.p, start.v),
+    )
     follows, white = np.eye(9, 18), np.zeros((9, 9))
-    for dt, (delta_R, delta_v, delta_p) in _intervals(start.t, t_s, signal, solution.bias):
+    for dt, (delta_R, delta_v, delta_p) in _intervals(t, t_s, signal, solution.bias):
         dv, dp, turned = R @ delta_v, R @ delta_p, rotvec_of(delta_R)
         middle = R @ matrix_of(0.5 * turned)
         more = np.eye(9, 18)  # how the state after follows (the state before, biases, gravity)
@@ -80,7 +87,7 @@ def predict(
         t, R, p, v = t + dt, R @ delta_R, p + v * dt + 0.5 * gravity * dt**2 + dp, v + gravity * dt + dv
     if t > start.t:
         white = white + _lost(signal, start.t, t)
-    return Prediction(NodeState(t, R, p, v), follows, white)
+    return Prediction(solution, "settled_" if settled else "", NodeState(t, R, p, v), follows, white)
 
 
 def _intervals(

@@ -18,9 +18,10 @@ from .answers import LiveEstimate, LiveOutput, LiveState
 from .buffers import FrameBuffer, SkeletonFrame
 from .calibrations import JUMP_SIGMA_S, BackgroundCalibrator, Calibrations, InlineCalibrator
 from .camera_clock import USUAL_LATENCY_S, CameraClock, Shift, ShiftCause
-from .display import Display, predicted
+from .display import Display
 from .imu import LONGEST_PAUSE_S, LiveImu
 from .monitor import Culprit
+from .prediction import predict
 from .tracker import AROUND_S, LENGTH_S, Tracker, first_state
 
 #: Samples are held for this long: what a self-calibration may read, s.
@@ -176,7 +177,8 @@ class LiveSmoother:
             return
         self._tracker, self._successor, self._has_followed = successor, None, True
         if before is not None and before.solution is not None:
-            self._display.spread(predicted(before, before.solution, now_s), successor, now_s)
+            shown = predict(before.solution, before.signal, now_s, before.noise)
+            self._display.spread(shown, successor, now_s)
 
     def _is_proved(self, successor: Tracker) -> bool:
         """Whether the camera has not contradicted it for some time; after a pause none is needed."""
@@ -252,7 +254,7 @@ class LiveSmoother:
         if not self._solved(tracker, now_s):
             self._lose("the last moments did not determine the motion: the smoother restarts")
         elif ended_s is not None and solved is not None:
-            self._display.spread(predicted(tracker, solved, now_s), tracker, now_s)
+            self._display.spread(predict(solved, tracker.signal, now_s, tracker.noise), tracker, now_s)
 
     def _heed(self, tracker: Tracker, now_s: float) -> bool:
         """Act on what the monitor of the camera found; False where the tracker is lost by it."""
