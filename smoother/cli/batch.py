@@ -217,9 +217,9 @@ def study_figures(rows: pa.Table, tally: Tally) -> dict[str, Any]:
 
 def worst_arms(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
     """One row per arm, untrusted ones first, then the least certain; of several the name includes the arm."""
-    from ..evaluation.summary import trust_word
+    from ..evaluation.summary import least_trusted, trust_word
     from ..recording import arm_words
-    from ..study.folder import arms_of, least_trusted
+    from ..study.folder import arms_of
 
     arms = []
     for row in rows:
@@ -236,6 +236,8 @@ def _print(rows: pa.Table, tally: Tally, figures: dict[str, Any]) -> None:
     """Print what came of a study, the worst recordings first."""
     import pyarrow.compute as pc
 
+    from ..evaluation.summary import worst_of
+
     times = tally.recorded_s / tally.seconds if tally.computed else 0.0
     speed = f", {times:.1f} times real time by all processes together" if tally.computed else ""
     say(
@@ -245,8 +247,7 @@ def _print(rows: pa.Table, tally: Tally, figures: dict[str, Any]) -> None:
     keys = "recording trusted sigma_max_m gaps gap_longest_s occluded_s duration_s notes"
     done = rows.filter(pc.equal(rows["status"], "done"))
     few = done.select([*keys.split(), "gaps_untrusted", "arm_figures"])
-    order = [("trusted", "ascending"), ("gaps_untrusted", "descending"), ("sigma_max_m", "descending")]
-    worst = worst_arms(few.sort_by(order).slice(0, MOST_WORST).to_pylist())
+    worst = worst_arms(worst_of(few, MOST_WORST).to_pylist())
     title = "Recordings that are not to be trusted, then the least certain (sigma = one standard deviation)"
     show(tabulated(title, worst, keys))
     rest = "more; the results have them all"

@@ -172,8 +172,8 @@ def print_recovery(recording: Recording, recovery: Recovery, verbose: bool = Fal
     rows = [
         {
             "gap": number,
-            "start_s": gap.gap.start_s,
-            "length_s": gap.gap.length_s,
+            "start_s": gap.start_s,
+            "length_s": gap.length_s,
             "trusted": gap.trusted,
             "position_m": gap.error_95_m,
             "elbow_deg": gap.sigma_max_flexion_deg and SIGMAS_95 * gap.sigma_max_flexion_deg,

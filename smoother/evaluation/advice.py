@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -25,6 +26,7 @@ from ..measurements.visibility import occluded_at
 from ..recording import JOINTS
 from ..result import Recovery
 from .summary import GapSummary, gap_summaries
+from .words import listed, said
 
 
 def rejected(recovery: Recovery) -> list[dict[str, Any]]:
@@ -68,73 +70,62 @@ SLOW_IMU_HZ, SLOW_CAMERA_HZ = 40.0, 14.0
 #: More reasons than these are counted.
 _MOST_REASONS = 4
 
-NOTHING = "No changes recommended: record the next one in the same way."
+_said = partial(said, "advice")
+NOTHING = _said("nothing")
 
 
 def advice(recovery: Recovery, estimates: ArmEstimates | None) -> list[str]:
     """What to do better next time, one sentence each, what helps most first."""
+    return list(_advice(recovery, estimates)) or [NOTHING]
+
+
+def _advice(recovery: Recovery, estimates: ArmEstimates | None) -> Iterator[str]:
     found = recovery.estimates
     if found.trusted is False:  # its cause where it is known, else every sign of it
         what = found.cause or "; ".join(found.reasons) or "the cause is not known"
-        named = [remedy for remedy in found.remedies if remedy not in what]
-        again = [f"Run `unocclude smooth` again with {' or '.join(named)}."] if named else []
-        return [f"Correct the set-up first: {what}.", *again]
-    reasons = list(dict.fromkeys(why for each in found.untrusted for why in each.reasons))
-    more = f"; and {len(reasons) - _MOST_REASONS} more" if len(reasons) > _MOST_REASONS else ""
-    rows = [
-        (
-            bool(reasons),
-            "Avoid the causes of the parts that are not to be trusted:"
-            f" {'; '.join(reasons[:_MOST_REASONS])}{more}.",
-        ),
-        *_motion(estimates),
-        *_gaps([each for each in gap_summaries(recovery) if each.trusted is not False]),
-        *_clock(estimates),
-        *_view(recovery),
-        *_camera(recovery, estimates),
-        *_rates(recovery),
-    ]
-    return [sentence for applies, sentence in rows if applies] or [NOTHING]
-
-
-#: Whether a sentence applies, and the sentence.
-_Rows = Iterator[tuple[bool, str]]
-
-
-def _motion(estimates: ArmEstimates | None) -> _Rows:
-    if estimates is None or estimates.all_given:
+        yield _said("set_up", what=what)
+        if named := [remedy for remedy in found.remedies if remedy not in what]:
+            yield _said("again", remedies=" or ".join(named))
         return
-    evidence, frame, little = estimates.evidence, estimates.frame, little_motion(estimates)
+    if reasons := list(dict.fromkeys(why for each in found.untrusted for why in each.reasons)):
+        if (more := len(reasons) - _MOST_REASONS) > 0:
+            reasons = [*reasons[:_MOST_REASONS], f"and {more} more"]
+        yield _said("avoid", reasons="; ".join(reasons))
+    if estimates is not None and not estimates.all_given:
+        yield from _motion(estimates)
+    yield from _gaps([each for each in gap_summaries(recovery) if each.trusted is not False])
+    for offset in estimates.offsets if estimates is not None else ():
+        if offset.sigma_s > CLOCK_SIGMA_S:
+            yield _said("clock", ms=1000 * offset.sigma_s)
+        if offset.drift_s > CLOCK_DRIFT_S:
+            yield _said("drift", ms=1000 * offset.drift_s)
+    yield from _view(recovery)
+    yield from _camera(recovery, estimates)
+    yield from _rates(recovery)
+
+
+def _motion(estimates: ArmEstimates) -> Iterator[str]:
+    evidence, frame, arm = estimates.evidence, estimates.frame, estimates.calibration
     what = "bend and stretch the elbow and raise the arm"
     if is_point(evidence):
         what = "turn and move the sensor"
-    turning_deg_s = np.degrees(np.nan_to_num(evidence.turning_rad_s))
-    yield (
-        little,
-        f"Begin with 20 s of lively motion in view ({what}): this recording showed"
-        f" {evidence.visible_s:.0f} s, turning {turning_deg_s:.0f} degrees/s on average.",
-    )
-    if little or is_point(evidence):
+    if little_motion(estimates):
+        turning_deg_s = np.degrees(np.nan_to_num(evidence.turning_rad_s))
+        yield _said("motion", what=what, visible_s=evidence.visible_s, turning_deg_s=turning_deg_s)
         return
-    if frame is not None:
-        is_rolled = frame.roll_sigma_rad > ROLL_SIGMA_RAD and not evidence.axial_rad > LITTLE_AXIAL_RAD
-        yield (
-            is_rolled and estimates.calibration.R_F_A is None,
-            "Turn the forearm about its own axis, palm up and palm down, three times in view: on which side"
-            f" of the forearm the sensor sits is {known_to(frame.roll_sigma_rad)}.",
-        )
+    if is_point(evidence):
+        return
+    is_rolled = frame is not None and frame.roll_sigma_rad > ROLL_SIGMA_RAD and arm.R_F_A is None
+    if frame is not None and is_rolled and not evidence.axial_rad > LITTLE_AXIAL_RAD:
+        yield _said("roll", known=known_to(frame.roll_sigma_rad))
     sigmas = {
         joint: float(np.max(beyond(lever.sigma_m, estimates.joint_bias_sigma_m)))
-        for joint, lever in estimates.calibration.lever_arms.items()
+        for joint, lever in arm.lever_arms.items()
         if joint not in estimates.given
     }
-    rough = [joint for joint, sigma in sigmas.items() if sigma > LEVER_SIGMA_M]
-    yield (
-        bool(rough),
-        f"Move the arm about more than one axis in view, sideways too: where the {listed(rough)}"
-        f" {'lies' if len(rough) == 1 else 'lie'} as seen from the sensor is known to"
-        f" {100 * max(sigmas.values(), default=0.0):.1f} cm only.",
-    )
+    if rough := [joint for joint, sigma in sigmas.items() if sigma > LEVER_SIGMA_M]:
+        lie = "lies" if len(rough) == 1 else "lie"
+        yield _said("levers", joints=listed(rough), lie=lie, cm=100 * max(sigmas.values()))
 
 
 def little_motion(estimates: ArmEstimates | None) -> bool:
@@ -145,60 +136,37 @@ def little_motion(estimates: ArmEstimates | None) -> bool:
     return evidence.visible_s < LITTLE_VISIBLE_S or not evidence.turning_rad_s >= LITTLE_TURNING_RAD_S
 
 
-def _gaps(gaps: list[GapSummary]) -> _Rows:
-    early = [each for each in gaps if each.gap.open_start]
-    late = [each for each in gaps if each.gap.open_end]
-    sides = [(early, "before the first movement out of view"), (late, "after the last one")]
-    yield (
-        bool(early or late),
-        f"Keep the forearm in view for at least 1.5 s {' and '.join(words for some, words in sides if some)}:"
-        f" the gap{_times([*early, *late])} {'was' if len(early) + len(late) == 1 else 'were'} seen from one"
-        " side only.",
-    )
-    weak = [each for each in gaps if not each.one_sided and each.is_weaker_than(WEAK_M)]
-    long = [each for each in weak if each.gap.length_s > LONG_GAP_S]
-    yield (
-        bool(long),
-        f"Bring the forearm into view for a moment every {LONG_GAP_S:.0f} s: in the gap{_times(long)} the"
-        f" position is known to {100 * max((each.sigma_max_m or 0.0 for each in long), default=0):.0f} cm"
-        " only.",
-    )
+def _gaps(gaps: list[GapSummary]) -> Iterator[str]:
+    early, late = [each for each in gaps if each.open_start], [each for each in gaps if each.open_end]
+    if open_ended := [*early, *late]:
+        sides = ((early, "before the first movement out of view"), (late, "after the last one"))
+        when, were = (
+            " and ".join(words for some, words in sides if some),
+            "was" if len(open_ended) == 1 else "were",
+        )
+        yield _said("one_sided", when=when, times=_times(open_ended), were=were)
+    weak_m = {
+        each: each.sigma_max_m or 0.0 for each in gaps if not each.one_sided and each.length_s > LONG_GAP_S
+    }
+    if long := [each for each, sigma_m in weak_m.items() if sigma_m > WEAK_M]:
+        yield _said("long_gaps", every_s=LONG_GAP_S, times=_times(long), cm=100 * max(weak_m.values()))
 
 
 def _times(gaps: list[GapSummary]) -> str:
-    starts = [f"{each.gap.start_s:.1f} s" for each in gaps]
+    starts = [f"{each.start_s:.1f} s" for each in gaps]
     if len(starts) > 4:
         starts = [*starts[:3], f"{len(starts) - 3} more"]
     return f"{'s' if len(gaps) > 1 else ''} at {listed(starts)}"
 
 
-def _clock(estimates: ArmEstimates | None) -> _Rows:
-    for each in estimates.offsets if estimates is not None else ():
-        yield (
-            each.sigma_s > CLOCK_SIGMA_S,
-            "Move briskly at the start, in view: the clocks of sensor and camera were matched to"
-            f" {1000 * each.sigma_s:.0f} ms only.",
-        )
-        yield (
-            each.drift_s > CLOCK_DRIFT_S,
-            "Keep the time stamps that the devices measure, not those of arrival or made up later: the"
-            f" clocks moved against each other by {1000 * each.drift_s:.0f} ms.",
-        )
-
-
-def _view(recovery: Recovery) -> _Rows:
+def _view(recovery: Recovery) -> Iterator[str]:
     """The shoulder in view; the forearm not along the viewing ray."""
     shoulder, hidden = _tracked(recovery, "shoulder"), occluded_at(recovery.arm.t_s, recovery.gaps)
     seen = shoulder[hidden].mean() if hidden.any() else 1.0
-    yield (
-        not shoulder.any() and bool(recovery.gaps) and bool(_tracked(recovery, "elbow").any()),
-        "Keep the shoulder in view: it and the upper arm's length limit how far away the elbow can be.",
-    )
-    yield (
-        bool(shoulder.any()) and hidden.sum() >= 5 and seen < SHOULDER_SHARE,
-        f"Keep the shoulder in view while the forearm is hidden: it was seen in {100 * seen:.0f} % of those"
-        " frames, and it limits where the elbow can be.",
-    )
+    if not shoulder.any() and recovery.gaps and _tracked(recovery, "elbow").any():
+        yield _said("shoulder")
+    if shoulder.any() and hidden.sum() >= 5 and seen < SHOULDER_SHARE:
+        yield _said("shoulder_in_gaps", percent=100 * seen)
     if not {"elbow", "wrist"} <= recovery.joints.keys():
         return
     visible = along = 0
@@ -209,11 +177,8 @@ def _view(recovery: Recovery) -> _Rows:
     share, tracked = along / max(visible, 1), int(_tracked(recovery, "wrist").sum())
     rows = rejected(recovery)
     lost = sum(row["count"] for row in rows if (row["reason"], row["joint"]) == ("viewing ray", "wrist"))
-    yield (
-        share >= RAY_SHARE or lost >= RAY_REJECTED * max(tracked, 1),
-        "Stand a little sideways to the camera, or put it higher: the forearm pointed at it"
-        f" {100 * share:.0f} % of the time, when a depth camera sees it worst.",
-    )
+    if share >= RAY_SHARE or lost >= RAY_REJECTED * max(tracked, 1):
+        yield _said("ray", percent=100 * share)
 
 
 def _tracked(recovery: Recovery, joint: str) -> BoolArray:
@@ -228,7 +193,7 @@ def towards_the_camera(elbow: FloatArray, wrist: FloatArray) -> FloatArray:
     return np.degrees(np.arccos(np.clip(cosine, 0.0, 1.0)))
 
 
-def _camera(recovery: Recovery, estimates: ArmEstimates | None) -> _Rows:
+def _camera(recovery: Recovery, estimates: ArmEstimates | None) -> Iterator[str]:
     rows, tracked = rejected(recovery), 0
     if recovery.residuals is not None:
         batches = recovery.residuals.batches()
@@ -238,51 +203,28 @@ def _camera(recovery: Recovery, estimates: ArmEstimates | None) -> _Rows:
         """Part of all tracked samples."""
         return sum(row["count"] for row in rows if row["reason"] in reasons) / max(tracked, 1)
 
-    yield (
-        share("frozen") > FREEZES,
-        f"Check the skeleton tracker's load and settings: {100 * share('frozen'):.0f} % of its samples"
-        " repeated the one before while the arm moved.",
-    )
+    if (frozen := share("frozen")) > FREEZES:
+        yield _said("frozen", percent=100 * frozen)
     # what contradicts a motion that was hardly there says little of the camera
     jumping = share("jump", "bone length", *(() if little_motion(estimates) else ("direction", "residual")))
-    yield (
-        jumping > JUMPS,
-        "Clear the view of other people and of things near the arm, and avoid bright light behind:"
-        f" {100 * jumping:.0f} % of the tracked samples were not on the arm.",
-    )
+    if jumping > JUMPS:
+        yield _said("jumps", percent=100 * jumping)
     if estimates is None:
         return
     noise = {joint: each.sample_m for joint, each in estimates.camera.items()}
-    loud = [joint for joint, sigma in noise.items() if sigma > CAMERA_SIGMA_M]
-    yield (
-        bool(loud),
-        "Move closer to the camera (1.5 to 3 m), with even light and without loose sleeves: the"
-        f" {listed(loud)} jittered by {100 * max(noise.values(), default=0.0):.1f} cm.",
-    )
-    yield (
-        estimates.joint_bias_sigma_m > JOINT_BIAS_M,
-        "Let the camera see the arm from the front and without wide sleeves: it places the joints"
-        f" {100 * estimates.joint_bias_sigma_m:.1f} cm off, always in the same way.",
-    )
+    if loud := [joint for joint, sigma in noise.items() if sigma > CAMERA_SIGMA_M]:
+        yield _said("noise", joints=listed(loud), cm=100 * max(noise.values()))
+    if (bias_m := estimates.joint_bias_sigma_m) > JOINT_BIAS_M:
+        yield _said("bias", cm=100 * bias_m)
 
 
-def _rates(recovery: Recovery) -> _Rows:
+def _rates(recovery: Recovery) -> Iterator[str]:
     t_s = recovery.t_s
     rate = float(1.0 / np.median(np.diff(t_s), overwrite_input=True)) if len(recovery) > 1 else np.inf
-    camera_hz = recovery.arm.rate_hz
-    slow = rate < 0.97 * SLOW_IMU_HZ
-    yield slow, f"Set the sensor to 80 samples per second or more: it gave {rate:.0f}."
-    yield camera_hz < SLOW_CAMERA_HZ, f"Let the camera run at 30 frames per second: it gave {camera_hz:.0f}."
-    after = pauses(t_s)  # of the IMU, in which nothing is recovered
-    times = "once" if len(after) == 1 else f"{len(after)} times"
-    yield (
-        bool(len(after)),
-        f"The IMU paused {times}, for {(t_s[after] - t_s[after - 1]).sum():.1f} s in all, and nothing is"
-        " recovered there: check its battery, and keep its receiver near.",
-    )
-
-
-def listed(names: Iterable[str]) -> str:
-    """Names in a sentence, as "a, b and c"."""
-    *first, last = list(names) or [""]
-    return f"{', '.join(first)} and {last}" if first else last
+    if rate < 0.97 * SLOW_IMU_HZ:
+        yield _said("slow_imu", hz=rate)
+    if (camera_hz := recovery.arm.rate_hz) < SLOW_CAMERA_HZ:
+        yield _said("slow_camera", hz=camera_hz)
+    if len(after := pauses(t_s)):  # of the IMU, in which nothing is recovered
+        times = "once" if len(after) == 1 else f"{len(after)} times"
+        yield _said("pauses", times=times, total_s=(t_s[after] - t_s[after - 1]).sum())

@@ -18,7 +18,7 @@ from ..recording import Recording
 from ..runtime.pool import Pool
 from ..table import Table, cell_text, centimetres, tabulated
 from .datasets import DATASETS, VERSION, BenchmarkTrial
-from .gaps import GapCopy, GapErrors, GapTable, HiddenGap, counted, hide, place_gaps, pooled, try_methods
+from .gaps import GapCopy, GapGroup, GapTable, HiddenGap, counted, hide, place_gaps, pooled, try_methods
 from .methods import GRAPH, make_methods
 
 #: The methods are as they come: their settings by default, on one process.
@@ -184,9 +184,9 @@ def _method(table: GapTable, name: str) -> dict[str, Any]:
         "method": name,
         "median_m": {length: group.spread["median_m"] for length, group in groups.items()},
         "rms_m": {length: group.figures.position_rms_m for length, group in groups.items()},
-        "inside_95": GapErrors.pooled([row.errors for row in rows]).figures().coverage_95,
+        "inside_95": (whole := GapGroup(rows)).figures.coverage_95,
         "gaps": len(rows),
-        "failed": sum(bool(row.failure) for row in rows),
+        "failed": whole.failed,
     }
 
 

@@ -1,4 +1,4 @@
-"""Every method on one recording, compared with one truth: errors, consistency and remaining lag."""
+"""Every method on one recording, each validated against one truth."""
 
 from __future__ import annotations
 
@@ -19,63 +19,27 @@ from .gaps import Method
 from .metrics import lag_s, truth_at
 from .reference import ReferenceAlignment
 from .truth import truth_notes
-from .validate import PARTS, SENSOR, Validation, point_lag_s, validate
-
-_ERRORS = (
-    "All methods are given the same calibration, clock and camera samples; only the gap itself is"
-    " recovered differently. rms: root mean square. NEES: mean squared error in stated standard"
-    " deviations; 1 is consistent, above 1 over-confident, below 1 under-confident; a dash where a method"
-    " states none. Inside 95 %: 0.95 is consistent."
-)
-_JOINTS = (
-    "Methods that estimate only the sensor's motion place the joints by the lever arms; the shoulder is"
-    " the camera's, interpolated where it was lost."
-)
-_LAG = (
-    "Delay of each result: the shift with the highest cross-correlation with the truth. Below about 5 ms"
-    " the camera's latency is corrected. A lag in gaps only is the method's own; a dash: the result does"
-    " not follow the truth."
-)
-
-
-@dataclass(frozen=True)
-class MethodResult:
-    """What one method made of the recording."""
-
-    method: str
-    validation: Validation | None  # Its figures, with its lag over all samples; None where it failed
-    lag_occluded_s: float | None = None  # Lag of its answer behind the truth over the samples in gaps
-    path: FloatArray | None = None  # (n, 3) m: the compared point at the IMU's times, in {K}
-    failure: str = ""  # Why there is no answer, "" where there is one
-
-    def rms_m(self, point: str, part: str) -> float | None:
-        """Rms of a point's errors over a part; None where there is none."""
-        figures = self.validation and self.validation.figures_of(point, part)
-        return figures.position_rms_m if figures else None
-
-    def to_dict(self) -> dict[str, Any]:
-        """Plain values by name."""
-        if self.validation is None:
-            return {"failure": self.failure}
-        whole = self.validation.to_dict()
-        own = {"failure": "", "lag_s": whole["lag_s"], "lag_occluded_s": self.lag_occluded_s}
-        return own | {key: whole[key] for key in (*PARTS, "points", "gaps")}
+from .validate import PARTS, SENSOR, Validation, validate
 
 
 @dataclass(frozen=True)
 class Comparison:
     """All methods on one recording."""
 
-    # The methods, the best first (by the rms of the compared point in gaps, else over all samples)
-    rows: tuple[MethodResult, ...]
+    # By method, the best first (by the rms of the compared point in gaps, else over all samples), those
+    # without an answer last: its figures, or why there are none
+    methods: dict[str, Validation | str]
     point: str  # What is compared: "sensor" (the forearm IMU), or a joint where the truth has no IMU
     graph: Recovery  # Its clock, its times and its gaps were given to all
-    camera_lag_s: dict[
-        str, float
-    ]  # By joint, of the camera's own samples behind the truth, stamps as they came
+    camera_lag_s: dict[str, float]  # By joint: the camera's own samples behind the truth, stamps as they came
     truth: Truth  # What all were held against
     alignment: ReferenceAlignment  # How it was brought there
     notes: tuple[str, ...] = ()  # What a reader must know, one sentence each
+
+    @property
+    def validated(self) -> dict[str, Validation]:
+        """The methods that have an answer."""
+        return {name: each for name, each in self.methods.items() if isinstance(each, Validation)}
 
     @property
     def reference(self) -> FloatArray:
@@ -97,37 +61,34 @@ class Comparison:
     @property
     def rms_m(self) -> dict[str, float]:
         """By method the rms of the compared point there; of those that have one."""
-        found = {row.method: row.rms_m(self.point, self.part) for row in self.rows}
+        found = {name: _rms_m(each, self.point, self.part) for name, each in self.validated.items()}
         return {name: value for name, value in found.items() if value is not None}
 
     @property
     def tables(self) -> tuple[Table, Table, Table]:
         """Errors, joints and lag by method."""
-        errors, joints, lags = list[dict[str, Any]](), list[dict[str, Any]](), list[dict[str, Any]]()
-        for row in self.rows:
-            about: dict[str, Any] = {"method": row.method}
-            lags.append(about | {"gaps": row.lag_occluded_s, "all": row.validation and row.validation.lag_s})
-            found = row.validation and row.validation.figures_of(self.point, self.part)
-            if row.validation is None or found is None:
-                errors.append(about)
-                continue
-            seen = row.validation.figures_of(self.point, "visible")
-            visible = {"visible_m": seen and seen.position_rms_m}
-            errors.append(about | vars(found) | visible | {"deg": seen and seen.orientation_rms_deg})
-            points = row.validation.points.items()
-            joints.append(about | {f"{name}_m": parts[self.part].position_rms_m for name, parts in points})
-        names = dict.fromkeys(key for row in joints for key in row if key != "method")
+        rows: list[dict[str, Any]] = []
+        for name, each in self.methods.items():
+            row: dict[str, Any] = {"method": name}
+            if isinstance(each, Validation) and (found := each.figures_of(self.point, self.part)) is not None:
+                seen = each.figures_of(self.point, "visible")
+                row |= {"visible_m": seen and seen.position_rms_m, "deg": seen and seen.orientation_rms_deg}
+                row |= {"lag_s": each.lag_s, "gap_lag_s": each.lag_occluded_s, **vars(found)}
+                row |= {f"{joint}_m": parts[self.part].position_rms_m for joint, parts in each.points.items()}
+            rows.append(row)
+        joints = dict.fromkeys(joint for each in self.validated.values() for joint in each.points)
+        answered = [row for row in rows if len(row) > 1 and joints]
         columns = {"method": "method", "rms, cm": "position_rms_m", "95 %": "position_p95_m"}
         columns |= {"max": "position_max_m", "rms, deg": "orientation_rms_deg", "NEES": "nees"}
         columns |= {"inside 95 %": "coverage_95", "visible rms, cm": "visible_m", "deg": "deg"}
+        by_joint = {"method": "method", **{joint: f"{joint}_m" for joint in joints}}
+        of_lag = {"all samples": lambda row: _ms(row, "lag_s"), "in gaps": lambda row: _ms(row, "gap_lag_s")}
         titled, what = self.alignment.titled, "forearm IMU" if self.point == SENSOR else self.point
-        by_joint = {"method": "method", **{name.removesuffix("_m"): name for name in names}}
-        of_lag = {"all samples": lambda row: _ms(row["all"]), "in gaps": lambda row: _ms(row["gaps"])}
         title = titled(f"Error of the {what} {self.where}, the best method first")
         return (
-            tabulated(title, errors, columns, _ERRORS),
-            tabulated(titled(f"Joints {self.where}, rms, cm"), joints if names else (), by_joint, _JOINTS),
-            tabulated(titled("Lag left behind the truth, ms"), lags, {"method": "method", **of_lag}, _LAG),
+            tabulated(title, rows, columns),
+            tabulated(titled(f"Joints {self.where}, rms, cm"), answered, by_joint),
+            tabulated(titled("Lag left behind the truth, ms"), rows, {"method": "method", **of_lag}),
         )
 
     @property
@@ -142,10 +103,18 @@ class Comparison:
 
     def to_dict(self) -> dict[str, Any]:
         """Plain values by name, as `--json` writes them."""
+
+        def plain(each: Validation | str) -> dict[str, Any]:
+            if isinstance(each, str):
+                return {"failure": each}
+            whole = each.to_dict()
+            own = {"failure": "", "lag_s": each.lag_s, "lag_occluded_s": each.lag_occluded_s}
+            return own | {key: whole[key] for key in (*PARTS, "points", "gaps")}
+
         return {
             "point": self.point,
-            "order": [row.method for row in self.rows],
-            "methods": {row.method: row.to_dict() for row in self.rows},
+            "order": list(self.methods),
+            "methods": {name: plain(each) for name, each in self.methods.items()},
             "camera": {
                 "clock_offset_s": self.graph.clock_offset_s,
                 "clock_offset_sigma_s": self.graph.clock_offset_sigma_s,
@@ -157,8 +126,14 @@ class Comparison:
         }
 
 
-def _ms(value_s: float | None) -> str | None:
-    return None if value_s is None else f"{1e3 * value_s:+.1f}"
+def _ms(row: Mapping[str, Any], key: str) -> str | None:
+    return None if row.get(key) is None else f"{1e3 * row[key]:+.1f}"
+
+
+def _rms_m(found: Validation | str, point: str, part: str) -> float | None:
+    """Rms of a point's errors over a part; None where there is none."""
+    figures = found.figures_of(point, part) if isinstance(found, Validation) else None
+    return None if figures is None else figures.position_rms_m
 
 
 def compare(
@@ -179,41 +154,38 @@ def compare(
             " elbow), so there is nothing to compare"
         )
     report = progress or (lambda part, text: None)
-    job = partial(
-        _result, methods=methods, recording=recording, truth=truth, alignment=alignment, point=point
-    )
-    rows: list[MethodResult] = []
+    job = partial(_validated, methods=methods, recording=recording, truth=truth, alignment=alignment)
+    found: dict[str, Validation | str] = {}
     with Pool(min(processes, len(methods)), len(methods) * len(recording.arm)) as workers:
         answers = workers.map(job, methods)
         for place, name in enumerate(methods):
             report(place / len(methods), name)
-            rows.append(next(answers))
+            found[name] = next(answers)
     report(1.0, "done")
 
-    def rank(row: MethodResult) -> tuple[bool, float]:
+    def rank(name: str) -> tuple[bool, float]:
         """The error in gaps, else over all samples; without an answer last."""
-        known = [rms for part in ("occluded", "all") if (rms := row.rms_m(point, part)) is not None]
+        both = (_rms_m(found[name], point, part) for part in ("occluded", "all"))
+        known = [rms_m for rms_m in both if rms_m is not None]
         return not known, known[0] if known else 0.0
 
-    lags, notes = _camera_lag(recording, truth), _notes(rows, alignment, graph, truth)
-    return Comparison(tuple(sorted(rows, key=rank)), point, graph, lags, truth, alignment, notes)
+    lags, notes = _camera_lag(recording, truth), _notes(found, alignment, graph, truth)
+    ranked = {name: found[name] for name in sorted(found, key=rank)}
+    return Comparison(ranked, point, graph, lags, truth, alignment, notes)
 
 
-def _result(
+def _validated(
     name: str,
     methods: Mapping[str, Method],
     recording: Recording,
     truth: Truth,
     alignment: ReferenceAlignment,
-    point: str,
-) -> MethodResult:
+) -> Validation | str:
+    """What a method's answer is worth, or why it has none."""
     try:
-        recovery = methods[name](recording)
-        validation = validate(recovery, truth, alignment, pooled=None)
+        return validate(methods[name](recording), truth, alignment, pooled=None)
     except UnoccludeError as error:
-        return MethodResult(name, None, failure=str(error))
-    path = recovery.position if point == SENSOR else recovery.joints[point]
-    return MethodResult(name, validation, point_lag_s(recovery, truth, point, recovery.occluded), path)
+        return str(error)
 
 
 def _camera_lag(recording: Recording, truth: Truth) -> dict[str, float]:
@@ -233,17 +205,17 @@ def _camera_lag(recording: Recording, truth: Truth) -> dict[str, float]:
 
 
 def _notes(
-    rows: list[MethodResult], alignment: ReferenceAlignment, graph: Recovery, truth: Truth
+    found: Mapping[str, Validation | str], alignment: ReferenceAlignment, graph: Recovery, truth: Truth
 ) -> tuple[str, ...]:
     notes = [*alignment.notes, *truth_notes(graph, truth, aligned=alignment.kind != "none")]
     if alignment.kind != "none":
         notes.append("The truth was aligned by the graph's answer, once for all methods.")
         notes.append("A lag is against the truth's clock as it was aligned.")
-    for row in rows:
-        if row.validation is None:
-            notes.append(f"{row.method} could not recover it: {row.failure}")
-        elif count := row.validation.all.unanswered:
-            notes.append(f"{row.method} left {count} samples with truth without a result; they are excluded.")
+    for name, each in found.items():
+        if isinstance(each, str):
+            notes.append(f"{name} could not recover it: {each}")
+        elif count := each.all.unanswered:
+            notes.append(f"{name} left {count} samples with truth without a result; they are excluded.")
     if not graph.occluded.any():
         notes.append("The recording has no gap: methods are compared where the camera sees the arm.")
     return tuple(dict.fromkeys(notes))

@@ -6,7 +6,7 @@ The one kernel of `gaps`, `check`, `benchmark` and the checks of accuracy.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from itertools import pairwise
 from typing import Any, NamedTuple
@@ -26,7 +26,7 @@ from ..result import Recovery
 from ..runtime.pool import Pool, Progress
 from ..table import Table, tabulated
 from ..units import GRAVITY
-from .metrics import Figures, linear_at, position_at, squared_sigmas, summarise
+from .metrics import Errors, Figures, linear_at, percentile, position_at, rms, squared_sigmas
 from .validate import sample_errors
 
 #: A method: recording in, recovery out.
@@ -134,35 +134,19 @@ REFERENCES = ("wrist", "strap", "hand", "elbow")
 
 
 @dataclass(frozen=True)
-class GapErrors:
-    """Errors sample by sample inside a gap; nan where there is no answer."""
+class GapErrors(Errors):
+    """Errors inside a hidden gap."""
 
-    reference: str = ""  # What the answer was compared with: "truth" or a joint
-    distance_m: FloatArray = field(default_factory=lambda: np.zeros(0))  # (n,)
-    angle_deg: FloatArray = field(default_factory=lambda: np.zeros(0))  # (n,)
-    squared_sigmas: FloatArray = field(default_factory=lambda: np.zeros(0))  # (n,)
-    unanswered: int = 0  # Samples with a reference and without an answer
-    sigma_max_m: float | None = None  # Largest stated standard deviation, on one axis
-    path_m: float | None = None  # Length of the hidden path
+    since_s: FloatArray = field(default_factory=lambda: np.zeros(0))  # (n,) s: time since the gap began
     # (n, 2): by what sigma has to be multiplied to hold, see `sigma_factor.needed_factors`
     needed_factors: FloatArray = field(default_factory=lambda: np.zeros((0, len(LEVELS))))
-    since_s: FloatArray = field(default_factory=lambda: np.zeros(0))  # (n,) s: time since the gap began
+    reference: str = ""  # What the answer was compared with: "truth" or a joint
+    sigma_max_m: float | None = None  # Largest stated standard deviation, on one axis
+    path_m: float | None = None  # Length of the hidden path
 
-    def figures(self, chosen: BoolArray | slice = slice(None)) -> Figures:
-        """The figures of these samples, or of some."""
-        columns = (self.distance_m[chosen], self.angle_deg[chosen], self.squared_sigmas[chosen])
-        return summarise(*columns, self.unanswered)
 
-    @staticmethod
-    def pooled(parts: Sequence[GapErrors]) -> GapErrors:
-        """The samples of several gaps together."""
-        if not parts:
-            return GapErrors()
-        columns = ("distance_m", "angle_deg", "squared_sigmas", "needed_factors", "since_s")
-        joined: dict[str, Any] = {
-            name: np.concatenate([getattr(part, name) for part in parts]) for name in columns
-        }
-        return GapErrors(parts[0].reference, unanswered=sum(part.unanswered for part in parts), **joined)
+#: Of a gap without an answer.
+NOTHING = GapErrors.of_positions(np.zeros((0, 3)), np.zeros(0))
 
 
 def score_gap(
@@ -171,6 +155,7 @@ def score_gap(
     """Errors of a recovery inside a gap of the recording, which still holds what was hidden."""
     arm, truth = recording.arm, recording.truth
     own_t_s = frame_times(recording, recovery)
+    turns: dict[str, FloatArray] = {}
     if truth is not None and len(truth):
         t_s = recovery.t_s  # on the camera's clock, on which gaps are hidden
         if len(own_t_s):
@@ -179,14 +164,14 @@ def score_gap(
         samples = sample_errors(recovery.rows(rows), truth)
         name, since_s, scored = "truth", t_s[rows] - gap.start_s, samples.scored
         reference, difference = samples.reference.position, samples.difference_m
-        angle, noise = samples.angle_deg, np.zeros((3, 3))
-        stated = recovery.pose_covariance[rows, :3, :3]
+        turns = {key: getattr(samples, key) for key in ("turn_rad", "angle_deg", "turn_squared_sigmas")}
+        stated, noise = recovery.pose_covariance[rows, :3, :3], np.zeros((3, 3))
     else:
         inside = gap.contains(arm.t_s)
         known = [joint for joint in REFERENCES if joint == "strap" or joint in recovery.joints]
         shown = [joint for joint in known if (inside & arm.tracked(joint)).any()]
         if not shown:
-            return GapErrors()
+            return NOTHING
         name = shown[0]
         frames = inside & arm.tracked(name)
         if name == "strap":
@@ -195,24 +180,23 @@ def score_gap(
             path = recovery.joints[name]
             covariance = recovery.joint_covariance.get(name, np.full((len(recovery), 3, 3), np.nan))
         reference, t_s, since_s = arm.joint(name)[frames], own_t_s[frames], arm.t_s[frames] - gap.start_s
-        difference = position_at(recovery.t_s, path, t_s) - reference
-        angle, scored = np.full(len(t_s), np.nan), np.ones(len(t_s), dtype=bool)
+        difference, scored = position_at(recovery.t_s, path, t_s) - reference, np.ones(len(t_s), dtype=bool)
         stated = linear_at(recovery.t_s, covariance.reshape(-1, 9), t_s).reshape(-1, 3, 3)
         # a hidden sample has the camera's own noise, which the answer's covariance does not include
         noise = camera_noise(noise_of or recovery, name)
-    distance, variance = np.linalg.norm(difference, axis=1), np.einsum("nii->ni", stated)
+    variance = np.einsum("nii->ni", stated)
     finite = variance[np.isfinite(variance).all(axis=1)]
     way = reference[np.isfinite(reference).all(axis=1)]
-    return GapErrors(
-        name,
-        distance,
-        angle,
+    return GapErrors.of_positions(
+        difference,
         squared_sigmas(difference, stated + noise),
-        int((scored & ~np.isfinite(distance)).sum()),
-        float(np.sqrt(finite.max())) if len(finite) else None,
-        float(np.linalg.norm(np.diff(way, axis=0), axis=1).sum()) if len(way) > 1 else None,
-        needed_factors(difference, stated, noise),
-        since_s,
+        scored=scored,
+        **turns,
+        since_s=since_s,
+        needed_factors=needed_factors(difference, stated, noise),
+        reference=name,
+        sigma_max_m=float(np.sqrt(finite.max())) if len(finite) else None,
+        path_m=float(np.linalg.norm(np.diff(way, axis=0), axis=1).sum()) if len(way) > 1 else None,
     )
 
 
@@ -252,46 +236,6 @@ def camera_noise(recovery: Recovery, joint: str) -> FloatArray:
 
 
 @dataclass(frozen=True)
-class GapGroup:
-    """A method's hidden gaps: `figures` of all samples together, `spread` over the gaps."""
-
-    rows: Sequence[GapRow]
-
-    @property
-    def failed(self) -> int:
-        """Gaps without an answer."""
-        return sum(bool(row.failure) for row in self.rows)
-
-    @cached_property
-    def figures(self) -> Figures:
-        """Errors of all samples."""
-        return GapErrors.pooled([row.errors for row in self.rows]).figures()
-
-    @cached_property
-    def spread(self) -> dict[str, float | int | None]:
-        """Quartiles over the gaps of the rms inside each, m, their root mean square, and the worst."""
-        rms_m = [None if row.failure else row.figures.position_rms_m for row in self.rows]
-        known = np.array([value for value in rms_m if value is not None and np.isfinite(value)])
-        values: list[float | None] = [None] * 5
-        if len(known):
-            quartiles = np.percentile(known, (25, 50, 75)).tolist()
-            values = [*quartiles, float(np.sqrt(np.mean(known**2))), float(known.max())]
-        found = dict(zip(("low_m", "median_m", "high_m", "rms_m", "worst_m"), values, strict=True))
-        return found | {"gaps": len(rms_m), "failed": len(rms_m) - len(known)}
-
-    def to_dict(self) -> dict[str, float | int | None]:
-        """Plain values by name, distances in m and in cm."""
-        figures = asdict(self.figures)
-        result: dict[str, float | int | None] = {}
-        for name in ("rms", "median", "p95", "max"):
-            value = figures[f"position_{name}_m"]
-            result |= {f"{name}_m": value, f"{name}_cm": None if value is None else 100.0 * value}
-        names = ("orientation_rms_deg", "orientation_max_deg", "nees", "coverage_95", "samples", "unanswered")
-        counts = {"gaps": len(self.rows), "failed": self.failed}
-        return result | {name: figures[name] for name in names} | counts
-
-
-@dataclass(frozen=True)
 class GapRow:
     """One hidden gap and what a method made of it."""
 
@@ -313,12 +257,52 @@ class GapRow:
         figures, errors = self.figures, self.errors
         return {
             **{name: getattr(self, name) for name in ("length_s", "method", "run", "failure", "recording")},
-            "start_s": self.gap.start_s,
-            "end_s": self.gap.end_s,
+            **{name: getattr(self.gap, name) for name in ("start_s", "end_s")},
             **{name: getattr(errors, name) for name in ("reference", "sigma_max_m", "path_m")},
             "rms_m": figures.position_rms_m,
             "max_m": figures.position_max_m,
             **{name: getattr(figures, name) for name in ("orientation_rms_deg", "nees", "samples")},
+        }
+
+
+@dataclass(frozen=True)
+class GapGroup:
+    """A method's hidden gaps: `figures` of all samples together, `spread` over the gaps."""
+
+    rows: Sequence[GapRow]
+
+    @property
+    def failed(self) -> int:
+        """Gaps without an answer."""
+        return sum(bool(row.failure) for row in self.rows)
+
+    @cached_property
+    def figures(self) -> Figures:
+        """Errors of all samples."""
+        return Errors.pooled([row.errors for row in self.rows]).figures()
+
+    @cached_property
+    def spread(self) -> dict[str, float | int | None]:
+        """Quartiles over the gaps of the rms inside each, m, their root mean square, and the worst."""
+        each = [None if row.failure else row.figures.position_rms_m for row in self.rows]
+        known = np.array([value for value in each if value is not None])
+        found = {
+            name: percentile(known, at)
+            for name, at in (("low_m", 25), ("median_m", 50), ("high_m", 75), ("worst_m", 100))
+        }
+        return found | {"rms_m": rms(known), "gaps": len(each), "failed": len(each) - len(known)}
+
+    def to_dict(self) -> dict[str, float | int | None]:
+        """Plain values by name, distances in m and in cm."""
+        figures = vars(self.figures)
+        distances = {name: figures[f"position_{name}_m"] for name in ("rms", "median", "p95", "max")}
+        names = ("orientation_rms_deg", "orientation_max_deg", "nees", "coverage_95", "samples", "unanswered")
+        return {
+            **{f"{name}_m": value for name, value in distances.items()},
+            **{f"{name}_cm": value and 100.0 * value for name, value in distances.items()},
+            **{name: figures[name] for name in names},
+            "gaps": len(self.rows),
+            "failed": self.failed,
         }
 
 
@@ -405,19 +389,14 @@ def since_last_frame(table: GapTable, methods: Sequence[str]) -> list[dict[str, 
     rows = []
     for from_s, to_s in pairwise(BORDERS_S):
         for method in methods:
-            own = [row.errors for row in table.rows if row.method == method and len(row.errors.since_s)]
-            together = GapErrors.pooled(own)
-            inside = (together.since_s >= from_s) & (together.since_s < to_s)
-            inside &= np.isfinite(together.distance_m)
-            if inside.any():
-                figures = together.figures(inside)
-                distances = {f"{name}_m": getattr(figures, f"position_{name}_m") for name in _SINCE}
+            own = [row.errors for row in table.rows if row.method == method]
+            since_s = np.concatenate([np.zeros(0), *(each.since_s for each in own)])
+            figures = vars(Errors.pooled(own).figures((since_s >= from_s) & (since_s < to_s)))
+            if figures["samples"]:
                 about = {"from_s": from_s, "to_s": to_s, "method": method}
-                rows.append(about | distances | {"nees": figures.nees, "samples": figures.samples})
+                distances = {f"{name}_m": figures[f"position_{name}_m"] for name in ("rms", "median", "p95")}
+                rows.append(about | distances | {name: figures[name] for name in ("nees", "samples")})
     return rows
-
-
-_SINCE = ("rms", "median", "p95")
 
 
 def since_table(rows: Sequence[Mapping[str, Any]]) -> Table:
@@ -548,7 +527,7 @@ def try_methods(
             recovery = method(copy)
         except UnoccludeError as error:
             notes.append(f"{name} could not recover gaps of {trial.length_s:g} s: {error}")
-            rows += [row(gap, GapErrors(), str(error)) for gap in trial.gaps]
+            rows += [row(gap, NOTHING, str(error)) for gap in trial.gaps]
             continue
         noise_of = (noise_of or recovery) if one_noise else None
         for gap in trial.gaps:

@@ -8,9 +8,9 @@ A reference motion at other times, never beyond its ends or gaps; how late an an
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, field
-from typing import Any
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, fields
+from typing import Any, Self
 
 import numpy as np
 
@@ -103,43 +103,81 @@ def coverage_95(squared: FloatArray) -> float | None:
 class Figures:
     """Errors of one set of samples; None where there is nothing to measure."""
 
-    position_rms_m: float | None  # Of the position error
-    position_max_m: float | None  # Of the position error
+    position_rms_m: float | None  # Of the position error, as the next ones
+    position_max_m: float | None
     orientation_rms_deg: float | None  # Of the angle of rotation between answer and reference
-    orientation_max_deg: float | None  # Of the angle of rotation between answer and reference
+    orientation_max_deg: float | None
     nees: float | None  # Mean squared position error in sigmas / 3
     samples: int  # Samples with a reference and an answer
-    position_median_m: float | None = None  # Of the position error
-    position_p95_m: float | None = None  # Of the position error
-    coverage_95: float | None = None  # Part of the samples inside the stated 95 % region
-    unanswered: int = 0  # Samples with a reference where the method gave no position
-    # Rms of the position error of each joint that the reference has
-    joint_rms_m: dict[str, float | None] = field(default_factory=dict)
-    position_bias_m: list[float] | None = None  # (3,) m: mean of answer minus reference, in {K}
-    orientation_p95_deg: float | None = None  # 95 % of the orientation errors are smaller
-    # (3,) degrees: Mean rotation vector from reference to answer, in {K}
-    orientation_bias_deg: list[float] | None = None
-    orientation_nees: float | None = None  # As for the position, of the rotation vector
-    orientation_coverage_95: float | None = None  # As for the position, of the rotation vector
+    position_median_m: float | None
+    position_p95_m: float | None
+    coverage_95: float | None  # Part of the samples inside the stated 95 % region
+    unanswered: int  # Samples with a reference where the method gave no position
+    joint_rms_m: dict[str, float | None]  # Rms of the position error of each joint that the reference has
+    position_bias_m: list[float] | None  # (3,) m: mean of answer minus reference, in {K}
+    orientation_p95_deg: float | None
+    orientation_bias_deg: list[float] | None  # (3,): mean rotation vector from reference to answer, in {K}
+    orientation_nees: float | None  # As for the position, of the rotation vector
+    orientation_coverage_95: float | None
 
 
-def summarise(
-    distance_m: FloatArray, angle_deg: FloatArray, squared: FloatArray, unanswered: int = 0
-) -> Figures:
-    """The figures of a set of samples."""
-    return Figures(
-        position_rms_m=rms(distance_m),
-        position_max_m=percentile(distance_m, 100),
-        orientation_rms_deg=rms(angle_deg),
-        orientation_max_deg=percentile(angle_deg, 100),
-        nees=nees(squared),
-        samples=int(np.isfinite(distance_m).sum()),
-        position_median_m=percentile(distance_m, 50),
-        position_p95_m=percentile(distance_m, 95),
-        coverage_95=coverage_95(squared),
-        unanswered=unanswered,
-        orientation_p95_deg=percentile(angle_deg, 95),
-    )
+@dataclass(frozen=True)
+class Errors:
+    """Answer minus reference of one point, sample by sample; nan where there is nothing to compare."""
+
+    difference_m: FloatArray  # (n, 3) m, in {K}
+    squared_sigmas: FloatArray  # (n,): squared position error in sigmas
+    scored: BoolArray  # (n,): the reference has a position that is to be scored
+    turn_rad: FloatArray  # (n, 3) rad: rotation vector from reference to answer, in {K}
+    angle_deg: FloatArray  # (n,): orientation error, as an angle of rotation
+    turn_squared_sigmas: FloatArray  # (n,): squared orientation error in sigmas
+
+    @classmethod
+    def of_positions(cls, difference_m: FloatArray, squared: FloatArray, **more: Any) -> Self:
+        """Errors of a point that has no orientation."""
+        nothing = np.full(len(squared), np.nan)
+        turns = {"turn_rad": np.full((len(squared), 3), np.nan), "angle_deg": nothing}
+        scored = np.zeros(len(squared), bool)
+        return cls(
+            difference_m, squared, **{"scored": scored, "turn_squared_sigmas": nothing, **turns, **more}
+        )
+
+    @staticmethod
+    def pooled(parts: Sequence[Errors]) -> Errors:
+        """The samples of several together."""
+        if not parts:
+            return Errors.of_positions(np.zeros((0, 3)), np.zeros(0))
+        names = [each.name for each in fields(Errors)]
+        return Errors(*(np.concatenate([getattr(part, name) for part in parts]) for name in names))
+
+    @property
+    def distance_m(self) -> FloatArray:
+        """(n,) m: position error."""
+        return np.asarray(np.linalg.norm(self.difference_m, axis=1))
+
+    def figures(self, chosen: BoolArray | slice = slice(None)) -> Figures:
+        """The figures of these samples, or of some."""
+        distance, angle = self.distance_m[chosen], self.angle_deg[chosen]
+        squared, turned = self.squared_sigmas[chosen], self.turn_squared_sigmas[chosen]
+        answered = np.isfinite(distance)
+        return Figures(
+            position_rms_m=rms(distance),
+            position_max_m=percentile(distance, 100),
+            orientation_rms_deg=rms(angle),
+            orientation_max_deg=percentile(angle, 100),
+            nees=nees(squared),
+            samples=int(answered.sum()),
+            position_median_m=percentile(distance, 50),
+            position_p95_m=percentile(distance, 95),
+            coverage_95=coverage_95(squared),
+            unanswered=int((self.scored[chosen] & ~answered).sum()),
+            joint_rms_m={},
+            position_bias_m=mean_vector(self.difference_m[chosen]),
+            orientation_p95_deg=percentile(angle, 95),
+            orientation_bias_deg=mean_vector(np.degrees(self.turn_rad[chosen])),
+            orientation_nees=nees(turned),
+            orientation_coverage_95=coverage_95(turned),
+        )
 
 
 #: Samples of a reference farther apart than this are not bridged, s.

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any, Literal
 
@@ -25,7 +26,9 @@ from .mocap.frame import (
 from .mocap.markers import map_by_names, read_marker_map
 from .mocap.motion import MocapMotion, motion_of_markers, motion_of_truth
 from .truth import read_truth
+from .words import said
 
+_said = partial(said, "reference")
 #: Mocap kept beyond the ends of the result, s.
 MARGIN_S = 1.0
 #: A calibration that puts the arm farther than this from where the camera saw it is doubted, m.
@@ -125,49 +128,35 @@ def align_reference(
     clock = align_clock(recovery, motion)
     notes = [
         *motion.notes,
-        f"The truth's clock was aligned by {clock.by} (correlation {clock.correlation:.3f}): t_imu = t_truth"
-        f" {clock.offset_s:+.4f} s, sigma {1000 * clock.sigma_s:.2f} ms, skew {1e6 * clock.skew:.0f} +-"
-        f" {1e6 * clock.skew_sigma:.0f} ppm. What the answer's own clock is off against the IMU is not seen.",
+        _said(
+            "clock",
+            **{name: getattr(clock, name) for name in ("by", "correlation", "offset_s")},
+            sigma_ms=1e3 * clock.sigma_s,
+            skew_ppm=1e6 * clock.skew,
+            skew_sigma_ppm=1e6 * clock.skew_sigma,
+        ),
         *clock.notes,
     ]
     if clock.R_A_P is not None:
         motion = replace(motion, R_A_P=clock.R_A_P)
-        notes.append(
-            "The plate's rotation in the IMU was solved from their angular velocities, to"
-            f" {np.degrees(clock.mount_sigma_rad):.2f} degrees."
-        )
+        notes.append(_said("mount", sigma_deg=np.degrees(clock.mount_sigma_rad)))
     kind: Literal["calibration", "solved"] = "solved" if frame is None else "calibration"
     if frame is None:
         frame = solve_frame(recovery, motion, clock)
-        notes.append(
-            f"No calibration was given: the truth's frame was solved from {frame.by} (sigma"
-            f" {frame.rotation_sigma_deg:.2f} degrees, {1000 * frame.translation_sigma_m:.1f} mm at the arm,"
-            f" rms {1000 * frame.residual_m:.1f} mm). Constant errors of the camera are not seen; errors here"
-            " are smaller than against an independent frame."
-        )
+        sizes = {"sigma_mm": 1e3 * frame.translation_sigma_m, "rms_mm": 1e3 * frame.residual_m}
+        notes.append(_said("frame", by=frame.by, sigma_deg=frame.rotation_sigma_deg, **sizes))
     else:
-        notes.append(f"The camera-to-mocap transform is {frame.by}.")
+        notes.append(_said("stated_frame", by=frame.by))
         away = far_off_m(recovery, motion, clock, frame)
         if away > FAR_OFF_M:
-            notes.append(
-                f"By that transform the arm was {away:.2f} m (median) from where the camera saw it: check"
-                " that it belongs to this camera and this capture, or leave it out to have the truth aligned."
-            )
+            notes.append(_said("far_off", away_m=away))
     if motion.p_E_P is not None and motion.p_A_P is None and motion.R_A_P is not None:
         p_A_P = solve_plate_place(recovery, motion, clock, frame)
         away_m = float(np.linalg.norm(p_A_P))
         solved = CENTRED_M <= away_m <= LARGEST_PLATE_M
         motion = replace(motion, p_A_P=p_A_P if solved else np.zeros(3))
         why = "within its own error" if away_m < CENTRED_M else "farther than a plate reaches"
-        how = (
-            "The IMU's place on the plate was solved from the answer while the camera saw the arm"
-            f" ({1000 * away_m:.0f} mm from its mean): a constant error of the answer's place in the IMU's"
-            " axes is not seen."
-            if solved
-            else "The mean of the plate's markers is taken as the IMU's position: the visible answer has the"
-            f" IMU {1000 * away_m:.1f} mm from there, {why}."
-        )
-        notes.append(f"{how} State it in the map, [imu_plate].")
+        notes.append(_said("place" if solved else "centred", away_mm=1e3 * away_m, why=why))
     truth, landmarks = _aligned(motion, clock, frame, recovery)
     return truth, ReferenceAlignment(kind, clock, frame, landmarks, tuple(notes))
 

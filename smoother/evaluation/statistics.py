@@ -29,11 +29,9 @@ FEWEST_PAIRS = 3
 #: Agreement of an answer with a reference, in the unit of both, by name; None where samples are too few.
 Agreement = dict[str, Any]
 _ICC = ("icc", "icc_low", "icc_high")
-_SERIES = ("rmse", "bias", "limits_low", "limits_high", *_ICC)
-_PAIRS = (
-    *("bias", "limits_low", "limits_high", *_ICC, "sem", "mdc95", "mdc95_low", "mdc95_high"),
-    *("limits_low_from", "limits_low_to", "limits_high_from", "limits_high_to"),
-)
+_LIMITS = ("bias", "limits_low", "limits_high")
+_ENDS = ("limits_low_from", "limits_low_to", "limits_high_from", "limits_high_to")
+_CHANGE = ("mdc95", "mdc95_low", "mdc95_high")
 
 
 def agreement(answer: FloatArray, reference: FloatArray, *, degrees: bool = False) -> Agreement:  # (n,)
@@ -45,13 +43,11 @@ def agreement(answer: FloatArray, reference: FloatArray, *, degrees: bool = Fals
     if degrees:
         answer, reference = unwound_deg(answer, reference)
     count, difference = len(answer), answer - reference
-    found: Agreement = {"samples": count, "independent": float(count), **dict.fromkeys(_SERIES)}
+    found: Agreement = {"samples": count, "independent": float(count)}
     if count < FEWEST_PAIRS:
-        return found
-    bias, half = float(difference.mean()), LIMITS * float(difference.std(ddof=1))
+        return found | dict.fromkeys(("rmse", *_LIMITS, *_ICC))
     found |= {"independent": count / memory(reference), "rmse": float(np.sqrt(np.mean(difference**2)))}
-    found |= {"bias": bias, "limits_low": bias - half, "limits_high": bias + half}
-    return found | _icc(answer, reference, found["independent"])
+    return found | _limits(difference) | _icc(answer, reference, found["independent"])
 
 
 def pair_agreement(answer: FloatArray, reference: FloatArray) -> Agreement:  # (n,)
@@ -61,14 +57,13 @@ def pair_agreement(answer: FloatArray, reference: FloatArray) -> Agreement:  # (
     """
     answer, reference = _both(answer, reference)
     count, difference = len(answer), answer - reference
-    found: Agreement = {"pairs": count, **dict.fromkeys(_PAIRS)}
+    found: Agreement = {"pairs": count, **dict.fromkeys((*_LIMITS, *_ICC, "sem", *_CHANGE, *_ENDS))}
     if count < FEWEST_PAIRS:
         return found | {"bias": float(difference.mean()) if count else None}
     limits, sem = limits_of_agreement(difference), float(difference.std(ddof=1))
-    found |= {name: limits[name] for name in _PAIRS if name in limits}
-    ends = (sem, *sigma_interval(sem, count - 1))
-    changes = zip(("mdc95", "mdc95_low", "mdc95_high"), map(detectable_change, ends), strict=True)
-    return found | _icc(answer, reference) | {"sem": sem} | dict(changes)
+    changes = map(detectable_change, (sem, *sigma_interval(sem, count - 1)))
+    found |= {name: limits[name] for name in (*_LIMITS, *_ENDS)} | {"sem": sem}
+    return found | _icc(answer, reference) | dict(zip(_CHANGE, changes, strict=True))
 
 
 def _both(answer: FloatArray, reference: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -78,6 +73,11 @@ def _both(answer: FloatArray, reference: FloatArray) -> tuple[FloatArray, FloatA
 
 def _icc(answer: FloatArray, reference: FloatArray, independent: float | None = None) -> Agreement:
     return dict(zip(_ICC, icc_a1(np.column_stack([answer, reference]), independent), strict=True))
+
+
+def _limits(difference: FloatArray) -> dict[str, float]:
+    bias, half = float(difference.mean()), LIMITS * float(difference.std(ddof=1))
+    return dict(zip(_LIMITS, (bias, bias - half, bias + half), strict=True))
 
 
 def unwound_deg(answer: FloatArray, reference: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -144,17 +144,15 @@ def limits_of_agreement(difference: FloatArray) -> dict[str, float]:  # differen
     from scipy.stats import nct
     from scipy.stats import t as student
 
-    count, bias, spread = len(difference), float(difference.mean()), float(difference.std(ddof=1))
-    of_mean = spread / np.sqrt(count)
+    count, spread, found = len(difference), float(difference.std(ddof=1)), _limits(difference)
+    bias, of_mean = found["bias"], spread / np.sqrt(count)
     half = float(student.ppf(_HIGH, count - 1) * of_mean)
     near, far = (
         float(nct.ppf(p, count - 1, LIMITS * np.sqrt(count)) * of_mean) if spread > 0 else 0.0
         for p in (_LOW, _HIGH)
     )
-    found = {"bias": bias, "bias_low": bias - half, "bias_high": bias + half}
-    found |= {"limits_low": bias - LIMITS * spread, "limits_high": bias + LIMITS * spread}
-    found |= {"limits_low_from": bias - far, "limits_low_to": bias - near}
-    return found | {"limits_high_from": bias + near, "limits_high_to": bias + far}
+    ends = (bias - far, bias - near, bias + near, bias + far)
+    return found | {"bias_low": bias - half, "bias_high": bias + half} | dict(zip(_ENDS, ends, strict=True))
 
 
 def sem_agreement(ratings: FloatArray) -> tuple[float, float, float]:  # ratings (n, k)

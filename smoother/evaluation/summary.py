@@ -2,97 +2,78 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from ..angles import ForearmMounting, angles_by_joints
 from ..angles.definitions import ELBOW_FLEXION
-from ..array_types import BoolArray, FloatArray, IntArray
+from ..array_types import BoolArray, FloatArray
 from ..body import SEGMENTS
 from ..calibration import LeverArm
 from ..error_radius import error_radius, pooled_radius
 from ..measurements.visibility import Gap
 from ..recording import JOINTS
-from ..result import Estimates, GapVerdict, Recovery
+from ..result import Estimates, Recovery
 from ..table import Table, fixed, percent, tabulated
 from .metrics import rms, squared_sigmas
+
+if TYPE_CHECKING:
+    import pyarrow as pa
 
 #: About this many samples are pooled to one distance.
 _MOST_POOLED = 4000
 
 
 @dataclass(frozen=True)
-class GapSummary:
-    """One gap of a recovery."""
+class GapSummary(Gap):
+    """One gap of a recovery, on the IMU's clock, and the largest uncertainties in it."""
 
-    gap: Gap  # On the IMU's clock
-    sigma_max_m: float | None  # Largest standard deviation of the IMU's position in it, on one axis
-    sigma_max_deg: float | None  # Largest standard deviation of the orientation in it
-    sigma_max_flexion_deg: float | None  # Likewise of the elbow's flexion
-    answered: float  # Part of the samples in it that have an answer, 0 to 1
-    verdict: GapVerdict | None = None  # Whether its answer is to be trusted; None where not judged
-    # The IMU's position lies within this distance in 95 of 100 cases, at the least certain moment of it
-    error_95_m: float | None = None
+    sigma_max_m: float | None = None  # Standard deviation of the IMU's position, on one axis
+    sigma_max_deg: float | None = None  # Of the orientation
+    sigma_max_flexion_deg: float | None = None  # Of the elbow's flexion
+    error_95_m: float | None = None  # The IMU's position lies within this distance in 95 of 100 cases
     orientation_95_deg: float | None = None  # Likewise of the orientation
+    answered: float = 0.0  # Part of the samples in it that have an answer, 0 to 1
+    trusted: bool | None = None  # Whether its answer is to be trusted; None where not judged
+    reasons: tuple[str, ...] = ()  # Why it is not
 
     @property
     def one_sided(self) -> bool:
         """Whether the camera saw the forearm on one side of the gap only, or on none."""
-        return self.gap.open_start or self.gap.open_end
-
-    @property
-    def trusted(self) -> bool | None:
-        """Whether its answer is to be trusted; None where not judged."""
-        return None if self.verdict is None else self.verdict.trusted
-
-    @property
-    def reasons(self) -> tuple[str, ...]:
-        """Why it is not."""
-        return () if self.verdict is None else self.verdict.reasons
+        return self.open_start or self.open_end
 
     def is_wider_than(self, error_95_m: float) -> bool:
         """Whether the position is stated, and may be farther off than this somewhere in the gap."""
         return self.error_95_m is not None and self.error_95_m > error_95_m
 
-    def is_weaker_than(self, sigma_m: float) -> bool:
-        """Whether the position is stated, and less certain than this somewhere in the gap."""
-        return self.sigma_max_m is not None and self.sigma_max_m > sigma_m
-
     def to_dict(self) -> dict[str, object]:
         """Plain values by name."""
-        gap = {name: getattr(self.gap, name) for name in _OF_GAP}
-        return gap | {name: getattr(self, name) for name in _OF_ANSWER} | {"reasons": list(self.reasons)}
-
-
-_OF_GAP = ("start_s", "end_s", "length_s", "open_start", "open_end")
-_OF_ANSWER = (
-    *("sigma_max_m", "sigma_max_deg", "sigma_max_flexion_deg", "error_95_m", "orientation_95_deg"),
-    *("answered", "trusted"),
-)
+        return {"length_s": self.length_s, **vars(self), "reasons": list(self.reasons)}
 
 
 def gap_summaries(recovery: Recovery) -> list[GapSummary]:
     """The recovery's gaps, in order of time, with how sure it is in each."""
-    verdicts = recovery.gap_verdicts if recovery.has_verdict else (None,) * len(recovery.gaps)
+    judged = recovery.gap_verdicts if recovery.has_verdict else ()
     summaries = []
-    for gap, verdict in zip(recovery.gaps, verdicts, strict=True):
+    for number, gap in enumerate(recovery.gaps):
         start = int(np.searchsorted(recovery.t_s, gap.start_s, "left"))
         stop = int(np.searchsorted(recovery.t_s, gap.end_s, "right"))
         inside = recovery.rows(slice(start, stop))
-        flexion = angles_by_joints(inside, ForearmMounting(None), [ELBOW_FLEXION.name])
+        flexion = angles_by_joints(inside, ForearmMounting(None), [ELBOW_FLEXION.name])[1]
         summaries.append(
             GapSummary(
-                gap,
-                _largest(inside.worst_sigma_m),
-                _largest(inside.sigma_deg),
-                _largest(flexion[1][ELBOW_FLEXION.name]),
-                float(inside.answered.mean()) if len(inside) else 0.0,
-                verdict,
-                _largest(inside.error_95_m),
-                _largest(np.degrees(error_radius(inside.pose_covariance[:, 3:, 3:]))),
+                **vars(gap),
+                sigma_max_m=_largest(inside.worst_sigma_m),
+                sigma_max_deg=_largest(inside.sigma_deg),
+                sigma_max_flexion_deg=_largest(flexion[ELBOW_FLEXION.name]),
+                error_95_m=_largest(inside.error_95_m),
+                orientation_95_deg=_largest(np.degrees(error_radius(inside.pose_covariance[:, 3:, 3:]))),
+                answered=float(inside.answered.mean()) if len(inside) else 0.0,
+                trusted=judged[number].trusted if judged else None,
+                reasons=judged[number].reasons if judged else (),
             )
         )
     return summaries
@@ -112,8 +93,7 @@ def recovery_figures(recovery: Recovery) -> dict[str, object]:
         "occluded_samples": int(recovery.occluded.sum()),
         "occluded_s": float(sum(gap.length_s for gap in recovery.gaps)),
         "gaps": [summary.to_dict() for summary in gap_summaries(recovery)],
-        "sigma_m": sigma_figures(recovery),
-        "error_95_m": error_figures(recovery),
+        **certainty_figures(recovery),
         "clock_offset_s": recovery.clock_offset_s,
         "clock_offset_sigma_s": recovery.clock_offset_sigma_s,
         "gravity_direction": recovery.gravity_direction,
@@ -145,8 +125,6 @@ def cameras(recovery: Recovery) -> Table:
             ),
             "remark": lambda each: f"left out: {each.reason}" if each.reason else "is used",
         },
-        "Each camera was placed by the joints that it and the first one saw. A gap is a time in which none of"
-        " them saw the forearm.",
     )
 
 
@@ -157,43 +135,22 @@ def _turned_deg(R_K_C: Sequence[Sequence[float]] | None) -> float | None:
     return float(np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0))))
 
 
-def _by_part(
-    recovery: Recovery,
-    values: FloatArray,
-    only: BoolArray | None,
-    figures: Callable[[IntArray], dict[str, float | None]],
-) -> dict[str, dict[str, float | None]]:
-    """Figures of the samples with a finite value, while seen and in gaps."""
-    good = np.isfinite(values) if only is None else only & np.isfinite(values)
-    parts = {"visible": ~recovery.occluded, "occluded": recovery.occluded}
-    return {part: figures(np.flatnonzero(good & inside)) for part, inside in parts.items()}
+def certainty_figures(recovery: Recovery, only: BoolArray | None = None) -> dict[str, dict[str, Any]]:
+    """How certain the position of some samples (N,) or of all is, m, while seen and in gaps.
 
-
-def sigma_figures(
-    recovery: Recovery,
-    only: BoolArray | None = None,  # bool (N,)
-) -> dict[str, dict[str, float | None]]:
-    """Median and largest standard deviation of the position on its worst axis, m, while seen and in gaps."""
-    sigma = recovery.worst_sigma_m
-
-    def figures(rows: IntArray) -> dict[str, float | None]:
-        return {"median": float(np.median(sigma[rows])) if len(rows) else None, "max": _largest(sigma[rows])}
-
-    return _by_part(recovery, sigma, only, figures)
-
-
-def error_figures(
-    recovery: Recovery,
-    only: BoolArray | None = None,  # bool (N,)
-) -> dict[str, dict[str, float | None]]:
-    """How far off the IMU's position is in 95 of 100 cases, m, while seen and in gaps."""
-    radius = recovery.error_95_m
-
-    def figures(rows: IntArray) -> dict[str, float | None]:
+    Of `sigma_m`, the standard deviation on the worst axis, median and largest; of `error_95_m`, how far off
+    it is in 95 of 100 cases, that of all samples together and the largest.
+    """
+    sigma, radius = recovery.worst_sigma_m, recovery.error_95_m
+    figures: dict[str, dict[str, Any]] = {"sigma_m": {}, "error_95_m": {}}
+    for part, inside in (("visible", ~recovery.occluded), ("occluded", recovery.occluded)):
+        chosen = inside if only is None else inside & only
+        known, rows = (np.flatnonzero(chosen & np.isfinite(each)) for each in (sigma, radius))
         some = recovery.pose_covariance[rows[:: max(1, len(rows) // _MOST_POOLED)]]
-        return {"all": pooled_radius(some[:, :3, :3]), "max": _largest(radius[rows])}
-
-    return _by_part(recovery, radius, only, figures)
+        median = float(np.median(sigma[known])) if len(known) else None
+        figures["sigma_m"][part] = {"median": median, "max": _largest(sigma[known])}
+        figures["error_95_m"][part] = {"all": pooled_radius(some[:, :3, :3]), "max": _largest(radius[rows])}
+    return figures
 
 
 #: Most samples of a joint whose consistency is looked at, evenly spaced over the recording.
@@ -263,6 +220,18 @@ def trust_word(trusted: bool | None, gaps: int | None, untrusted: int | None) ->
     if untrusted:
         return f"{untrusted} of {gaps} gaps not"
     return "" if trusted is None else "yes"
+
+
+def least_trusted(row: Mapping[str, Any]) -> tuple[bool, bool, float]:
+    """By which rows are sorted: not to be trusted first, then some of their gaps, then the largest sigma."""
+    return row["trusted"] is not False, not row["gaps_untrusted"], -(row["sigma_max_m"] or 0.0)
+
+
+def worst_of(rows: pa.Table, most: int) -> pa.Table:
+    """The rows to look at first, at most this many."""
+    few: list[dict[str, Any]] = rows.select(["trusted", "gaps_untrusted", "sigma_max_m"]).to_pylist()
+    order = sorted(range(len(few)), key=lambda place: least_trusted(few[place]))
+    return rows.take(np.array(order[:most], np.int64))
 
 
 def _largest(values: np.ndarray) -> float | None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +17,9 @@ from ..result import Recovery
 from ..runtime.inputs import check_input
 from .metrics import best_correlation, orientation_error_deg, truth_at
 from .mocap.clock import STEP_S, turns_rad, way_m
+from .words import said
 
+_said = partial(said, "reference")
 #: What a truth may be read from.
 FORMATS = (".mcap", ".csv")
 _COLUMNS = ("t_s", "x", "y", "z")
@@ -122,17 +125,10 @@ def truth_notes(recovery: Recovery, truth: Truth, aligned: bool = False) -> list
         return []
     correlations = _correlations(recovery, truth)
     if correlations and max(correlations) < LEAST_CORRELATION:
-        return [
-            "Truth and result do not move alike (correlation of their speeds at best"
-            f" {max(correlations):.2f} within half a second): the truth is of another recording, or its"
-            " clock differs; try --align."
-        ]
+        return [_said("other_motion", correlation=max(correlations))]
     notes = []
     if distance_m > OTHER_FRAME_M and correlations:
-        notes.append(
-            f"The truth moves as the result does but is {distance_m:.2f} m (median) from it where the"
-            " camera sees the arm: are its axes the camera's? (--align solves them)"
-        )
+        notes.append(_said("other_frame", away_m=distance_m))
     return notes + _axes_notes(recovery, at, chosen)
 
 
@@ -160,10 +156,7 @@ def _unit_words(recovery: Recovery, truth: Truth, distance_m: float) -> str:
         np.nanmedian(np.linalg.norm(answer, axis=1))
     )
     unit = "centimetres" if 30.0 < ratio < 300.0 else "millimetres"
-    return (
-        f"The truth's positions lie {distance_m:.0f} m (median) from the answer's: they look like {unit};"
-        " metres are needed."
-    )
+    return _said("other_unit", away_m=distance_m, unit=unit)
 
 
 def _correlations(recovery: Recovery, truth: Truth) -> list[float]:
@@ -200,14 +193,10 @@ def _axes_notes(recovery: Recovery, at: Truth, chosen: BoolArray) -> list[str]:
     angle_deg = float(np.median(orientation_error_deg(mine, other)))
     if not angle_deg > OTHER_AXES_DEG:
         return []
-    start = f"The truth's orientation is {angle_deg:.0f} degrees (median) off"
     # the columns contain qx, qy, qz, qw under the names qw, qx, qy, qz
     if np.median(orientation_error_deg(mine, np.roll(other, 1, axis=1))) < RIGHT_ORDER_DEG:
-        return [f"{start}, and fits as qx, qy, qz, qw: is the order of its columns qw, qx, qy, qz?"]
+        return [_said("other_order", angle_deg=angle_deg)]
     turn = Rotation.from_quat(mine, scalar_first=True).inv() * Rotation.from_quat(other, scalar_first=True)
     apart = np.degrees((turn.mean().inv() * turn).magnitude())
     steady = "by a constant turn" if np.median(apart) < RIGHT_ORDER_DEG else "all the time"
-    return [
-        f"{start} {steady}: is the order qw, qx, qy, qz, and are its axes the IMU's, in the camera's frame?"
-        " (--align solves another frame, not other axes of the sensor)"
-    ]
+    return [_said("other_axes", angle_deg=angle_deg, steady=steady)]

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -21,24 +22,22 @@ from ..runtime.pool import Progress
 from ..table import Table, fixed, tabulated
 from .measure_agreement import MeasureComparison, MeasurePair, compare_measures
 from .metrics import (
+    Errors,
     Figures,
-    coverage_95,
     lag_s,
-    mean_vector,
-    nees,
     orientation_error_deg,
     position_at,
     rms,
     rotation_error,
     squared_sigmas,
-    summarise,
     truth_at,
 )
 from .reference import ReferenceAlignment
 from .statistics import Agreement, agreement
 from .truth import truth_notes
-from .words import limits_words, with_interval
+from .words import limits_words, said, with_interval
 
+_said = partial(said, "reference")
 PARTS = ("all", "occluded", "visible")
 #: What may be compared, the forearm IMU first; joints where the truth has none.
 SENSOR = "sensor"
@@ -48,76 +47,45 @@ _MOST_POOLED = 4000
 
 
 @dataclass(frozen=True)
-class SampleErrors:
-    """Errors sample by sample, at the recovery's times; nan where there is nothing to compare."""
+class SampleErrors(Errors):
+    """Errors of the sensor, and of each joint, at the recovery's times."""
 
     reference: Truth  # The truth at the recovery's times
-    scored: BoolArray  # bool (n,): the reference has a position there that is to be scored
-    difference_m: FloatArray  # (n, 3) m: answer minus reference, in {K}
-    squared_sigmas: FloatArray  # (n,): squared position error in sigmas
-    turn_rad: FloatArray  # (n, 3) rad: rotation vector from reference to answer, in {K}
-    angle_deg: FloatArray  # (n,) degrees: orientation error, as an angle of rotation
-    turn_squared_sigmas: FloatArray  # (n,): squared orientation error in sigmas
-    joint_difference_m: dict[str, FloatArray]  # dict of (n, 3) and (n,): of joints that the reference has
-    joint_squared_sigmas: dict[str, FloatArray]
+    joints: dict[str, Errors]  # Of those that the reference has
 
-    @property
-    def distance_m(self) -> FloatArray:
-        """(n,) m: position error."""
-        return np.asarray(np.linalg.norm(self.difference_m, axis=1))
-
-    @property
-    def joint_distance_m(self) -> dict[str, FloatArray]:
-        """(n,) m: position error by joint."""
-        return {name: np.linalg.norm(each, axis=1) for name, each in self.joint_difference_m.items()}
-
-    def figures(self, chosen: BoolArray) -> Figures:
-        """The figures of the chosen samples (N,)."""
-        distance = self.distance_m[chosen]
-        unanswered = int((self.scored[chosen] & ~np.isfinite(distance)).sum())
-        squared = self.turn_squared_sigmas[chosen]
-        return replace(
-            summarise(distance, self.angle_deg[chosen], self.squared_sigmas[chosen], unanswered),
-            joint_rms_m={name: rms(each[chosen]) for name, each in self.joint_distance_m.items()},
-            position_bias_m=mean_vector(self.difference_m[chosen]),
-            orientation_bias_deg=mean_vector(np.degrees(self.turn_rad[chosen])),
-            orientation_nees=nees(squared),
-            orientation_coverage_95=coverage_95(squared),
-        )
-
-    def joint_figures(self, joint: str, chosen: BoolArray) -> Figures:
-        """The figures of a joint's position over the chosen samples (N,)."""
-        difference, squared = self.joint_difference_m[joint][chosen], self.joint_squared_sigmas[joint][chosen]
-        figures = summarise(np.linalg.norm(difference, axis=1), np.full(len(squared), np.nan), squared)
-        return replace(figures, position_bias_m=mean_vector(difference))
+    def figures(self, chosen: BoolArray | slice = slice(None)) -> Figures:
+        """The figures of the sensor, with the rms of the joints."""
+        joints = {name: rms(each.distance_m[chosen]) for name, each in self.joints.items()}
+        return replace(super().figures(chosen), joint_rms_m=joints)
 
 
 def sample_errors(recovery: Recovery, truth: Truth) -> SampleErrors:
     """Errors of a recovery at each of its samples; the truth is read at the recovery's times."""
     reference = truth_at(truth, recovery.t_s)
+    unknown = np.full((len(recovery), 3, 3), np.nan)
 
     def scored(values: FloatArray) -> FloatArray:
         return np.where(reference.score[:, None] if values.ndim > 1 else reference.score, values, np.nan)
 
+    joints = {}
+    for name, position in reference.joints.items():
+        if name in recovery.joints:
+            off, spread = (
+                scored(recovery.joints[name] - position),
+                recovery.joint_covariance.get(name, unknown),
+            )
+            joints[name] = Errors.of_positions(off, squared_sigmas(off, spread))
     difference = scored(recovery.position - reference.position)
     turn = scored(rotation_error(recovery.quaternion, reference.quaternion))
-    joints = {
-        name: scored(recovery.joints[name] - position)
-        for name, position in reference.joints.items()
-        if name in recovery.joints
-    }
-    unknown = np.full((len(recovery), 3, 3), np.nan)
-    spread = {name: recovery.joint_covariance.get(name, unknown) for name in joints}
     return SampleErrors(
-        reference=reference,
-        scored=reference.score & np.isfinite(reference.position).all(axis=1),
-        difference_m=difference,
-        squared_sigmas=squared_sigmas(difference, recovery.pose_covariance[:, :3, :3]),
-        turn_rad=turn,
-        angle_deg=scored(orientation_error_deg(recovery.quaternion, reference.quaternion)),
-        turn_squared_sigmas=squared_sigmas(turn, recovery.pose_covariance[:, 3:, 3:]),
-        joint_difference_m=joints,
-        joint_squared_sigmas={name: squared_sigmas(each, spread[name]) for name, each in joints.items()},
+        difference,
+        squared_sigmas(difference, recovery.pose_covariance[:, :3, :3]),
+        reference.score & np.isfinite(reference.position).all(axis=1),
+        turn,
+        scored(orientation_error_deg(recovery.quaternion, reference.quaternion)),
+        squared_sigmas(turn, recovery.pose_covariance[:, 3:, 3:]),
+        reference,
+        joints,
     )
 
 
@@ -125,7 +93,7 @@ def sample_errors(recovery: Recovery, truth: Truth) -> SampleErrors:
 class Validation:
     """A recovery held against a reference."""
 
-    all: Figures  # Figures of all samples, of those in gaps, and of the others
+    all: Figures  # Figures of the sensor: of all samples, of those in gaps, and of the others
     occluded: Figures
     visible: Figures
     stated_m: Mapping[str, float | None]  # By part, within which 95 of 100 errors lie as stated
@@ -134,7 +102,10 @@ class Validation:
     gaps: tuple[tuple[Gap, Figures], ...]  # Figures of each gap that contains a sample with truth
     angles: dict[str, dict[str, Agreement]]  # Agreement of the joint angles that both have, by part
     carrying_truth_deg: float | None  # Median of the truth's; None without markers on the epicondyles
-    lag_s: float | None  # How late the answer's position is against the truth's
+    point: str  # The first of `POINTS` that truth and answer share; "" without one
+    path: FloatArray  # (n, 3) m: of that point in the answer, in {K}
+    lag_s: float | None  # How late it is against the truth's, over all samples
+    lag_occluded_s: float | None  # The same over those in gaps
     alignment: ReferenceAlignment  # How the truth was brought to the result
     measures: MeasureComparison | None = None  # What clinicians read, of both
 
@@ -143,12 +114,6 @@ class Validation:
         found: Figures | None
         found = getattr(self, part) if point == SENSOR else self.points.get(point, {}).get(part)
         return found
-
-    @property
-    def point(self) -> str:
-        """The first of `POINTS` that truth and answer share; "" without one."""
-        shared = ((point, self.figures_of(point, "all")) for point in POINTS)
-        return next((point for point, found in shared if found is not None and found.samples), "")
 
     def to_dict(self) -> dict[str, Any]:
         """The figures by name, as `--json` writes them."""
@@ -270,33 +235,40 @@ def validate(
     """
     alignment = alignment or ReferenceAlignment()
     errors = sample_errors(recovery, truth)
-    compared = (errors.difference_m, errors.angle_deg[:, None], *errors.joint_difference_m.values())
+    angles = errors.angle_deg[:, None]
+    compared = (errors.difference_m, angles, *(each.difference_m for each in errors.joints.values()))
     if not errors.scored.any() and not any(np.isfinite(each).any() for each in compared):
         raise RecordingError(_nothing_shared(recovery, truth))
-    parts = dict(
-        zip(PARTS, (np.ones(len(recovery), bool), recovery.occluded, ~recovery.occluded), strict=True)
-    )
-    figures = {name: errors.figures(chosen) for name, chosen in parts.items()}
-    points = {
-        joint: {name: errors.joint_figures(joint, chosen) for name, chosen in parts.items()}
-        for joint in errors.joint_difference_m
-    }
-    stated: dict[str, float | None] = {}
-    for name, chosen in parts.items():
-        rows = np.flatnonzero(chosen)
-        some = recovery.pose_covariance[rows[:: max(1, len(rows) // _MOST_POOLED)], :3, :3]
-        stated[name] = pooled_radius(some) if figures[name].position_p95_m is not None else None
+    everything = np.ones(len(recovery), bool)
+    parts = dict(zip(PARTS, (everything, recovery.occluded, ~recovery.occluded), strict=True))
+
+    def by_part(of: Errors) -> dict[str, Figures]:
+        return {name: of.figures(chosen) for name, chosen in parts.items()}
+
+    figures, points = by_part(errors), {joint: by_part(each) for joint, each in errors.joints.items()}
+    shared = {SENSOR: figures} | points
+    point = next((each for each in POINTS if each in shared and shared[each]["all"].samples), "")
+    path = recovery.joints.get(point, recovery.position)
+    known = truth.joints[point] if point in points else truth.position
+    lags = [
+        lag_s(
+            recovery.t_s,
+            np.where(parts[part][:, None], path, np.nan),
+            np.where(truth.score[:, None], known, np.nan),
+            truth.t_s,
+        )
+        if point
+        else None
+        for part in ("all", "occluded")
+    ]
     answer, true, carrying, said = compare_angles(recovery, errors.reference, alignment.landmarks, truth.t_s)
-    found = Validation(
-        figures["all"],
-        figures["occluded"],
-        figures["visible"],
-        stated_m=stated,
+    return Validation(
+        **figures,
+        stated_m={name: _stated_m(recovery, chosen, figures[name]) for name, chosen in parts.items()},
         notes=(
-            *_same(figures["all"], points),
+            *_notes(errors, shared),
             *alignment.notes,
             *truth_notes(recovery, truth, aligned=alignment.kind != "none"),
-            *_notes(errors, figures["all"]),
             *said,
         ),
         points=points,
@@ -306,61 +278,49 @@ def validate(
             for name, chosen in (parts if answer else {}).items()
         },
         carrying_truth_deg=carrying,
-        lag_s=None,
+        point=point,
+        path=path,
+        lag_s=lags[0],
+        lag_occluded_s=lags[1],
         alignment=alignment,
+        measures=None
+        if pooled is None
+        else compare_measures(recovery, errors.reference, pooled, processes, progress),
     )
-    lag = point_lag_s(recovery, truth, found.point) if found.point else None
-    measures = None
-    if pooled is not None:
-        measures = compare_measures(recovery, errors.reference, pooled, processes, progress)
-    return replace(found, lag_s=lag, measures=measures)
 
 
-def point_lag_s(recovery: Recovery, truth: Truth, point: str, only: BoolArray | None = None) -> float | None:
-    """How late a point of the answer is against the truth's, s, over some samples (N,) or all."""
-    is_sensor = point == SENSOR
-    path = recovery.position if is_sensor else recovery.joints[point]
-    known = np.where(truth.score[:, None], truth.position if is_sensor else truth.joints[point], np.nan)
-    return lag_s(
-        recovery.t_s, path if only is None else np.where(only[:, None], path, np.nan), known, truth.t_s
-    )
+def _stated_m(recovery: Recovery, chosen: BoolArray, figures: Figures) -> float | None:
+    """Within which 95 of 100 errors of some samples lie as stated; None where they have none."""
+    if figures.position_p95_m is None:
+        return None
+    rows = np.flatnonzero(chosen)
+    return pooled_radius(recovery.pose_covariance[rows[:: max(1, len(rows) // _MOST_POOLED)], :3, :3])
 
 
 #: Two measurements of a motion never agree this well, m; an export rounds its values less.
 _SAME_M = 1e-4
 
 
-def _same(figures: Figures, points: dict[str, dict[str, Figures]]) -> list[str]:
-    """Says so where the reference is the result itself."""
-    errors = [one.position_rms_m for one in (figures, *(each["all"] for each in points.values()))]
-    known = [error for error in errors if error is not None]
-    if known and max(known) < _SAME_M:
-        return ["The reference is this result itself, or an export of it: the comparison shows nothing."]
-    return []
-
-
-def _notes(errors: SampleErrors, figures: Figures) -> list[str]:
-    notes = []
+def _notes(errors: SampleErrors, shared: Mapping[str, Mapping[str, Figures]]) -> Iterator[str]:
+    """What a reader must know of the comparison; `shared` has the figures of each point by part."""
+    rms_m = [parts["all"].position_rms_m for parts in shared.values()]
+    if (known := [each for each in rms_m if each is not None]) and max(known) < _SAME_M:
+        yield _said("same")
     if not errors.scored.any():
-        notes.append("The truth has no position of the IMU (no plate); joints are compared.")
+        yield _said("joints_only")
     if not np.isfinite(errors.angle_deg).any():
-        notes.append("The truth and the result share no orientation; only positions are compared.")
-    if figures.unanswered:
-        notes.append(
-            f"{figures.unanswered} of {figures.unanswered + figures.samples} samples with truth have no"
-            " result and are excluded."
-        )
-    return notes
+        yield _said("no_orientation")
+    found = shared[SENSOR]["all"]
+    if found.unanswered:
+        yield _said("unanswered", count=found.unanswered, total=found.unanswered + found.samples)
 
 
-def _gaps(recovery: Recovery, errors: SampleErrors) -> list[tuple[Gap, Figures]]:
-    rows = []
+def _gaps(recovery: Recovery, errors: SampleErrors) -> Iterator[tuple[Gap, Figures]]:
     for gap in recovery.gaps:
         inside = (recovery.t_s > gap.start_s) & (recovery.t_s < gap.end_s) & recovery.occluded
         figures = errors.figures(inside)
         if figures.samples or any(value is not None for value in figures.joint_rms_m.values()):
-            rows.append((gap, figures))
-    return rows
+            yield gap, figures
 
 
 def _nothing_shared(recovery: Recovery, truth: Truth) -> str:
@@ -418,15 +378,8 @@ def compare_angles(
         axis = at["lateral_epicondyle"] - at["medial_epicondyle"]
         own = arm_angles(joints, len(recovery), None, *about, flexion_axis=axis)["carrying"]
         carrying = float(np.nanmedian(own)) if np.isfinite(own).any() else None
-    return {k: mine[k] for k in shared}, {k: other[k] for k in shared}, carrying, [*_OF_ANGLES, note]
-
-
-_OF_ANGLES = (
-    "Angles are in ISB order; the thorax is not seen, so shoulder angles are relative to gravity and to a"
-    " person who faces the camera.",
-    "The carrying angle needs the humerus' own axis (epicondyles), which a skeleton does not have: it is not"
-    " compared.",
-)
+    notes = [_said("angles"), _said("carrying"), note]
+    return {k: mine[k] for k in shared}, {k: other[k] for k in shared}, carrying, notes
 
 
 def _true_forearm(
@@ -438,11 +391,8 @@ def _true_forearm(
         thumb = (at["radial_styloid"] - at["ulnar_styloid"]) * (-1.0 if recovery.side == "left" else 1.0)
         x = unit(np.cross(y, thumb))
         axes = np.stack([x, y, np.cross(x, y)], axis=2)
-        return axes, "The truth's pronation is that of the styloids' markers."
+        return axes, _said("styloids")
     mounting = None if recovery.calibration is None else recovery.calibration.R_F_A
     if mounting is None:
-        return None, "The forearm's axes in the IMU (R_F_A) are not known: pronation is not compared."
-    return (
-        forearm_axes(reference.quaternion, mounting),
-        "Pronation of truth and answer share the forearm's axes in the IMU: its error is not in the figure.",
-    )
+        return None, _said("no_mounting")
+    return forearm_axes(reference.quaternion, mounting), _said("shared_mounting")

@@ -1,13 +1,46 @@
-"""Measures as people read them: values and intervals in their units, and which measures come first."""
+"""Sentences, and measures as people read them: in their units, and which come first."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Mapping
+import re
+import tomllib
+from collections.abc import Collection, Iterable, Mapping
+from functools import cache
+from importlib import resources
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from ..measures import Measure
+
+
+def texts(document: str) -> dict[str, Any]:
+    """The texts of a TOML document, each on one line."""
+
+    def flat(value: Any) -> Any:
+        if isinstance(value, dict):
+            return {name: flat(each) for name, each in value.items()}
+        return re.sub(r"\s*\n\s*", " ", value).strip()
+
+    found: dict[str, Any] = flat(tomllib.loads(document))
+    return found
+
+
+@cache
+def _sentences() -> dict[str, dict[str, str]]:
+    return texts(resources.files(__package__).joinpath("sentences.toml").read_text(encoding="utf-8"))
+
+
+def said(about: str, name: str, **given: object) -> str:
+    """A sentence of `sentences.toml`, filled in."""
+    return _sentences()[about][name].format(**given)
+
+
+def listed(names: Iterable[str]) -> str:
+    """Names in a sentence, as "a, b and c"."""
+    *first, last = list(names) or [""]
+    return f"{', '.join(first)} and {last}" if first else last
+
 
 #: By the unit of a measure: factor, unit for people, decimals.
 _SHOWN: dict[str, tuple[float, str, int]] = {

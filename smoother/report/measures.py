@@ -18,6 +18,7 @@ from .sheet import (
     PageSection,
     badge,
     capitalised,
+    caption,
     explained,
     label,
     limits,
@@ -35,17 +36,10 @@ REACHED = {
     "hand_to_head_reached": "hand to head",
     "hand_behind_back_reached": "hand behind the back",
 }
-#: What is drawn of each movement: heading and caption.
+#: What is drawn of each movement, and under which heading.
 BY_MOVEMENT = {
-    "hand_peak_speed_m_s": (
-        "How fast the hand was",
-        "The hand's highest speed in each movement, m/s, in the order of time.",
-    ),
-    "sparc": (
-        "How smoothly the hand moved",
-        "SPARC of each movement, in the order of time: nearer to zero is smoother. A long movement with many"
-        " turns is less smooth than a short one, whoever performs it.",
-    ),
+    "hand_peak_speed_m_s": "How fast the hand was",
+    "sparc": "How smoothly the hand moved",
 }
 #: More movements are not drawn one by one.
 MOST_MOVEMENTS = 24
@@ -93,8 +87,8 @@ def _sections(arms: Sequence[Measures], pairs: Sequence[BothArms]) -> Iterator[P
     symmetry = pairs[0].by_key if len(arms) == 2 and len(pairs) == 1 and trusted else {}
     yield _ranges(arms)
     yield _reach(arms)
-    for key, (heading, caption) in BY_MOVEMENT.items():
-        yield _by_movement(arms, key, heading, caption)
+    for key, heading in BY_MOVEMENT.items():
+        yield _by_movement(arms, key, heading)
     yield _table(arms, symmetry)
     yield limits((sentence for arm in arms for sentence in _limits(arm, _of(arm, arms))), MOST_LIMITS)
     keys = [row.key for arm in arms for row in arm.session if row.is_known and is_main(row.key)]
@@ -128,9 +122,7 @@ def _ranges(arms: Sequence[Measures]) -> PageSection:
     figure.update_xaxes(ticksuffix="°", rangemode="tozero").update_yaxes(autorange="reversed")
     return PageSection(
         "How far the joints moved",
-        "The blue bar goes from the smallest to the largest angle; the dark lines at its ends are their 95 %"
-        " intervals.",
-        dress(figure, 60 + 42 * len(names), head=5, showlegend=False),
+        plot=dress(figure, 60 + 42 * len(names), head=5, showlegend=False),
     )
 
 
@@ -151,12 +143,11 @@ def _reach(arms: Sequence[Measures]) -> PageSection:
     rows = [[words, *(reached(arm, key) for arm in arms)] for key, words in REACHED.items() if any_known(key)]
     if any_known(volume := "hand_reach_hull_l"):
         rows.append(["reach volume", *(measure_words(arm.by_key.get(volume)) for arm in arms)])
-    caption = "Reached: at least once in every drawn motion; followed by the hand's closest distance."
     columns = ["goal", *(arm.arm_label for arm in arms)]
-    return rendered(Table("Where the hand reached", columns, rows, caption))
+    return rendered(Table("Where the hand reached", columns, rows))
 
 
-def _by_movement(arms: Sequence[Measures], key: str, heading: str, caption: str) -> PageSection:
+def _by_movement(arms: Sequence[Measures], key: str, heading: str) -> PageSection:
     """A measure over the movements of each arm, with its intervals."""
     panels, most = [], max((len(arm.movements) for arm in arms), default=0)
     for arm in arms:
@@ -169,9 +160,8 @@ def _by_movement(arms: Sequence[Measures], key: str, heading: str, caption: str)
         figure.update_xaxes(title_text="movement", dtick=max(1, len(rows) // 12))
         title = Html("<h3>{}</h3>").format(capitalised(arm.arm_label)) if len(arms) > 1 else Html("")
         panels.append((title, dress(figure, 170, head=8, showlegend=False)))
-    if panels and most > MOST_MOVEMENTS:
-        caption += f" The first {MOST_MOVEMENTS} of {most} movements are drawn."
-    return PageSection(heading, caption, panels=panels)
+    more = f" The first {MOST_MOVEMENTS} of {most} movements are drawn." if most > MOST_MOVEMENTS else ""
+    return PageSection(heading, caption(heading, more=more), panels=panels)
 
 
 def _table(arms: Sequence[Measures], symmetry: dict[str, Measure]) -> PageSection:
@@ -186,11 +176,10 @@ def _table(arms: Sequence[Measures], symmetry: dict[str, Measure]) -> PageSectio
         index = symmetry.get(f"{key}_symmetry_percent")
         rows.append([*cells, measure_words(index) if index and index.is_known else None])
     columns = ["measure", *(f"95 % interval{_of(arm, arms)}" for arm in arms), "recovered"]
-    caption = "Over the whole recording: the value, and its 95 % interval in brackets."
     columns, rows = (
         ([*columns, "right against left"], rows) if symmetry else (columns, [r[:-1] for r in rows])
     )
-    return rendered(Table("The main measures", columns, rows, caption))
+    return rendered(Table("The main measures", columns, rows))
 
 
 def _limits(arm: Measures, mark: str) -> Iterator[str]:

@@ -15,7 +15,7 @@ from ..evaluation.gaps import GapTable
 from ..measurements.visibility import Gap
 from ..recording import Recording
 from ..table import tabulated
-from .sheet import Page, PageSection, capitalised, label, notes, rendered
+from .sheet import Page, PageSection, capitalised, caption, label, notes, rendered
 from .style import CAMERA, SHADE, TRUTH, axis_names, curve, dots, dress, interval_bars
 
 #: Colour and plotly dash of each method; strong methods in strong colours.
@@ -54,7 +54,7 @@ def comparison_page(compared: Sequence[tuple[Recording, Comparison]]) -> Page:
     arms = f", {len(compared)} arms" if len(compared) > 1 else f", {len(first.graph.gaps)} gaps"
     return Page(
         first.alignment.titled(f"Methods compared: {recording.name}"),
-        f"{len(first.rows)} methods{arms}; the {_point(first)} compared with the truth.",
+        f"{len(first.methods)} methods{arms}; the {_point(first)} compared with the truth.",
         [f"{name}{text}" for name, (_, one) in zip(names, compared, strict=True) for text in verdict(one)],
         [
             replace(section, heading=f"{name}{section.heading}")
@@ -83,11 +83,12 @@ def verdict(comparison: Comparison) -> list[str]:
 
 def sections(comparison: Comparison, recording: Recording) -> Iterator[PageSection]:
     """The sections about one arm."""
-    yield from map(rendered, comparison.tables)
+    for what, table in zip(("errors", "joints", "lag"), comparison.tables, strict=True):
+        yield rendered(table, caption(f"Methods: {what}"))
     longest = sorted(comparison.graph.gaps, key=lambda gap: -gap.length_s)[:MOST_GAPS]
     for gap in sorted(longest, key=lambda gap: gap.start_s):
         heading = f"Gap at {gap.start_s:.2f} s, {gap.length_s:.2f} s long"
-        yield PageSection(heading, _CURVES, in_gap(comparison, recording, gap))
+        yield PageSection(heading, caption("Methods: one gap"), in_gap(comparison, recording, gap))
     not_drawn = len(comparison.graph.gaps) - len(longest)
     more = [f"{not_drawn} gaps more are not drawn: the longest are"] if not_drawn else []
     yield notes([*more, *recording.notes, *comparison.notes])
@@ -102,7 +103,8 @@ def in_gap(comparison: Comparison, recording: Recording, gap: Gap) -> go.Figure:
     at = recording.arm.t_s + offset
     tracked = recording.arm.tracked(joint) & (at >= gap.start_s - AROUND_S) & (at <= gap.end_s + AROUND_S)
     camera = recording.arm.joint(joint)[tracked]
-    paths = {row.method: row.path[shown] for row in reversed(comparison.rows) if row.path is not None}
+    answered = reversed(comparison.validated.items())
+    paths = {name: each.path[shown] for name, each in answered if each.point == comparison.point}
     plot = make_subplots(rows=4, cols=1, shared_xaxes=True, vertical_spacing=0.035)
     for axis, title in enumerate(
         [*(f"{name}, m" for name in axis_names(recording.camera_frame)), "error, cm"]
@@ -127,12 +129,6 @@ def in_gap(comparison: Comparison, recording: Recording, gap: Gap) -> go.Figure:
 
 def _point(comparison: Comparison) -> str:
     return "forearm sensor" if comparison.point == "sensor" else comparison.point
-
-
-_CURVES = (
-    "The shaded time is hidden from the camera. The dashed line is the truth. Click a name to hide its"
-    " curve, double-click to isolate it. The lowest plot is the distance from the truth."
-)
 
 
 #: By length of gap (s), rising, and method: `GapGroup.spread`.
@@ -162,8 +158,8 @@ def gap_curves_page(table: GapTable, name: str, remarks: Sequence[str] = ()) -> 
         f"{gaps} gaps were made where the camera saw the arm, and recovered; compared with {reference}.",
         gap_verdict(spreads),
         [
-            PageSection("Error against gap length", _GAP_CURVES, curves(spreads)),
-            rendered(tabulated("The figures", rows, columns | {"failed": "failed"}, _TABLE)),
+            PageSection("Error against gap length", plot=curves(spreads)),
+            rendered(tabulated("The figures", rows, columns | {"failed": "failed"})),
             notes(dict.fromkeys((*remarks, *table.notes))),
         ],
     )
@@ -217,13 +213,3 @@ def curves(spreads: Spreads) -> go.Figure:
     plot.update_yaxes(type="log", title_text="error in a gap, rms, cm", exponentformat="none")
     dress(plot, 620, head=70)
     return plot.update_layout(legend={"traceorder": "reversed"}, showlegend=True)
-
-
-_GAP_CURVES = (
-    "Each gap's error is its root mean square; lines join the medians over the gaps of a length. Bars reach"
-    " from the 25 % to the 75 % quartile. Both axes are logarithmic. Click a name to hide its line."
-)
-_TABLE = (
-    "Each gap counts once, with its rms: median, quartiles, root mean square and the worst over the gaps of a"
-    " length, the best median first. (The terminal's median is over all samples of these gaps.)"
-)

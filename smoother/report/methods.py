@@ -16,39 +16,11 @@ from ..evaluation.summary import gap_summaries
 from ..linalg import median_rate_hz
 from ..recording import JOINTS
 from ..result import Recovery
-from .sheet import web_file
+from .sheet import web_file, words
 
-#: What sentences cite as "[@key]"; a DOI only where it is known for certain.
-REFERENCES = {
-    "unocclude": "the unocclude contributors. unocclude (software), version {version}.",
-    "gtsam": "F. Dellaert and GTSAM contributors. GTSAM. https://github.com/borglab/gtsam",
-    "forster2017": "C. Forster, L. Carlone, F. Dellaert, D. Scaramuzza. On-manifold preintegration for"
-    " real-time visual-inertial odometry. IEEE Trans. Robotics 33(1), 2017. doi:10.1109/TRO.2016.2597321",
-    "laidig2023": "D. Laidig, T. Seel. VQF: highly accurate IMU orientation estimation with bias estimation"
-    " and magnetic disturbance rejection. Information Fusion 91, 2023. doi:10.1016/j.inffus.2022.10.014",
-    "wu2005": "G. Wu et al. ISB recommendation on definitions of joint coordinate systems, part II. Journal"
-    " of Biomechanics 38(5), 2005. doi:10.1016/j.jbiomech.2004.05.042",
-    "cereatti2024": "A. Cereatti et al. ISB recommendations on the definition, estimation, and reporting of"
-    " joint kinematics using wearable inertial measurement technology. Journal of Biomechanics 173, 2024."
-    " doi:10.1016/j.jbiomech.2024.112225",
-    "jatesiktat2017": "P. Jatesiktat, W. T. Ang. Recovery of forearm occluded trajectory in Kinect using a"
-    " wrist-mounted inertial measurement unit. EMBC, 2017.",
-    "bell1994": "B. M. Bell. The iterated Kalman smoother as a Gauss-Newton method. SIAM J. Optimization,"
-    " 1994.",
-    "tian2015": "Tian et al. Neurocomputing, 2015 (unscented Kalman filter).",
-    "feng2014": "Feng. Thesis, University of Glasgow, 2014.",
-    "le2017": "Le. Thesis, Texas A&M University, 2017.",
-    "fritsch1980": "F. N. Fritsch, R. E. Carlson. Monotone piecewise cubic interpolation. SIAM J. Numerical"
-    " Analysis 17, 1980.",
-    "madgwick2010": "S. O. H. Madgwick. Report (orientation filter), 2010.",
-    "comotti2013": "Comotti. 2013 (orientation filter).",
-}  # fmt: skip
-ORIENTATION_WORDS = {
-    "vqf": "VQF [@laidig2023]",
-    "madgwick": "Madgwick's [@madgwick2010]",
-    "comotti": "Comotti's [@comotti2013]",
-    "complementary": "a complementary filter [@feng2014]",
-}
+#: What sentences cite as "[@key]", and how they name the orientation filters.
+REFERENCES: dict[str, str] = words()["sources"]
+ORIENTATION_WORDS: dict[str, str] = words()["filters"]
 CITATION = re.compile(r"\[@([a-z]+\d*)\]")
 
 

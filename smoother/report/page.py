@@ -14,6 +14,7 @@ from calib.motion import found_in
 
 from ..angles import joint_angles
 from ..evaluation.advice import advice
+from ..evaluation.measure_agreement import agreement_table, pair_table
 from ..evaluation.summary import cameras, trust_word
 from ..evaluation.validate import Validation
 from ..recording import CameraFrame, Recording, Truth
@@ -22,7 +23,18 @@ from ..result.untrusted import untrusted_gaps
 from ..table import Table
 from . import tables, traces
 from .player import player, points
-from .sheet import NOT_TRUSTED, Fold, Html, Page, PageSection, badge, capitalised, notes, rendered
+from .sheet import (
+    NOT_TRUSTED,
+    Fold,
+    Html,
+    Page,
+    PageSection,
+    badge,
+    capitalised,
+    caption,
+    notes,
+    rendered,
+)
 from .style import MOST_POINTS, decimate
 from .summary import below, box
 
@@ -124,24 +136,25 @@ def _in_motion(reports: Sequence[_ArmReport]) -> PageSection | None:
     seen_from = ": left, right and away are as seen from it"
     return player(
         "The arm in motion" if len(reports) == 1 else "The arms in motion",
-        Html(
-            f"The arm is {_colours(recoveries)}. The thin grey skeleton is the camera's own, the square is"
-            f" the sensor{ellipse}.{reference} Axes are the"
-            f" camera's{seen_from if frame not in (None, CameraFrame.ZUP) else ''}. On paper: the whole"
-            " path, and the arm at some instants."
+        caption(
+            "The arm in motion",
+            colours=_colours(recoveries),
+            ellipse=ellipse,
+            reference=reference,
+            seen_from=seen_from if frame not in (None, CameraFrame.ZUP) else "",
         ),
         [(each.recovery, each.truth) for each in reports],
         frame,
     )
 
 
-def _colours(recoveries: Sequence[Recovery]) -> str:
+def _colours(recoveries: Sequence[Recovery]) -> Html:
     """What the colours mean that are there."""
     if not any(recovery.trusted.any() for recovery in recoveries):
-        return f"{_UNTRUSTED}: the answer is not to be trusted"
+        return Html(f"{_UNTRUSTED}: the answer is not to be trusted")
     if all(recovery.trusted.all() for recovery in recoveries):
-        return f"{_SEEN} and {_RECOVERED}"
-    return f"{_SEEN}, {_RECOVERED} and {_UNTRUSTED} where the answer is not to be trusted"
+        return Html(f"{_SEEN} and {_RECOVERED}")
+    return Html(f"{_SEEN}, {_RECOVERED} and {_UNTRUSTED} where the answer is not to be trusted")
 
 
 class _ArmReport:
@@ -174,9 +187,8 @@ class _ArmReport:
         heading = f"{self.prefix}Joint angles"
         plot = traces.angles(self.recovery, found, self.truth)
         if plot is None:
-            return PageSection(
-                heading, sentences=missing, below="" if missing else "There is no joint angle."
-            )
+            nothing = "" if missing else "There is no joint angle."
+            return PageSection(heading, "", sentences=missing, below=nothing)
         meanings = "; ".join(
             f"{angle.title}: {angle.meaning.removesuffix('.')}"
             for angle in found.angles
@@ -185,8 +197,8 @@ class _ArmReport:
         around = _NO_BAND
         if self.recovery.trusted.any():
             around = "The band contains 95 of 100 true values; gaps are shaded."
-        caption = Html(f"Curves are {self.colours}. {around}{self.reference}")
-        return PageSection(heading, caption, plot, sentences=missing, below=capitalised(f"{meanings}."))
+        said = caption("Joint angles", colours=self.colours, around=around, reference=self.reference)
+        return PageSection(heading, said, plot, sentences=missing, below=capitalised(f"{meanings}."))
 
     def details(self) -> Iterator[PageSection]:
         """All else about the arm, for those who look for it."""
@@ -216,13 +228,21 @@ class _ArmReport:
         of_sensor = found.all.position_rms_m is not None or found.all.orientation_rms_deg is not None
         own = [found.errors] if of_sensor or not found.joint_errors.rows else []
         said = "" if own else "The reference has joints only."
-        yield PageSection(heading, tables.ERRORS, tables=own, below=said, sentences=found.notes)
+        about = caption("Errors against the reference")
+        yield PageSection(heading, about, tables=own, below=said, sentences=found.notes)
         yield from map(rendered, (found.joint_errors, found.gap_errors))
-        yield from map(rendered, tables.measured(found))
+        if (measures := found.measures) is not None:
+            for heading, table in (
+                ("Measures against the reference", pair_table),
+                ("How well the measures agree", agreement_table),
+            ):
+                about = caption(heading, notes=" ".join(measures.notes))
+                yield rendered(table(found.alignment.titled(heading), measures), about)
         if found.angles:
             carrying = found.carrying_truth_deg
             said = "" if carrying is None else f"Carrying angle of the reference: {carrying:.1f} degrees."
-            yield replace(rendered(found.angle_errors, _ANGLES), below=said)
+            about = caption("Angles against the reference")
+            yield replace(rendered(found.angle_errors, about), below=said)
 
     def _curves(self) -> Iterator[PageSection]:
         decimated = ""
@@ -235,32 +255,22 @@ class _ArmReport:
         shown = points(recovery, self.truth)
         yield PageSection(
             "Coordinates over time",
-            Html(
-                f"Curves are {self.colours}; gaps are shaded. Grey dots are the camera's own samples."
-                f" {_BAND if recovery.trusted.any() else _NO_BAND}{self.reference}{decimated}"
-                f"{' Buttons choose the point: a joint, or the sensor itself.' if len(shown) > 1 else ''}"
-                " Drag over a time to enlarge it, double-click to come back."
+            caption(
+                "Coordinates over time",
+                colours=self.colours,
+                band=_BAND if recovery.trusted.any() else _NO_BAND,
+                reference=self.reference,
+                decimated=decimated,
+                buttons=_BUTTONS if len(shown) > 1 else "",
             ),
             traces.coordinates(recovery, shown, self.frame),
         )
-        true = (
-            " The thin line is the true error: 95 % of it should lie below; click on a joint's name for its"
-            " error."
-        )
         yield PageSection(
             "How certain the answer is",
-            "In 95 of 100 cases the error of the sensor's position (in space), and of its orientation, lies"
-            " below the curve, as stated by the method. It grows into a gap and falls towards its end."
-            + (true if self.truth is not None else ""),
+            caption("How certain the answer is", true=_TRUE if self.truth is not None else ""),
             traces.uncertainty(recovery, self.truth),
         )
-        yield PageSection(
-            "Camera residuals",
-            "Distance between each joint that the camera tracked and the recovered joint. Dots were used in"
-            " the solution, crosses were rejected (the reason appears under the pointer). A joint that stays"
-            " far off for long was seen wrongly, or the sensor has slipped on the arm.",
-            traces.residuals(recovery),
-        )
+        yield PageSection("Camera residuals", plot=traces.residuals(recovery))
 
     def _trust(self) -> Iterator[PageSection]:
         """Whether what is stated holds, against the camera and a reference; which samples were rejected."""
@@ -273,9 +283,8 @@ class _ArmReport:
 
 
 _BAND = "The pale blue band contains 95 of 100 true values of each coordinate."
-_NO_BAND = "No band is drawn: it would not be valid."
-_ANGLES = (
-    "Bias and limits of agreement (Bland and Altman, bias -+ 1.96 standard deviations): 95 of 100 differences"
-    " lie between. Angles are in the order of the ISB's recommendation (Wu et al. 2005). The thorax is not"
-    " seen: shoulder angles are relative to gravity and to a person who faces the camera."
+_BUTTONS = " Buttons choose the point: a joint, or the sensor itself."
+_TRUE = (
+    " The thin line is the true error: 95 % of it should lie below; click on a joint's name for its error."
 )
+_NO_BAND = "No band is drawn: it would not be valid."

@@ -9,7 +9,7 @@ import plotly.graph_objects as go
 
 from ..evaluation.progress import LESS, MORE, UNCLEAR, UNKNOWN, PersonProgress, Series, SessionValue
 from ..evaluation.words import first_of, interval, quantity, scaled, shown_unit
-from .sheet import NO_DIAGNOSIS, Html, Page, PageSection, badge, explained, label, limits, rendered
+from .sheet import NO_DIAGNOSIS, Html, Page, PageSection, badge, caption, explained, label, limits, rendered
 from .style import BAND, dress, values_with_intervals
 
 #: Figures of a page, rows of its table, and sentences of its limits.
@@ -77,18 +77,11 @@ def _sections(progress: PersonProgress) -> Iterator[PageSection]:
     keys = first_of(list(dict.fromkeys(each.key for each in main)), MOST_FIGURES)
     shown = [each for key in keys for each in main if each.key == key][:MOST_FIGURES]
     if shown:
-        caption = "The session's value, with its 95 % interval as a line."
-        if len(progress.sessions) > 1:
-            caption = (
-                "One dot per session, with its 95 % interval as a line. The pale band is the interval of the"
-                " first session."
-            )
-        panels = [_panel(series, progress) for series in shown]
-        yield PageSection("The main measures", caption, panels=panels)
+        about = caption("Several sessions" if len(progress.sessions) > 1 else "One session")
+        yield PageSection("The main measures", about, panels=[_panel(each, progress) for each in shown])
     more = len(progress.changed) - MOST_ROWS
-    caption = "The last session against the first, what changed clearly in front."
-    caption += f" {more} measures more are in the tables (--csv)." if more > 0 else ""
-    yield rendered(progress.table("All changes", MOST_ROWS), caption)
+    left = f" {more} measures more are in the tables (--csv)." if more > 0 else ""
+    yield rendered(progress.table("All changes", MOST_ROWS), caption("All changes", more=left))
     yield limits([*progress.left_out, *progress.notes, *progress.limits], MOST_LIMITS)
     terms = ["interval", "recovered", *(["clear", "unclear", "unknown"] if progress.changed else [])]
     if any(math.isfinite(change.mdc95) for _, change in progress.changed):

@@ -7,6 +7,7 @@ import os
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cache
 from html import escape
 from importlib import resources
 from typing import Any
@@ -15,6 +16,7 @@ import numpy as np
 import plotly.graph_objects as go
 from markupsafe import Markup
 
+from ..evaluation.words import texts
 from ..runtime.outputs import writing
 from ..table import Table, cell_text
 
@@ -38,7 +40,7 @@ class PageSection:
     """A heading with a plot, tables, sentences; left out where it has none of them."""
 
     heading: str = ""
-    caption: str = ""
+    caption: str | None = None  # None: that of the heading in `words.toml`
     plot: go.Figure | None = None
     panels: Sequence[tuple[Html, go.Figure]] = ()  # Small plots beside each other, each under a title
     tables: Sequence[Table] = ()
@@ -49,6 +51,8 @@ class PageSection:
     anchor: str = ""  # For the list of contents; the page gives each heading its own
 
     def __post_init__(self) -> None:
+        if self.caption is None:
+            self.caption = caption(self.heading)
         self.tables = [each for each in self.tables if each.rows]
         self.sentences = list(dict.fromkeys(self.sentences))
 
@@ -126,6 +130,17 @@ def web_file(name: str) -> str:
     return resources.files(__package__).joinpath("web", name).read_text(encoding="utf-8")
 
 
+@cache
+def words() -> dict[str, Any]:
+    """What the pages say, of `words.toml`."""
+    return texts(web_file("words.toml"))
+
+
+def caption(heading: str, **given: object) -> Html:
+    """The caption of a heading with what is filled in; empty where there is none."""
+    return Html(words()["captions"].get(heading, "")).format(**given)
+
+
 def _plotted(plot: go.Figure) -> dict[str, Any]:
     """A plot for the page; its data in single precision: half the size, and still finer than any screen."""
     for trace in plot.data:
@@ -150,9 +165,9 @@ def label(text: object) -> str:
     return escape(str(text), quote=False)
 
 
-def rendered(each: Table, caption: str = "") -> PageSection:
+def rendered(each: Table, caption: str | None = None) -> PageSection:
     """A table under its title and a caption."""
-    return PageSection(each.title, caption or each.caption, tables=[each])
+    return PageSection(each.title, caption, tables=[each])
 
 
 def notes(sentences: Iterable[str]) -> PageSection:
@@ -209,67 +224,11 @@ NO_DIAGNOSIS = (
     "This page measures motion. It is not a diagnosis and does not explain a motion; conclusions are left to"
     " the treating clinician."
 )
-TERMS = {
-    "interval": (
-        "95 % interval",
-        "if the stated uncertainty is right, the true value is between these two numbers in 95 of 100"
-        " recordings. A wide interval means a poorly known value. The thin dark lines show it.",
-    ),
-    "recovered": (
-        "recovered",
-        "how much of a value comes from time in which the camera did not see the arm, calculated from the"
-        " sensor on the wrist.",
-    ),
-    "clear": (
-        "clearly more, clearly less",
-        "the difference is larger than the errors of both recordings explain (95 %), and larger than the"
-        " minimal detectable change where one is known. More is not always better.",
-    ),
-    "unclear": (
-        "no clear change",
-        "the recordings do not show a difference. There may be one that is smaller than the interval.",
-    ),
-    "unknown": (
-        "cannot be assessed",
-        "there is no value, no interval, or the interval is too wide.",
-    ),
-    "symmetry": (
-        "right against left, in percent",
-        "how much more the right arm has than the left one, as a part of their mean: 0 is alike, below 0 the"
-        " left one has more.",
-    ),
-    "mdc": (
-        "minimal detectable change",
-        "measured against motion capture or given by you: two sessions without any change differ by less in"
-        " 95 of 100 cases.",
-    ),
-    "flexion": ("elbow flexion", "bend of the elbow: 0° is a straight arm."),
-    "elevation": (
-        "shoulder elevation",
-        "how far the upper arm is raised: 0° hangs down, 90° is level.",
-    ),
-    "pronation": ("forearm pronation", "turn of the forearm: 0° is the palm forward with the arm hanging."),
-    "reach": ("reach volume", "the volume that the hand reached, in litres."),
-    "sparc": (
-        "SPARC",
-        "smoothness of the hand's speed: nearer to zero is smoother; a simple reach has about −1.4.",
-    ),
-    "ratio": ("path ratio", "length of the hand's path divided by the straight line: 1 is straight."),
-}
-
-
-#: Terms that a measure needs, by the start of its key.
-_OF_MEASURES = {
-    "flexion": "elbow_flexion",
-    "elevation": "shoulder_elevation",
-    "pronation": "pronation",
-    "reach": "hand_reach",
-    "sparc": "sparc",
-    "ratio": "hand_path_ratio",
-}
 
 
 def explained(names: Iterable[str], keys: Sequence[str]) -> PageSection:
     """A section that explains terms, and those that the keys of some measures need."""
-    own = [term for term, start in _OF_MEASURES.items() if any(key.startswith(start) for key in keys)]
-    return PageSection("The words on this page", terms=[TERMS[name] for name in (*names, *own)])
+    terms = words()["terms"]
+    own = [name for name, each in terms.items() if any(key.startswith(each.get("of", " ")) for key in keys)]
+    chosen = [(terms[name]["term"], Html(terms[name]["words"])) for name in (*names, *own)]
+    return PageSection("The words on this page", terms=chosen)

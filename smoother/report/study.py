@@ -12,23 +12,20 @@ from urllib.parse import quote
 
 import numpy as np
 
-from ..array_types import FloatArray
 from ..evaluation.progress import group_measures
-from ..evaluation.summary import trust_word
+from ..evaluation.summary import trust_word, worst_of
 from ..evaluation.words import first_of
 from ..runtime.csv_rows import write_rows
 from ..runtime.outputs import writing
 from ..table import Table, tabulated
-from .sheet import ALARM, NOT_TRUSTED, Html, Page, PageSection, badge, rendered
+from .sheet import ALARM, NOT_TRUSTED, Html, Page, PageSection, badge, caption, rendered
 
 if TYPE_CHECKING:
     import pyarrow as pa
 
 
-#: Rows of the table of the worst recordings, and of failures.
-MOST_WORST = 200
-#: Measures in the table of recordings.
-MOST_SHOWN = 4
+#: Rows of the table of recordings, and of failures; measures in it; notes of the results.
+MOST_ROWS, MOST_SHOWN, MOST_NOTES = 200, 4, 20
 
 
 def write_study(
@@ -45,17 +42,11 @@ def write_study(
 
     recovered = rows.filter(pc.equal(rows["status"], "done"))
     failed = rows.filter(pc.equal(rows["status"], "failed"))
-    columns = {name: _numbers(recovered, name) for name in _NEEDED}
-    sound = columns["trusted"] != 0  # nan where not judged
-    for name in ("sigma_max_m", "error_95_m"):
-        columns[name] = np.where(sound, columns[name], np.nan)
-    rows_failed = [(row["recording"], row["error"]) for row in failed.slice(0, MOST_WORST).to_pylist()]
-    caption = "The other recordings are not affected."
-    sections = [rendered(Table("Failed", ("recording", "why"), rows_failed, caption))]
+    failures = [(row["recording"], row["error"]) for row in failed.slice(0, MOST_ROWS).to_pylist()]
+    sections = [rendered(Table("Failed", ("recording", "why"), failures))]
     if len(recovered):
-        order = worst_first(columns["sigma_max_m"], columns["trusted"], columns["gaps_untrusted"])
-        worst = recovered.take(order[:MOST_WORST]).to_pylist()
-        sections.append(_worst(worst, len(recovered), persons or {}, Path(path), Path(folder)))
+        shown = worst_of(recovered, MOST_ROWS).to_pylist()
+        sections.append(_recordings(shown, len(recovered), persons or {}, Path(path), Path(folder)))
         if long:
             file = Path(path).with_name(f"{Path(path).stem}_measures.csv")
             with (
@@ -64,59 +55,42 @@ def write_study(
             ):
                 write_rows(to, [list(long[0]), *(row.values() for row in long)])
             sections.append(_group(group_measures(long), file.name))
-        sections.append(_notes(recovered))
+        texts = pc.list_flatten(recovered["note_texts"].combine_chunks()).value_counts().to_pylist()
+        counted = sorted(texts, key=lambda note: (-note["counts"], note["values"]))
+        sentences = [f"{note['counts']} x: {note['values']}" for note in counted[:MOST_NOTES]]
+        sections.append(PageSection("Notes in the results", sentences=sentences))
+    distrusted = recovered.filter(pc.equal(recovered["trusted"], False))
     Page(
         "Study",
         f"{len(rows)} recordings",
-        _verdict(rows, recovered, failed, columns),
+        _verdict(len(rows), recovered, len(failed), len(distrusted)),
         sections,
-        tone=ALARM if not sound.all() else "",
+        tone=ALARM if len(distrusted) else "",
     ).write(path, force)
 
 
-def worst_first(
-    sigma_m: FloatArray,  # (N,)
-    trusted: FloatArray,  # (N,)
-    gaps_untrusted: FloatArray,  # (N,)
-) -> np.ndarray:
-    """(N,) places in the order to look at them."""
-    return np.lexsort((-np.nan_to_num(sigma_m, nan=-1.0), ~(gaps_untrusted > 0), trusted != 0))
+def _verdict(count: int, recovered: pa.Table, failed: int, distrusted: int) -> Iterator[str]:
+    import pyarrow.compute as pc
 
-
-#: Columns that the page computes with.
-_NEEDED = (
-    *("duration_s", "occluded_s", "sigma_max_m", "error_95_m", "seconds", "trusted", "gaps_untrusted"),
-)
-
-
-def _numbers(rows: pa.Table, name: str) -> FloatArray:
-    """A column as floats, nan where there is nothing."""
-    import pyarrow as pa
-
-    values: FloatArray = rows[name].cast(pa.float64()).to_numpy().astype(float)
-    return values
-
-
-def _verdict(
-    rows: pa.Table, recovered: pa.Table, failed: pa.Table, columns: dict[str, FloatArray]
-) -> Iterator[str]:
-    yield f"{len(recovered)} of {len(rows)} recordings were recovered, {len(failed)} failed"
+    yield f"{len(recovered)} of {count} recordings were recovered, {failed} failed"
     if not len(recovered):
         return
-    if distrusted := int((columns["trusted"] == 0).sum()):
+    if distrusted:
         which = "result is" if distrusted == 1 else "results are"
         yield f"{distrusted} {which} not to be trusted: do not use these figures. The table begins with them"
-    if partly := int(((columns["trusted"] == 1) & (columns["gaps_untrusted"] > 0)).sum()):
-        which = "result has" if partly == 1 else "results have"
-        yield f"{partly} {which} gaps that are not to be trusted"
+    sound = recovered.filter(pc.fill_null(recovered["trusted"], True))
+    partly = pc.and_(pc.is_valid(sound["trusted"]), pc.greater(sound["gaps_untrusted"], 0))
+    if several := pc.sum(partly).as_py():
+        which = "result has" if several == 1 else "results have"
+        yield f"{several} {which} gaps that are not to be trusted"
     recorded, occluded, spent = (
-        float(columns[name].sum()) for name in ("duration_s", "occluded_s", "seconds")
+        pc.sum(recovered[name]).as_py() or 0.0 for name in ("duration_s", "occluded_s", "seconds")
     )
     yield (
         f"{_duration(recorded)} of recordings, {100 * occluded / max(recorded, 1e-9):.1f} % of it occluded;"
         f" one process needed {_duration(spent)}, {recorded / max(spent, 1e-9):.3g} times real time"
     )
-    error = 100 * columns["error_95_m"][np.isfinite(columns["error_95_m"])]
+    error = 100 * sound["error_95_m"].drop_null().to_numpy()
     if len(error):
         half, most = np.percentile(error, [50, 95])
         yield (
@@ -131,7 +105,7 @@ def _duration(seconds: float) -> str:
     return f"{seconds / 60:.0f} min" if seconds < 5400 else f"{seconds / 3600:.1f} h"
 
 
-def _worst(
+def _recordings(
     rows: Sequence[dict[str, Any]], count: int, persons: Mapping[str, str], path: Path, folder: Path
 ) -> PageSection:
     """The recordings, each with a link to its report, or to its result where it has none."""
@@ -151,13 +125,8 @@ def _worst(
     for key in first_of([each["key"] for each in measured], MOST_SHOWN):
         columns[_with_unit(shown[key])] = partial(_measured, key)
     rest = count - len(rows)
-    caption = (
-        "Results that are not to be trusted come first, with the reason and without uncertainty; the"
-        " others are sorted by the uncertainty of their gaps. Names lead to the reports (`batch"
-        " --reports`), else to the results. Measures are given with their 95 % intervals; those of what"
-        " is not to be trusted are left out." + (f" The other {rest} are among the results." if rest else "")
-    )
-    return rendered(tabulated("Recordings", rows, columns, caption))
+    others = f" The other {rest} are among the results." if rest else ""
+    return rendered(tabulated("Recordings", rows, columns), caption("Recordings", rest=others))
 
 
 def _with_unit(measure: Mapping[str, Any]) -> str:
@@ -221,16 +190,6 @@ def _scaled(value: float | None, factor: float = 1.0) -> str | None:
     return None if value is None or not np.isfinite(value) else f"{factor * value:.3g}"
 
 
-def _notes(recovered: pa.Table) -> PageSection:
-    """The most frequent notes of the results."""
-    import pyarrow.compute as pc
-
-    texts = pc.list_flatten(recovered["note_texts"].combine_chunks())
-    counted = sorted(texts.value_counts().to_pylist(), key=lambda note: (-note["counts"], note["values"]))
-    sentences = [f"{note['counts']} x: {note['values']}" for note in counted[:20]]
-    return PageSection("Notes in the results", sentences=sentences)
-
-
 def _group(measures: list[dict[str, Any]], file: str) -> PageSection:
     """Mean, spread and change of each measure over the persons."""
 
@@ -259,9 +218,5 @@ def _group(measures: list[dict[str, Any]], file: str) -> PageSection:
             "persons with both": lambda each: each["last"][0],
             "change (95 % interval)": lambda each: _between(each["change"], each["low"], each["high"], "+"),
         }
-    caption = Html(
-        "Over the persons, mean and standard deviation of the first session{}. Recordings that are not to be"
-        " trusted are left out. All measures of all sessions, for R or SPSS:"
-        ' <a href="{}">{}</a>, one measure of one session per row, with a column <code>trusted</code>.'
-    ).format(change, quote(file), file)
-    return rendered(tabulated("The group", measures, columns, caption))
+    about = caption("The group", change=change, link=quote(file), file=file)
+    return rendered(tabulated("The group", measures, columns), about)

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from functools import partial
+
 import numpy as np
 
-from ..evaluation.advice import listed
 from ..evaluation.metrics import Figures
-from ..evaluation.summary import GapSummary, camera_consistency, error_figures, gap_summaries
+from ..evaluation.summary import GapSummary, camera_consistency, certainty_figures, gap_summaries
 from ..evaluation.validate import Validation
+from ..evaluation.words import listed, said
 from ..linalg import median_rate_hz
 from ..measurements.timestamps import pauses
 from ..measurements.visibility import occluded_at
@@ -23,6 +26,9 @@ UNANSWERED_S = 1.0
 DOUBTFUL_SHARE = 0.80
 #: Above this NEES the stated uncertainty is called over-confident.
 OVER_CONFIDENT = 2.0
+
+
+_said = partial(said, "summary")
 
 
 def summary(recovery: Recovery, validation: Validation | None) -> list[str]:
@@ -58,7 +64,7 @@ def box(recovery: Recovery, validation: Validation | None, arm: str = "") -> tup
 def _parts(recovery: Recovery, validation: Validation | None) -> list[tuple[bool, str]]:
     """Sentences in order, and whether the first screen has them."""
     if not len(recovery):
-        return [(True, "The result has no sample.")]
+        return [(True, _said("nothing"))]
     gaps, estimates = gap_summaries(recovery), recovery.estimates
     check = "" if estimates.self_check is None else estimates.self_check.sentence
     hidden = _what_was_hidden(recovery, gaps)
@@ -68,9 +74,9 @@ def _parts(recovery: Recovery, validation: Validation | None) -> list[tuple[bool
         signs = [reason for reason in estimates.reasons if estimates.cause not in ("", reason)]
         parts = [
             (True, estimates.verdict),
-            (True, f"Run `unocclude smooth` again with {' or '.join(remedies)}." if remedies else ""),
-            (False, f"Evidence: {'; '.join(signs)}." if signs else ""),
-            (True, _WITHDRAWN),
+            (True, said("advice", "again", remedies=" or ".join(remedies)) if remedies else ""),
+            (False, _said("evidence", signs="; ".join(signs)) if signs else ""),
+            (True, _said("withdrawn")),
             *((False, text) for text in (check, hidden, reference)),
         ]
     else:
@@ -78,103 +84,84 @@ def _parts(recovery: Recovery, validation: Validation | None) -> list[tuple[bool
         doubt = _camera_doubts(recovery)
         consistent = _consistent(validation) and not doubt
         which = "gap" if len(trusted) == len(gaps) else "other gap"
+        wrong = list(untrusted_sentences(recovery))
+        if (more := len(wrong) - MOST_NAMED) > 0:
+            wrong = [*wrong[:MOST_NAMED], f"and {more} more"]
         parts = [
-            *((True, text) for text in (estimates.verdict, check, _untrusted(recovery))),
+            (True, estimates.verdict),
+            (True, check),
+            (True, _said("untrusted", named="; ".join(wrong)) if wrong else ""),
             (False, hidden),
             (not check, _how_well(recovery, which, trusted, consistent)),
             (False, reference),
             (True, doubt),
-            (False, _what_to_trust(trusted, consistent, which)),
+            (False, " ".join(_what_to_trust(trusted, consistent, which))),
         ]
     return [(is_first, text) for is_first, text in parts if text]
 
 
-_WITHDRAWN = (
-    "Do not use the figures of this result. Its stated uncertainty is valid only for a correct set-up"
-    " and is not shown on this page; curves and pictures remain, in red, to help find the cause."
-)
-
-
-def _untrusted(recovery: Recovery) -> str:
-    """Which gaps and times are not to be trusted, and why; "" where all are."""
-    sentences = untrusted_sentences(recovery)
-    if not sentences:
-        return ""
-    more = f"; and {len(sentences) - MOST_NAMED} more" if len(sentences) > MOST_NAMED else ""
-    named = "; ".join(sentences[:MOST_NAMED])
-    return f"Not to be trusted, and red on this page: {named}{more}. Leave them out; the rest is valid."
-
-
 def _what_was_hidden(recovery: Recovery, gaps: list[GapSummary]) -> str:
-    text = f"The recording lasts {recovery.t_s[-1] - recovery.t_s[0]:.1f} s. The camera"
+    length_s, lengths_s = recovery.t_s[-1] - recovery.t_s[0], [gap.length_s for gap in gaps]
     if not gaps:
-        return f"{text} saw the forearm all the time: there is no gap."
-    lengths = [gap.gap.length_s for gap in gaps]
-    times = "once" if len(gaps) == 1 else f"{len(gaps)} times"
-    text += f" lost the forearm {times}, for {sum(lengths):.1f} s in all"
-    if len(gaps) > 1:
-        text += f"; the longest gap lasts {max(lengths):.1f} s"
+        return _said("no_gap", length_s=length_s)
+    more = f"; the longest gap lasts {max(lengths_s):.1f} s" if len(gaps) > 1 else ""
     without = ~recovery.answered & ~occluded_at(recovery.t_s, recovery.gaps)
     nothing_s = np.count_nonzero(without) / median_rate_hz(recovery.t_s)
     if nothing_s > UNANSWERED_S:
-        text += f". For {nothing_s:.1f} s more there is no result"
+        more += f". For {nothing_s:.1f} s more there is no result"
     if len(pauses(recovery.t_s)):
-        text += ". What was hidden while the IMU paused is not counted"
-    return f"{text}."
+        more += ". What was hidden while the IMU paused is not counted"
+    times = "once" if len(gaps) == 1 else f"{len(gaps)} times"
+    return _said("hidden", length_s=length_s, times=times, hidden_s=sum(lengths_s), more=more)
 
 
 def _how_well(recovery: Recovery, which: str, trusted: list[GapSummary], consistent: bool) -> str:
     """What is stated of the gaps that are to be trusted."""
     if not trusted:
         return ""
-    error = error_figures(recovery, recovery.trusted)
+    error = certainty_figures(recovery, recovery.trusted)["error_95_m"]
     inside, outside = error["occluded"], error["visible"]
     if inside["all"] is None or inside["max"] is None:
-        return "This method does not state its uncertainty."
+        return _said("silent")
     share = "in 95 of 100 cases" if consistent else "in 95 %, as stated"
-    text = (
-        f"In the {which}s the sensor's position is within {100 * inside['all']:.1f} cm {share}"
-        f" ({100 * inside['max']:.1f} cm at the least certain moment)"
-    )
-    if outside["all"] is not None:
-        text += f"; while the camera sees the arm, within {100 * outside['all']:.1f} cm"
+    seen = outside["all"] and f"; while the camera sees the arm, within {100 * outside['all']:.1f} cm"
     unanswered = [gap for gap in trusted if gap.answered < 1]
     tail = f" {len(unanswered)} of the gaps are not answered completely." if unanswered else ""
-    return f"{text}.{tail}"
+    centimetres = {"all_cm": 100 * inside["all"], "max_cm": 100 * inside["max"]}
+    return _said("within", which=which, share=share, seen=seen or "", open=tail, **centimetres)
 
 
 def _against_reference(validation: Validation) -> str:
     hidden = validation.occluded if validation.occluded.samples else validation.all
     where = "in the gaps" if validation.occluded.samples else "over the recording"
     if hidden.position_rms_m is not None:
-        text = (
-            f"Against the reference 95 % of the position's errors {where} are below"
-            f" {100 * (hidden.position_p95_m or 0):.1f} cm (root mean square"
-            f" {100 * hidden.position_rms_m:.1f} cm, {100 * (hidden.position_max_m or 0):.1f} cm at most)"
+        turned = f", the orientation is off by {hidden.orientation_rms_deg:.1f} degrees (root mean square)"
+        names = {"p95_cm": "position_p95_m", "rms_cm": "position_rms_m", "max_cm": "position_max_m"}
+        return _said(
+            "reference",
+            where=where,
+            **{name: 100 * (getattr(hidden, of) or 0.0) for name, of in names.items()},
+            turned=turned if hidden.orientation_rms_deg is not None else "",
+            covered=_covered([hidden.nees]),
         )
-        if hidden.orientation_rms_deg is not None:
-            text += f", the orientation is off by {hidden.orientation_rms_deg:.1f} degrees (root mean square)"
-        return text + _covered([] if hidden.nees is None else [hidden.nees])
     part, figures = _joint_figures(validation)
     errors = {joint: each.position_rms_m for joint, each in figures.items() if each.position_rms_m}
     if not errors:
-        return "The reference has neither the sensor's position nor a joint to compare there."
+        return _said("reference_nothing")
     where = "in the gaps" if part == "occluded" else "over the recording"
     words = listed([f"{100 * error:.1f} cm at the {joint}" for joint, error in errors.items()])
-    text = f"Against the reference the error {where} is {words} (root mean square)"
-    return text + _covered([value for joint in errors if (value := figures[joint].nees) is not None])
+    covered = _covered([figures[joint].nees for joint in errors])
+    return _said("reference_joints", where=where, errors=words, covered=covered)
 
 
-def _covered(nees: list[float]) -> str:
+def _covered(nees: list[float | None]) -> str:
     """Whether the stated uncertainty covers the errors, if that is known."""
-    if not nees:
+    known = [value for value in nees if value is not None]
+    if not known:
         return "."
-    if max(nees) <= OVER_CONFIDENT:
-        return ". The stated uncertainty covers these errors."
-    return (
-        f". These errors are about {np.sqrt(max(nees)):.1f} times as large as the stated uncertainty allows:"
-        " multiply every uncertainty on this page by that factor."
-    )
+    if max(known) <= OVER_CONFIDENT:
+        return _said("covered")
+    return _said("not_covered", factor=np.sqrt(max(known)))
 
 
 def _joint_figures(validation: Validation) -> tuple[str, dict[str, Figures]]:
@@ -192,10 +179,7 @@ def _camera_doubts(recovery: Recovery) -> str:
     if not inside or min(inside.values()) >= DOUBTFUL_SHARE:
         return ""
     worst = min(inside, key=lambda joint: inside[joint])
-    return (
-        f"Result and camera disagree more than stated: of the {worst} samples used,"
-        f" {100 * inside[worst]:.0f} % lie where 95 % should. Every uncertainty on this page is too small."
-    )
+    return _said("doubt", joint=worst, percent=100 * inside[worst])
 
 
 def _consistent(validation: Validation | None) -> bool:
@@ -208,27 +192,19 @@ def _consistent(validation: Validation | None) -> bool:
     return not stated or max(stated) <= OVER_CONFIDENT
 
 
-def _what_to_trust(gaps: list[GapSummary], consistent: bool, gap_word: str) -> str:
+def _what_to_trust(gaps: list[GapSummary], consistent: bool, which: str) -> Iterator[str]:
     weak = [gap for gap in gaps if gap.is_wider_than(WIDE_M)]
     one_sided = [gap for gap in gaps if gap.one_sided]
-    parts = []
     if weak:
-        parts.append(
-            f"Take {_listed(weak)} with care: the position there is less certain than {100 * WIDE_M:.0f} cm"
-            " (95 of 100 cases)."
-        )
+        yield _said("wide", gaps=_listed(weak), cm=100 * WIDE_M)
     if one_sided:
-        parts.append(
-            f"{_listed(one_sided).capitalize()} could be recovered from one side only, because the camera"
-            " did not see the forearm before or after; the error grows with time there."
-        )
-    if consistent and not parts and any(gap.sigma_max_m is not None for gap in gaps):
-        parts.append(f"The uncertainty stays below {100 * WIDE_M:.0f} cm in every {gap_word}.")
-    return " ".join(parts)
+        yield _said("one_sided", gaps=_listed(one_sided).capitalize())
+    if consistent and not weak and not one_sided and any(gap.sigma_max_m is not None for gap in gaps):
+        yield _said("narrow", cm=100 * WIDE_M, which=which)
 
 
 def _listed(gaps: list[GapSummary]) -> str:
-    starts = [f"{gap.gap.start_s:.1f} s" for gap in gaps]
+    starts = [f"{gap.start_s:.1f} s" for gap in gaps]
     if len(starts) > 6:
         return f"{len(starts)} gaps (marked in the table of gaps)"
     return f"the gap{'s' if len(starts) > 1 else ''} at {', '.join(starts)}"

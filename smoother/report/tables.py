@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -13,12 +12,11 @@ from calib.motion import ArmEstimates
 
 from ..error_radius import error_radius
 from ..evaluation.advice import rejected
-from ..evaluation.measure_agreement import agreement_table, pair_table
 from ..evaluation.summary import (
     GapSummary,
     camera_consistency,
+    certainty_figures,
     consistency,
-    error_figures,
     gap_summaries,
     recovery_figures,
 )
@@ -42,7 +40,7 @@ WITHDRAWN = "withdrawn: the result is not to be trusted"
 def overview(recovery: Recovery) -> Table:
     """What was recovered, in numbers."""
     figures = recovery_figures(recovery)
-    error = error_figures(recovery, recovery.trusted)
+    error = certainty_figures(recovery, recovery.trusted)["error_95_m"]
     offset = None
     if np.isfinite(recovery.clock_offset_s):
         offset = f"{1000 * recovery.clock_offset_s:.1f} ms"
@@ -136,8 +134,7 @@ def rejections(recovery: Recovery) -> Table:
         "first, s": lambda row: f"{row['first_s']:.2f}",
         "last, s": lambda row: f"{row['last_s']:.2f}",
     }
-    caption = "Tracked camera samples that were not used; the plot above shows when."
-    return tabulated("Rejected camera samples", rejected(recovery), columns, caption)
+    return tabulated("Rejected camera samples", rejected(recovery), columns)
 
 
 def consistent(recovery: Recovery, truth: Truth | None) -> Table:
@@ -150,15 +147,7 @@ def consistent(recovery: Recovery, truth: Truth | None) -> Table:
     columns = {"of": "of", "samples": "samples", "inside 50 %": "inside_50", "inside 95 %": "inside_95"}
     columns |= {"stated sigma, cm per axis": "stated_m", "actual rms, cm per axis": "actual_m"}
     known = [{"of": name, **found} for name, found in parts.items() if found["samples"]]
-    return tabulated("Whether sigma is consistent with the errors", known, columns, _CONSISTENT)
-
-
-_CONSISTENT = (
-    "The share of samples inside the region in which 50 and 95 % are stated to lie; fewer inside, or an"
-    " actual error above the stated one, is over-confident. For the camera, the statement is of the distance"
-    " between a sample that was used and the recovered joint: the camera's noise, and the joint's own sigma"
-    " as far as it is not the same all the time. For a reference, it is the sigma of the sensor's position."
-)
+    return tabulated("Whether sigma is consistent with the errors", known, columns)
 
 
 def camera(estimates: ArmEstimates) -> Table:
@@ -185,10 +174,10 @@ def gaps(recovery: Recovery, validation: Validation | None = None) -> Table:
 
     columns: dict[str, Callable[[tuple[int, GapSummary]], object]] = {
         "gap": lambda row: row[0],
-        "start, s": lambda row: f"{row[1].gap.start_s:.2f}",
-        "length, s": lambda row: f"{row[1].gap.length_s:.2f}",
+        "start, s": lambda row: f"{row[1].start_s:.2f}",
+        "length, s": lambda row: f"{row[1].length_s:.2f}",
         "position within, cm": lambda row: stated(row[1], row[1].error_95_m and 100 * row[1].error_95_m, 2),
-        "against the reference, cm": lambda row: true.get(row[1].gap.start_s),
+        "against the reference, cm": lambda row: true.get(row[1].start_s),
         "orientation within, degrees": lambda row: stated(row[1], row[1].orientation_95_deg),
         "elbow flexion ±, degrees": lambda row: stated(
             row[1], row[1].sigma_max_flexion_deg and 1.96 * row[1].sigma_max_flexion_deg
@@ -199,19 +188,7 @@ def gaps(recovery: Recovery, validation: Validation | None = None) -> Table:
     }
     if not any(true.values()):
         del columns["against the reference, cm"]
-    return tabulated("Gaps", enumerate(gap_summaries(recovery), start=1), columns, _GAPS)
-
-
-_GAPS = (
-    "Times in which the camera did not see the forearm. 95 of 100 errors lie below what is stated, at"
-    " the least certain moment of a gap. The camera constrains a gap seen on both sides before and after it;"
-    " one seen on one side only is not."
-)
-ERRORS = (
-    "rms: root mean square. NEES: mean squared error in standard deviations; 1 where the stated uncertainty"
-    " is consistent with the errors, above 1 where it is over-confident. Of the samples, 95 %"
-    " inside the stated region is consistent."
-)
+    return tabulated("Gaps", enumerate(gap_summaries(recovery), start=1), columns)
 
 
 def _remark(summary: GapSummary) -> str:
@@ -219,27 +196,6 @@ def _remark(summary: GapSummary) -> str:
     if summary.trusted is False:
         return badge(NOT_TRUSTED) + " " + "; ".join(summary.reasons)
     return "take with care" if summary.one_sided or summary.is_wider_than(WIDE_M) else ""
-
-
-def measured(comparison: Validation) -> Iterator[Table]:
-    """The measures of answer and reference, and how well they agree; none where there are none."""
-    if (measures := comparison.measures) is not None:
-        pairs = pair_table(comparison.alignment.titled("Measures against the reference"), measures)
-        yield replace(pairs, caption=" ".join((_MEASURED, *measures.notes)))
-        agreement = agreement_table(comparison.alignment.titled("How well the measures agree"), measures)
-        yield replace(agreement, caption=_AGREED)
-
-
-_MEASURED = (
-    "The same functions on the answer and on the reference, over the session. Inside: the answer's 95 %"
-    " interval contains the reference's value."
-)
-_AGREED = (
-    "Answer minus reference over recordings or movements. Limits of agreement: 95 % of differences lie"
-    " between them. ICC(2,1): 1 where both agree as well as subjects differ. MDC95, minimal detectable"
-    " change: two sessions without any change differ by less, 95 times of 100 (1.96 sqrt(2) SEM; the"
-    " reference is treated as free of error)."
-)
 
 
 def calibration(recovery: Recovery) -> Table:
@@ -263,13 +219,7 @@ def calibration(recovery: Recovery) -> Table:
         if value is not None:
             rows.append((name.replace("_", " "), ", ".join(f"{item:.4f}" for item in value), None, unit))
     columns = ("what", "value (x, y, z)", "within (95 of 100 cases)", "unit")
-    return Table("Sensor mounting on the arm", columns, rows, _CALIBRATION)
-
-
-_CALIBRATION = (
-    "Where the joints lie as seen from the sensor, and the length of the upper arm: as given and improved by"
-    " the recording, or as estimated from the recording where nothing was given."
-)
+    return Table("Sensor mounting on the arm", columns, rows)
 
 
 def _vector(metres: Iterable[float] | None, decimals: int) -> str | None:

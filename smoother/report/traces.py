@@ -147,9 +147,9 @@ def uncertainty(recovery: Recovery, truth: Truth | None) -> go.Figure | None:
         for row, each in zip(traces, (100 * errors.distance_m, errors.angle_deg), strict=True):
             row.append(curve(t, each[index], "error against the reference", TRUTH, 1.1))
         hidden = "legendonly" if np.isfinite(errors.distance_m).any() else True
-        for joint, distance in errors.joint_distance_m.items():
-            colour = JOINT_COLOURS.get(joint, CAMERA)
-            traces[0].append(curve(t, 100 * distance[index], f"{joint}, error", colour, 1.1, visible=hidden))
+        for joint, of_joint in errors.joints.items():
+            distance, colour = 100 * of_joint.distance_m[index], JOINT_COLOURS.get(joint, CAMERA)
+            traces[0].append(curve(t, distance, f"{joint}, error", colour, 1.1, visible=hidden))
     figure = over_time(
         recovery, list(zip(("position, cm", "orientation, degrees"), traces, strict=True)), 190
     )

@@ -9,6 +9,7 @@
 
 from __future__ import annotations
 
+import csv
 import errno
 import hashlib
 import json
@@ -17,6 +18,7 @@ import secrets
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from importlib import resources
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -43,70 +45,18 @@ def text_hash(*texts: str) -> str:
 Row = dict[str, Any]
 
 DONE, FAILED = "done", "failed"
-#: Name, Arrow type, unit and meaning of each column.
-COLUMNS: tuple[tuple[str, str, str, str], ...] = (
-    ("id", "string", "", "of recording name, input, configuration, calibration and version together"),
-    ("recording", "string", "", "name in the study"),
-    ("status", "string", "", "done or failed"),
-    ("error", "string", "", "why it failed, one sentence"),
-    ("retry", "bool", "", "it failed by its surroundings, and is tried again by the same command"),
-    ("input_hash", "string", "", "SHA-256 of the recording's bytes"),
-    ("input_bytes", "int64", "B", "size of the recording"),
-    ("config_hash", "string", "", "SHA-256 of configuration and choices, number of processes left out"),
-    ("calibration", "string", "", "the name of the calibration file"),
-    ("calibration_hash", "string", "", "SHA-256 of the calibration file, empty without one"),
-    ("version", "string", "", "of the program"),
-    ("output", "string", "", "result, below the study's folder"),
-    ("output_hash", "string", "", "SHA-256 of the result's bytes"),
-    ("output_bytes", "int64", "B", "size of the result"),
-    ("method", "string", "", "how it was recovered"),
-    ("side", "string", "", "the arm"),
-    ("duration_s", "double", "s", "length of the recording"),
-    ("rate_hz", "double", "Hz", "of the IMU"),
-    ("samples", "int64", "", "of the IMU"),
-    ("answered", "int64", "", "samples with an answer"),
-    ("gaps", "int64", "", "occluded stretches"),
-    ("gap_longest_s", "double", "s", "the longest of them"),
-    ("occluded_s", "double", "s", "all of them together"),
-    ("sigma_max_m", "double", "m", "largest standard deviation of the IMU's position in a gap, worst axis"),
-    ("sigma_median_m", "double", "m", "its median over the occluded samples"),
-    ("sigma_visible_m", "double", "m", "its median over the visible samples"),
-    ("sigma_max_deg", "double", "deg", "largest standard deviation of the orientation in a gap"),
-    ("clock_offset_s", "double", "s", "t_imu = t_camera + offset"),
-    ("clock_offset_sigma_s", "double", "s", "one standard deviation of it"),
-    ("notes", "int64", "", "notes of the result: number of sentences"),
-    ("note_texts", "list", "", "the sentences"),
-    ("damage", "list", "", "of them those on a damaged file"),
-    ("arms", "int64", "", "recovered arms; the figures are the worst of them, and sums of gaps and samples"),
-    ("arm_figures", "string", "", "with several arms: JSON, a list with these columns' figures of each"),
-    ("trusted", "bool", "", "the result is to be trusted; of several arms, each of them"),
-    ("verdict", "string", "", "in a sentence; of several arms, each one's"),
-    ("self_check", "string", "", "what was hidden and recovered, in a sentence; of several arms, each one's"),
-    ("self_check_95_m", "double", "m", "hidden times: 95 of 100 samples were recovered to within this"),
-    ("self_check_stated_95_m", "double", "m", "what was stated of the same"),
-    ("error_95_m", "double", "m", "in gaps, 95 of 100 errors of the IMU's position lie below"),
-    ("gaps_untrusted", "int64", "", "gaps that are not to be trusted; all where the result is not"),
-    ("recorded_day", "double", "d", "from a day that the study chose at random for this person"),
-    ("measures", "measures", "", "with --measures: the measures of each arm's session"),
-    ("seconds", "double", "s", "time it took, reading and writing included"),
-    ("finished", "timestamp", "", "when it was done, UTC"),
-)
-#: Name, Arrow type, unit and meaning of what the column `measures` holds of each.
-MEASURE_FIELDS: tuple[tuple[str, str, str, str], ...] = (
-    ("side", "string", "", "left, right or empty"),
-    ("body", "int64", "", "the camera's number of the person, where several are told apart"),
-    ("trusted", "bool", "", "the arm's result is to be trusted"),
-    ("key", "string", "", "the measure's name in files, with its unit at the end"),
-    ("name", "string", "", "in plain words"),
-    ("unit", "string", "", "of value, low, high and sigma"),
-    ("value", "double", "", "null where it cannot be measured"),
-    ("low", "double", "", "lower end of the 95 % interval; null without draws"),
-    ("high", "double", "", "upper end of it"),
-    ("sigma", "double", "", "standard deviation by the draws"),
-    ("recovered_share", "double", "", "how much of it comes from samples that the camera did not see"),
-    ("n_draws", "int64", "", "how many draws the interval is of"),
-    ("note", "string", "", "a note on it"),
-)
+#: Name, Arrow type, unit and meaning of a column.
+Column = tuple[str, str, str, str]
+
+
+def _columns(of: str) -> tuple[Column, ...]:
+    """The columns of a recording's row, or of what `measures` holds of each measure, of `columns.csv`."""
+    text = resources.files(__package__).joinpath("columns.csv").read_text(encoding="utf-8")
+    rows = csv.DictReader(text.splitlines())
+    return tuple((row["name"], row["type"], row["unit"], row["meaning"]) for row in rows if row["of"] == of)
+
+
+COLUMNS, MEASURE_FIELDS = _columns("recording"), _columns("measure")
 
 
 def schema() -> pa.Schema:
@@ -122,7 +72,7 @@ def schema() -> pa.Schema:
         "timestamp": pa.timestamp("us"),
     }
 
-    def named(columns: tuple[tuple[str, str, str, str], ...]) -> list[pa.Field]:
+    def named(columns: Iterable[Column]) -> list[pa.Field]:
         return [
             pa.field(name, kinds[kind], metadata={"unit": unit, "description": meaning})
             for name, kind, unit, meaning in columns
@@ -202,11 +152,6 @@ def arms_of(row: Row) -> list[Row]:
     if not row.get("arm_figures"):
         return [row]
     return [row | arm for arm in json.loads(row["arm_figures"])]
-
-
-def least_trusted(row: Row) -> tuple[bool, bool, float]:
-    """By which rows are sorted: not to be trusted first, then some of their gaps, then the largest sigma."""
-    return row["trusted"] is not False, not row["gaps_untrusted"], -(row["sigma_max_m"] or 0.0)
 
 
 def measure_rows(measured: Sequence[Measures]) -> list[dict[str, Any]]:

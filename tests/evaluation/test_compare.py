@@ -64,17 +64,17 @@ class TestCompare:
         return compare(recording, graph, truth, methods)
 
     def test_the_best_stands_first_and_a_failure_last(self, found):
-        order = [row.method for row in found.rows]
+        order = list(found.methods)
         errors = list(found.rms_m.values())
         assert order[0] == "graph" and order[-1] == "broken"
         assert errors == sorted(errors)
-        assert found.rows[-1].failure == "it had no wish to"
+        assert found.methods["broken"] == "it had no wish to"
         assert any("broken could not recover it" in note for note in found.notes)
         # white noise of 5 mm per axis is 8.7 mm of distance; some 360 samples in the gaps
         assert errors[0] == pytest.approx(0.005 * np.sqrt(3), rel=0.1)
 
     def test_a_delay_is_found_to_a_few_milliseconds(self, found):
-        lag = {row.method: (row.validation.lag_s, row.lag_occluded_s) for row in found.rows[:-1]}
+        lag = {name: (each.lag_s, each.lag_occluded_s) for name, each in found.validated.items()}
         assert lag["graph"] == pytest.approx((0.0, 0.0), abs=0.002)
         assert lag["late"] == pytest.approx((0.040, 0.040), abs=0.002)
         assert lag["late in gaps"][1] == pytest.approx(0.025, abs=0.002)
@@ -104,10 +104,9 @@ class TestCompare:
         graph = make_recovery(recording, error_m=0.005, offset_s=-LATE_S)
         found = compare(recording, graph, of_joints, {"graph": lambda r: graph})
         assert found.point == "wrist"
-        assert found.rows[0].validation.figures_of("wrist", "all").position_rms_m == pytest.approx(
-            0.0087, rel=0.1
-        )
-        assert found.rows[0].validation.lag_s == pytest.approx(0.0, abs=0.002)
+        (only,) = found.validated.values()
+        assert only.figures_of("wrist", "all").position_rms_m == pytest.approx(0.0087, rel=0.1)
+        assert only.lag_s == pytest.approx(0.0, abs=0.002)
 
     def test_a_truth_that_shares_nothing_is_refused(self, recording, truth):
         graph = make_recovery(recording, offset_s=-LATE_S)
@@ -142,7 +141,7 @@ class TestLagLeft:
 
 def test_quartiles_over_gaps_by_length_and_method():
     def row(length: float, method: str, error: float, failure: str = "") -> GapRow:
-        errors = GapErrors("truth", np.array([error]), np.zeros(1), np.zeros(1))
+        errors = GapErrors.of_positions(np.array([[error, 0.0, 0.0]]), np.zeros(1))
         return GapRow(length, method, 0, HiddenGap(1.0, 1.0 + length), errors, failure)
 
     metres = (0.01, 0.05, np.nan, 0.02, 0.04, 0.03)

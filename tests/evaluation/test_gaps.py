@@ -235,10 +235,9 @@ def test_no_room_is_a_sentence():
 def errors(*metres: float) -> GapErrors:
     """Samples with these errors; nan where there is no answer."""
     distance = np.array(metres)
-    missing = int(np.isnan(distance).sum())
-    angle = np.where(np.isnan(distance), np.nan, 2.0)
-    factors = np.full((len(metres), len(LEVELS)), 1.5)
-    return GapErrors("truth", distance, angle, (distance / 0.01) ** 2, missing, needed_factors=factors)
+    more = {"scored": np.ones(len(metres), bool), "needed_factors": np.full((len(metres), len(LEVELS)), 1.5)}
+    along_x = distance[:, None] * [1.0, 0.0, 0.0]
+    return GapErrors.of_positions(along_x, (distance / 0.01) ** 2, **more, reference="truth")
 
 
 def row(length_s: float, method: str, of: GapErrors, recording: str = "a", failure: str = "") -> GapRow:

@@ -142,7 +142,7 @@ def test_summaries_leave_nan_out_and_say_none_for_nothing():
     for summary in (metrics.rms, metrics.nees, metrics.coverage_95):
         assert summary(nothing) is None
     assert metrics.percentile(nothing, 95) is None
-    assert metrics.summarise(nothing, nothing, nothing).samples == 0
+    assert metrics.Errors.of_positions(np.full((3, 3), np.nan), nothing).figures().samples == 0
 
 
 @pytest.fixture(scope="module")

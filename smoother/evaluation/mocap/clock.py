@@ -20,6 +20,7 @@ from ...errors import RecordingError
 from ...linalg import masked_correlation, nearest_rotation, robust_sigma
 from ...result import Recovery
 from ..metrics import orientation_at, position_at
+from ..words import said
 from .motion import MocapMotion
 
 #: A turn or a way is taken over this time, s: the camera's noise is small against the way.
@@ -85,8 +86,7 @@ def align_clock(recovery: Recovery, motion: MocapMotion) -> MocapClock:
     clock = _refine(signals, recovery.t_s, motion.t_s, lag, correlation)
     if rivals:
         text = ", ".join(f"{1000 * (other - lag):+.0f} ms" for other in rivals)
-        note = f"The motion repeats itself: a clock offset other by {text} would fit nearly as well."
-        return replace(clock, notes=(note,))
+        return replace(clock, notes=(said("reference", "repeats", offsets=text),))
     return clock
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -14,6 +15,7 @@ from ...io.tables.markers import Markers
 from ...measures.motion import one_sign
 from ...recording import Truth
 from ..metrics import BRIDGED_S
+from ..words import said
 from .markers import (
     LONGEST_S,
     MarkerMap,
@@ -25,6 +27,7 @@ from .markers import (
     plate_axes,
 )
 
+_said = partial(said, "reference")
 #: Joints whose markers are filled in the axes of the plate.
 ON_FOREARM = ("elbow", "wrist", "hand")
 #: Windows tried for smoothing the plate's pose, s; 0.16 s is a low-pass at about 10 Hz, as labs use it.
@@ -85,10 +88,7 @@ def motion_of_markers(markers: Markers, marker_map: MarkerMap) -> MocapMotion:
     landmarks = {name: places([marker])[:, 0] for name, marker in marker_map.landmarks.items()}
     notes = list(plate.notes)
     if filled:
-        notes.append(
-            f"Markers hidden for up to {LONGEST_S:g} s were filled in the axes of the IMU's plate"
-            f" ({', '.join(filled)})."
-        )
+        notes.append(_said("filled", longest_s=LONGEST_S, joints=", ".join(filled)))
     for joint, centre in joints.items():
         if not np.isfinite(centre).any():
             raise RecordingError(
@@ -99,7 +99,7 @@ def motion_of_markers(markers: Markers, marker_map: MarkerMap) -> MocapMotion:
     shares = [np.isfinite(centre).all(axis=1).mean() for centre in joints.values()]
     poor = [f"{name} {100 * share:.0f} %" for name, share in zip(joints, shares, strict=True) if share < 0.8]
     if poor:
-        notes.append(f"The truth's joint centres are complete only part of the time: {', '.join(poor)}.")
+        notes.append(_said("incomplete", joints=", ".join(poor)))
     return replace(plate, joints=joints, landmarks=landmarks, notes=tuple(notes))
 
 
@@ -142,13 +142,7 @@ def _exchanged(joints: dict[str, FloatArray]) -> list[str]:
                     f"the upper arm's length changes by {100 * other:.0f} cm, shoulder to wrist by"
                     f" {100 * own:.0f} cm"
                 )
-    if not signs:
-        return []
-    return [
-        "Elbow and wrist look exchanged in the marker map (or in the markers' names): "
-        + "; ".join(signs)
-        + "."
-    ]
+    return [_said("exchanged", signs="; ".join(signs))] if signs else []
 
 
 def _filled(plate: MocapMotion, positions: FloatArray) -> tuple[FloatArray, int]:
@@ -188,12 +182,10 @@ def _with_plate(motion: MocapMotion, positions: FloatArray, marker_map: MarkerMa
             f"{motion.source}: the plate's markers ({', '.join(marker_map.plate)}) do not move as one body;"
             " correct the map"
         )
-    notes = [
-        f"IMU plate: {len(shape)} markers, a pose in {100 * answered.mean():.1f} % of the mocap's frames,"
-        f" {1000 * np.sqrt(np.nanmean(poses.residual_m**2)):.2f} mm rms from a rigid body."
-    ]
+    rms_mm = 1000 * np.sqrt(np.nanmean(poses.residual_m**2))
+    notes = [_said("plate", markers=len(shape), percent=100 * answered.mean(), rms_mm=rms_mm)]
     if poses.mistaken:
-        notes.append(f"IMU plate: {poses.mistaken} marker samples lay off the body and were rejected.")
+        notes.append(_said("mistaken", count=poses.mistaken))
     rotation, position = smoothed(motion.t_s, poses.rotation, poses.position)
     posed = replace(motion, R_E_P=rotation, p_E_P=position, notes=(*motion.notes, *notes))
     return replace(posed, R_A_P=R_A_P, p_A_P=p_A_P)
