@@ -158,42 +158,33 @@ def digest(trials: Sequence[BenchmarkTrial]) -> str:
 
 def plain(tables: Tables, seed: int, version: str, data: str) -> dict[str, Any]:
     """Plain values by name, as `benchmark.json` holds them; nothing in it changes from run to run."""
+
+    def rank(row: dict[str, Any]) -> tuple[int, float]:
+        """Methods by the sum of their medians, those without an answer last."""
+        known = [value for value in row["median_m"].values() if value is not None]
+        return len(row["median_m"]) - len(known), sum(known)
+
     datasets = []
     for (dataset, split), table in tables.items():
-        lengths = table.to_dict()["lengths"]
-        for methods in (at["methods"] for at in lengths):
-            methods |= {
-                name: {k: v for k, v in of.items() if k[-3:] != "_cm"} for name, of in methods.items()
-            }
+        lengths = []
+        for length in sorted(table.lengths):
+            methods = {name: group.to_dict() for name, group in table.lengths[length].items()}
+            metric = {name: {k: v for k, v in of.items() if k[-3:] != "_cm"} for name, of in methods.items()}
+            lengths.append({"length_s": length, "methods": metric})
+        rows = []
+        for name in dict.fromkeys(row.method for row in table.rows):
+            groups = {f"{length:g}": table.lengths[length][name] for length in sorted(table.lengths)}
+            whole = GapGroup([row for group in groups.values() for row in group.rows])
+            medians = {length: group.spread["median_m"] for length, group in groups.items()}
+            rms_m = {length: group.figures.position_rms_m for length, group in groups.items()}
+            row = {"method": name, "median_m": medians, "rms_m": rms_m}
+            row |= {"inside_95": whole.figures.coverage_95, "gaps": len(whole.rows), "failed": whole.failed}
+            rows.append(row)
         about = {"dataset": dataset, "split": split, "trials": len({row.recording for row in table.rows})}
-        rows = sorted(
-            map(partial(_method, table), dict.fromkeys(row.method for row in table.rows)), key=_rank
-        )
-        lengths = sorted(lengths, key=lambda at: float(at["length_s"]))
-        datasets.append(about | {"lengths": lengths, "methods": rows})
+        datasets.append(about | {"lengths": lengths, "methods": sorted(rows, key=rank)})
     notes = list(dict.fromkeys(note for table in tables.values() for note in table.notes))
     head = {"benchmark": VERSION, "version": version, "seed": seed, "data_sha256": data}
     return head | {"datasets": datasets, "notes": notes}
-
-
-def _method(table: GapTable, name: str) -> dict[str, Any]:
-    """A method over one data set and split: by length median over the gaps, rms over the samples."""
-    groups = {f"{length:g}": table.lengths[length][name] for length in sorted(table.lengths)}
-    rows = [row for group in groups.values() for row in group.rows]
-    return {
-        "method": name,
-        "median_m": {length: group.spread["median_m"] for length, group in groups.items()},
-        "rms_m": {length: group.figures.position_rms_m for length, group in groups.items()},
-        "inside_95": (whole := GapGroup(rows)).figures.coverage_95,
-        "gaps": len(rows),
-        "failed": whole.failed,
-    }
-
-
-def _rank(row: dict[str, Any]) -> tuple[int, float]:
-    """Methods by the sum of their medians, those without an answer last."""
-    known = [value for value in row["median_m"].values() if value is not None]
-    return len(row["median_m"]) - len(known), sum(known)
 
 
 def summary(figures: Mapping[str, Any]) -> Table:

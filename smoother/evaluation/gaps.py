@@ -5,7 +5,7 @@ The one kernel of `gaps`, `check`, `benchmark` and the checks of accuracy.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from itertools import pairwise
@@ -28,6 +28,7 @@ from ..table import Table, tabulated
 from ..units import GRAVITY
 from .metrics import Errors, Figures, linear_at, percentile, position_at, rms, squared_sigmas
 from .validate import sample_errors
+from .words import said
 
 #: A method: recording in, recovery out.
 Method = Callable[[Recording], Recovery]
@@ -78,7 +79,7 @@ def place_gaps(
     recording: Recording, length_s: float, rng: np.random.Generator, *, count: int, margin_s: float = 1.5
 ) -> list[HiddenGap]:
     """Draw gaps of one length at random; where none fits, one in the middle of the longest visible run."""
-    runs, visible_s = visible_runs(recording), visible_times(recording)
+    runs, visible_s, truth = visible_runs(recording), visible_times(recording), recording.truth
 
     def gap_from(start_s: float) -> HiddenGap | None:
         """From one visible frame to the one nearest to its length, if it is worth scoring."""
@@ -87,7 +88,11 @@ def place_gaps(
             return None
         gap = HiddenGap(start_s, float(later[np.argmin(np.abs(later - start_s - length_s))]))
         good = gap.contains(visible_s).any() and abs(gap.length_s - length_s) <= FLICKER_S
-        return gap if good and _has_truth(recording, gap) else None
+        if truth is None or not len(truth) or not good:
+            return gap if good else None
+        inside = gap.contains(truth.t_s)  # at least half of it must be finite and scored
+        known = truth.score & np.isfinite(truth.position).all(axis=1)
+        return gap if inside.any() and known[inside].mean() >= 0.5 else None
 
     fits = np.zeros(len(visible_s), dtype=bool)
     for start, end in runs:
@@ -107,16 +112,6 @@ def place_gaps(
             gap = gap_from(float(inside[np.argmin(np.abs(inside - 0.5 * (start + end - length_s)))]))
             chosen = [] if gap is None else [gap]
     return sorted(chosen, key=lambda gap: gap.start_s)
-
-
-def _has_truth(recording: Recording, gap: HiddenGap) -> bool:
-    """With a truth, at least half of the gap's samples must be finite and scored."""
-    truth = recording.truth
-    if truth is None or not len(truth):
-        return True
-    inside = gap.contains(truth.t_s)
-    good = truth.score & np.isfinite(truth.position).all(axis=1)
-    return bool(inside.any() and good[inside].mean() >= 0.5)
 
 
 def hide(recording: Recording, gaps: Sequence[HiddenGap]) -> Recording:
@@ -418,48 +413,41 @@ SHORTEST_S, ALIKE = 0.2, 1.15
 # against hidden ones shows how optimistic the test is.
 def compare_real_gaps(recordings: Sequence[Recording], table: GapTable) -> dict[str, Any]:
     """Movement in the real gaps of some recordings against their hidden ones, and a sentence on it."""
+
+    def movements(places: Iterable[tuple[Recording, Gap]]) -> Iterator[tuple[float, float]]:
+        """Rms turn rate, rad/s, and rms of specific force less gravity, m/s^2, where there are samples."""
+        for recording, gap in places:
+            imu = recording.imu
+            first, last = np.searchsorted(imu.t_s, [gap.start_s, gap.end_s])
+            if last - first >= 3:
+                turning = np.sqrt(np.mean(np.sum(np.square(imu.gyro[first:last]), axis=1)))
+                force = np.linalg.norm(imu.acc[first:last], axis=1) - GRAVITY
+                yield float(turning), float(np.sqrt(np.mean(force**2)))
+
+    def real_gaps(recording: Recording) -> Iterator[tuple[Recording, Gap]]:
+        """Gaps that the camera saw on both sides, without flicker."""
+        arm, imu = recording.arm, recording.imu
+        if len(arm) and len(imu):
+            ends = float(max(arm.t_s[0], imu.t_s[0])), float(min(arm.t_s[-1], imu.t_s[-1]))
+            for gap in find_gaps(arm.t_s, visible_frames(arm), *ends):
+                if not (gap.open_start or gap.open_end or gap.length_s < SHORTEST_S):
+                    yield recording, gap
+
     by_name = {recording.name: recording for recording in recordings}
     rows = [row for row in table.rows if not row.failure]
     rows = [row for row in rows if row.method == "graph"] or rows
     places = dict.fromkeys((row.recording, row.gap) for row in rows)
-    felt = [_movement(by_name[name], gap) for name, gap in places]
-    lost = [_movement(recording, gap) for recording in recordings for gap in _real_gaps(recording)]
-    hidden, real = ([each for each in some if each is not None] for some in (felt, lost))
-    start = "gaps were hidden where the camera saw the arm, which is easier than where it lost it"
+    hidden = list(movements((by_name[name], gap) for name, gap in places))
+    real = list(movements(each for recording in recordings for each in real_gaps(recording)))
     found: dict[str, Any] = {"count": len(real), "turning_ratio": None, "acceleration_ratio": None}
     if not real or not hidden:
-        sentence = f"{start}: real gaps may be worse, and this recording has no real gap to show by how much"
-        return found | {"sentence": sentence}
+        return found | {"sentence": said("gaps", "no_real_gap")}
     of_real, of_hidden = (np.sqrt(np.mean(np.square(each), axis=0)) for each in (real, hidden))
     turning, acceleration = (float(ratio) for ratio in of_real / np.maximum(of_hidden, 1e-6))
-    moved = (
-        f"in {'the real gap' if len(real) == 1 else f'its {len(real)} real gaps'} the forearm turned"
-        f" {turning:.1f} times as fast and was accelerated {acceleration:.1f} times as strongly"
-    )
-    sentence = f"{start}: {moved}, so expect larger errors there"
-    if max(turning, acceleration) < ALIKE:
-        sentence = f"{start}; here the IMU feels no difference: {moved}"
+    which = "the real gap" if len(real) == 1 else f"its {len(real)} real gaps"
+    alike = "alike" if max(turning, acceleration) < ALIKE else "worse"
+    sentence = said("gaps", alike, which=which, turning=turning, acceleration=acceleration)
     return found | {"turning_ratio": turning, "acceleration_ratio": acceleration, "sentence": sentence}
-
-
-def _real_gaps(recording: Recording) -> list[Gap]:
-    """Gaps of a recording that the camera saw on both sides, without flicker."""
-    arm, imu = recording.arm, recording.imu
-    if not len(arm) or not len(imu):
-        return []
-    ends = float(max(arm.t_s[0], imu.t_s[0])), float(min(arm.t_s[-1], imu.t_s[-1]))
-    gaps = find_gaps(arm.t_s, visible_frames(arm), *ends)
-    return [gap for gap in gaps if not (gap.open_start or gap.open_end or gap.length_s < SHORTEST_S)]
-
-
-def _movement(recording: Recording, gap: Gap) -> tuple[float, float] | None:
-    """Rms turn rate, rad/s, and rms of specific force less gravity's size, m/s^2; None without samples."""
-    first, last = np.searchsorted(recording.imu.t_s, [gap.start_s, gap.end_s])
-    if last - first < 3:
-        return None
-    gyro, acc = recording.imu.gyro[first:last], recording.imu.acc[first:last]
-    turning = np.sqrt(np.mean(np.sum(np.square(gyro), axis=1)))
-    return float(turning), float(np.sqrt(np.mean((np.linalg.norm(acc, axis=1) - GRAVITY) ** 2)))
 
 
 # --- hide, recover, score
@@ -568,18 +556,18 @@ def allowed_gaps(
         if stated:  # widened where errors exceed what is stated
             sigmas[length_s] = float(np.median(stated) * np.sqrt(np.fmax(own.figures.nees or 1.0, 1.0)))
     lengths_s, largest_m = list(sigmas), np.maximum.accumulate(list(sigmas.values()))
-    within = f"within {100 * WITHIN_M:.0f} cm"
     longest_s: float | None = None
-    allows = "the forearm was never visible for long enough to try a gap"
-    if sigmas and largest_m[0] > WITHIN_M:
-        longest_s, known_cm = 0.0, f"{100 * sigmas[lengths_s[0]]:.0f} cm"
-        allows = f"no gap is recovered {within}; gaps of {lengths_s[0]:g} s are known to {known_cm}"
-    elif sigmas and largest_m[-1] <= WITHIN_M:
-        longest_s = lengths_s[-1]
-        allows = f"gaps up to at least {longest_s:.2g} s are recovered {within}"
-    elif sigmas:
-        longest_s = float(np.exp(np.interp(np.log(WITHIN_M), np.log(largest_m), np.log(lengths_s))))
-        allows = f"gaps up to about {longest_s:.2g} s are recovered {within}"
+    if not sigmas:
+        allows = said("gaps", "never")
+    elif largest_m[0] > WITHIN_M:
+        longest_s, known_cm = 0.0, 100 * sigmas[lengths_s[0]]
+        allows = said("gaps", "none", within_cm=100 * WITHIN_M, length_s=lengths_s[0], known_cm=known_cm)
+    else:
+        longest_s, up_to = lengths_s[-1], "at least"
+        if largest_m[-1] > WITHIN_M:
+            longest_s = float(np.exp(np.interp(np.log(WITHIN_M), np.log(largest_m), np.log(lengths_s))))
+            up_to = "about"
+        allows = said("gaps", "allowed", within_cm=100 * WITHIN_M, up_to=up_to, length_s=longest_s)
     return {
         "sentence": "; ".join((allows, *not_determined)),
         "sentences": [allows, *not_determined],

@@ -20,7 +20,7 @@ def texts(document: str) -> dict[str, Any]:
     def flat(value: Any) -> Any:
         if isinstance(value, dict):
             return {name: flat(each) for name, each in value.items()}
-        return re.sub(r"\s*\n\s*", " ", value).strip()
+        return re.sub(r"\s*\n\s*", " ", value)
 
     found: dict[str, Any] = flat(tomllib.loads(document))
     return found

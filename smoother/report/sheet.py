@@ -16,6 +16,7 @@ import numpy as np
 import plotly.graph_objects as go
 from markupsafe import Markup
 
+from ..evaluation.summary import trust_word
 from ..evaluation.words import texts
 from ..runtime.outputs import writing
 from ..table import Table, cell_text
@@ -138,7 +139,13 @@ def words() -> dict[str, Any]:
 
 def caption(heading: str, **given: object) -> Html:
     """The caption of a heading with what is filled in; empty where there is none."""
-    return Html(words()["captions"].get(heading, "")).format(**given)
+    filled = {name: each or "" for name, each in given.items()}
+    return Html(words()["captions"].get(heading, "")).format(**filled)
+
+
+def phrase(name: str, **given: object) -> Html:
+    """A part of a caption, with what is filled in."""
+    return Html(words()["phrases"][name]).format(**given)
 
 
 def _plotted(plot: go.Figure) -> dict[str, Any]:
@@ -165,9 +172,9 @@ def label(text: object) -> str:
     return escape(str(text), quote=False)
 
 
-def rendered(each: Table, caption: str | None = None) -> PageSection:
-    """A table under its title and a caption."""
-    return PageSection(each.title, caption, tables=[each])
+def rendered(each: Table, caption: str | None = None, nothing: str = "") -> PageSection:
+    """A table under its title and a caption; without a row `nothing` is said."""
+    return PageSection(each.title, caption, tables=[each], below="" if each.rows else nothing)
 
 
 def notes(sentences: Iterable[str]) -> PageSection:
@@ -207,6 +214,12 @@ def badge(word: str, sign: str = "! ", kind: str = "care") -> Html:
     """A word in the colour of its meaning, with a sign for those who do not see colours."""
     sign, kind = _BADGES.get(word, (sign, kind))
     return Html('<span class="word {}">{}{}</span>').format(kind, sign, word)
+
+
+def trust_badge(trusted: bool | None, gaps: int | None, untrusted: int | None) -> str:
+    """Whether a result is to be trusted, as a word in its colour; a dash where not judged."""
+    word = trust_word(trusted, gaps, untrusted)
+    return badge(NOT_TRUSTED) if trusted is False else badge(word) if untrusted else word or "–"
 
 
 def capitalised(text: str) -> str:

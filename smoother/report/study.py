@@ -13,12 +13,12 @@ from urllib.parse import quote
 import numpy as np
 
 from ..evaluation.progress import group_measures
-from ..evaluation.summary import trust_word, worst_of
+from ..evaluation.summary import worst_of
 from ..evaluation.words import first_of
 from ..runtime.csv_rows import write_rows
 from ..runtime.outputs import writing
 from ..table import Table, tabulated
-from .sheet import ALARM, NOT_TRUSTED, Html, Page, PageSection, badge, caption, rendered
+from .sheet import ALARM, Html, Page, PageSection, caption, rendered, trust_badge
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -180,10 +180,10 @@ def _between(value: float | None, low: float | None, high: float | None, sign: s
 
 def _trust(row: dict[str, Any]) -> str:
     """Whether a recording's result is to be trusted, as a word in its colour, and why it is not."""
-    word = trust_word(row["trusted"], row["gaps"], row["gaps_untrusted"])
+    word = trust_badge(row["trusted"], row["gaps"], row["gaps_untrusted"])
     if row["trusted"] is False:
-        return badge(NOT_TRUSTED) + f" {str(row['verdict'] or '').removeprefix('Not to be trusted: ')}"
-    return badge(word) if row["gaps_untrusted"] else str(row["verdict"] or word) or "–"
+        return word + f" {str(row['verdict'] or '').removeprefix('Not to be trusted: ')}"
+    return word if row["gaps_untrusted"] else row["verdict"] or word
 
 
 def _scaled(value: float | None, factor: float = 1.0) -> str | None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 
 import numpy as np
@@ -13,7 +13,6 @@ from calib.motion import ArmEstimates
 from ..error_radius import error_radius
 from ..evaluation.advice import rejected
 from ..evaluation.summary import (
-    GapSummary,
     camera_consistency,
     certainty_figures,
     consistency,
@@ -39,68 +38,47 @@ WITHDRAWN = "withdrawn: the result is not to be trusted"
 
 def overview(recovery: Recovery) -> Table:
     """What was recovered, in numbers."""
-    figures = recovery_figures(recovery)
-    error = certainty_figures(recovery, recovery.trusted)["error_95_m"]
+    return Table("Figures", ("what", "value"), list(_overview(recovery, recovery.estimates)))
+
+
+def _overview(recovery: Recovery, estimates: Estimates) -> Iterator[tuple[str, object]]:
+    answered, error = recovery.answered, certainty_figures(recovery, recovery.trusted)["error_95_m"]
+    yield "method", recovery.method
+    yield "arm", recovery.side or "not stated"
+    yield "samples of the forearm sensor", len(recovery)
+    yield "sample rate, Hz", recovery_figures(recovery)["rate_hz"]
+    yield "samples without the camera", recovery.occluded.sum()
+    yield "samples without an answer", int((~answered).sum())
+    for words, within_m in (
+        ("while seen", error["visible"]["all"]),
+        ("in gaps", error["occluded"]["all"]),
+        ("at the least certain moment of a gap", error["occluded"]["max"]),
+    ):
+        stated = WITHDRAWN if estimates.trusted is False else centimetres(within_m)
+        yield f"position, 95 of 100 errors below, {words}, cm", stated
+    yield "samples that are not to be trusted", int(np.count_nonzero(~recovery.trusted))
+    if (check := estimates.self_check) is not None and check.stretches:
+        lost = f", {check.unanswered} not recovered" if check.unanswered else ""
+        yield "self-check: times that the arm was hidden", f"{check.stretches}{lost}"
+        if np.isfinite(check.inside_95):
+            yield "self-check: samples inside the stated 95 % region", percent(check.inside_95)
+        yield "self-check: sigma in gaps multiplied by", check.sigma_factor
+    if (pairing := estimates.pairing) is not None:
+        chance = f" (chance agreement {100 * pairing.chance:.2g} %)" if np.isfinite(pairing.chance) else ""
+        words = "shown by the motion" if pairing.proved else f"not proved{chance}"
+        yield "skeleton and sensor are of one motion", words
     offset = None
     if np.isfinite(recovery.clock_offset_s):
         offset = f"{1000 * recovery.clock_offset_s:.1f} ms"
         if np.isfinite(recovery.clock_offset_sigma_s):
             offset += f" ± {1960 * recovery.clock_offset_sigma_s:.1f} ms (95 of 100 cases)"
-    withdrawn = WITHDRAWN if recovery.estimates.trusted is False else None
-    rows: list[tuple[str, object]] = [
-        ("method", recovery.method),
-        ("arm", recovery.side or "not stated"),
-        ("samples of the forearm sensor", len(recovery)),
-        ("sample rate, Hz", figures["rate_hz"]),
-        ("samples without the camera", recovery.occluded.sum()),
-        ("samples without an answer", len(recovery) - int(recovery.answered.sum())),
-        *(
-            (f"position, 95 of 100 errors below, {words}, cm", withdrawn or centimetres(error[part][which]))
-            for words, part, which in _ERRORS
-        ),
-        ("samples that are not to be trusted", int(np.count_nonzero(~recovery.trusted))),
-        *_proofs(recovery.estimates),
-        ("sensor's clock minus camera's clock", offset),
-    ]
-    if (unsure := _too_uncertain(recovery)) is not None:
-        rows.append(("samples marked as too uncertain to use", unsure))
-    further = {name: value for name, value in recovery.estimates.plain().items() if name not in _ELSEWHERE}
-    rows += [(name.replace("_", " "), value) for name, value in _leaves(further, ", ")]
-    return Table("Figures", ("what", "value"), rows)
-
-
-_ERRORS = (
-    ("while seen", "visible", "all"),
-    ("in gaps", "occluded", "all"),
-    ("at the least certain moment of a gap", "occluded", "max"),
-)
-
-
-def _proofs(estimates: Estimates) -> list[tuple[str, object]]:
-    """Rows of the self-check and of the pairing; none where there is neither."""
-    rows: list[tuple[str, object]] = []
-    check, pairing = estimates.self_check, estimates.pairing
-    if check is not None and check.stretches:
-        lost = f", {check.unanswered} not recovered" if check.unanswered else ""
-        rows.append(("self-check: times that the arm was hidden", f"{check.stretches}{lost}"))
-        if np.isfinite(check.inside_95):
-            rows.append(
-                ("self-check: samples inside the stated 95 % region", f"{100 * check.inside_95:.0f} %")
-            )
-        rows.append(("self-check: sigma in gaps multiplied by", check.sigma_factor))
-    if pairing is not None:
-        chance = f" (chance agreement {100 * pairing.chance:.2g} %)" if np.isfinite(pairing.chance) else ""
-        words = "shown by the motion" if pairing.proved else f"not proved{chance}"
-        rows.append(("skeleton and sensor are of one motion", words))
-    return rows
-
-
-def _too_uncertain(recovery: Recovery) -> str | None:
-    limit = recovery.estimates.max_sigma_m
-    if limit is None:
-        return None
-    unsure = int(recovery.answered.sum() - certain(recovery).sum())
-    return f"{unsure} (above {100 * limit:g} cm)"
+    yield "sensor's clock minus camera's clock", offset
+    if (limit_m := estimates.max_sigma_m) is not None:
+        unsure = int(answered.sum() - certain(recovery).sum())
+        yield "samples marked as too uncertain to use", f"{unsure} (above {100 * limit_m:g} cm)"
+    further = {name: value for name, value in estimates.plain().items() if name not in _ELSEWHERE}
+    for name, value in _leaves(further, ", "):
+        yield name.replace("_", " "), value
 
 
 def settings(config: dict[str, object]) -> Table:
@@ -165,37 +143,24 @@ def camera(estimates: ArmEstimates) -> Table:
 
 def gaps(recovery: Recovery, validation: Validation | None = None) -> Table:
     """The gaps, one per row; with the errors in them where there is a reference."""
-    errors = {} if validation is None else {gap.start_s: figures for gap, figures in validation.gaps}
-    true = {start: centimetres(figures.position_p95_m) for start, figures in errors.items()}
-
-    def stated(summary: GapSummary, value: float | None, digits: int = 1) -> str | None:
-        """What is not withdrawn."""
-        return None if summary.trusted is False else fixed(value, digits)
-
-    columns: dict[str, Callable[[tuple[int, GapSummary]], object]] = {
-        "gap": lambda row: row[0],
-        "start, s": lambda row: f"{row[1].start_s:.2f}",
-        "length, s": lambda row: f"{row[1].length_s:.2f}",
-        "position within, cm": lambda row: stated(row[1], row[1].error_95_m and 100 * row[1].error_95_m, 2),
-        "against the reference, cm": lambda row: true.get(row[1].start_s),
-        "orientation within, degrees": lambda row: stated(row[1], row[1].orientation_95_deg),
-        "elbow flexion ±, degrees": lambda row: stated(
-            row[1], row[1].sigma_max_flexion_deg and 1.96 * row[1].sigma_max_flexion_deg
-        ),
-        "camera saw the arm on": lambda row: "one side only" if row[1].one_sided else "both sides",
-        "answered": lambda row: percent(row[1].answered),
-        "": lambda row: _remark(row[1]),
-    }
-    if not any(true.values()):
-        del columns["against the reference, cm"]
-    return tabulated("Gaps", enumerate(gap_summaries(recovery), start=1), columns)
-
-
-def _remark(summary: GapSummary) -> str:
-    """The last cell of a gap: whether to trust it, and why not."""
-    if summary.trusted is False:
-        return badge(NOT_TRUSTED) + " " + "; ".join(summary.reasons)
-    return "take with care" if summary.one_sided or summary.is_wider_than(WIDE_M) else ""
+    errors = () if validation is None else validation.gaps
+    true = {gap.start_s: centimetres(figures.position_p95_m) for gap, figures in errors}
+    rows = []
+    for number, gap in enumerate(gap_summaries(recovery), start=1):
+        row = {"gap": number, "start, s": f"{gap.start_s:.2f}", "length, s": f"{gap.length_s:.2f}"}
+        told, flexion = gap.trusted is not False, gap.sigma_max_flexion_deg  # else they are withdrawn
+        row["position within, cm"] = centimetres(gap.error_95_m) if told else None
+        if any(true.values()):
+            row["against the reference, cm"] = true.get(gap.start_s)
+        row["orientation within, degrees"] = fixed(gap.orientation_95_deg, 1) if told else None
+        row["elbow flexion ±, degrees"] = fixed(flexion and 1.96 * flexion, 1) if told else None
+        row["camera saw the arm on"] = "one side only" if gap.one_sided else "both sides"
+        row["answered"] = percent(gap.answered)
+        row[""] = "take with care" if gap.one_sided or gap.is_wider_than(WIDE_M) else ""
+        if gap.trusted is False:
+            row[""] = badge(NOT_TRUSTED) + " " + "; ".join(gap.reasons)
+        rows.append(row)
+    return Table("Gaps", list(rows[0]) if rows else (), [list(row.values()) for row in rows])
 
 
 def calibration(recovery: Recovery) -> Table:
@@ -203,15 +168,9 @@ def calibration(recovery: Recovery) -> Table:
     arm, estimates = recovery.calibration, recovery.estimates
     rows: list[tuple[object, ...]] = []
     for joint, lever in () if arm is None else arm.lever_arms.items():
-        radius = error_radius(np.diag(np.asarray(lever.sigma_m) ** 2))
-        rows.append(
-            (
-                f"{joint}, in the sensor's axes",
-                _vector(lever.position_m, 1),
-                f"{100 * float(radius):.1f}",
-                "cm",
-            )
-        )
+        place = ", ".join(f"{100 * each:.1f}" for each in lever.position_m)
+        radius = 100 * float(error_radius(np.diag(np.asarray(lever.sigma_m) ** 2)))
+        rows.append((f"{joint}, in the sensor's axes", place, f"{radius:.1f}", "cm"))
     if arm is not None and (length := arm.upper_arm) is not None:
         rows.append(("shoulder to elbow", f"{100 * length.value_m:.1f}", f"{196 * length.sigma_m:.1f}", "cm"))
     for name, unit in (("accelerometer_bias", "m/s²"), ("gyroscope_bias", "rad/s")):
@@ -220,7 +179,3 @@ def calibration(recovery: Recovery) -> Table:
             rows.append((name.replace("_", " "), ", ".join(f"{item:.4f}" for item in value), None, unit))
     columns = ("what", "value (x, y, z)", "within (95 of 100 cases)", "unit")
     return Table("Sensor mounting on the arm", columns, rows)
-
-
-def _vector(metres: Iterable[float] | None, decimals: int) -> str | None:
-    return None if metres is None else ", ".join(f"{100 * item:.{decimals}f}" for item in metres)

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from ..errors import UnoccludeError
 from ..evaluation.progress import (
+    Change,
     PersonProgress,
     Series,
     SessionValue,
@@ -100,36 +101,42 @@ def _progress(
                 key = (entry["side"] or "", each.task, entry["key"])
                 days.setdefault(each.session, day)
                 about[key] = entry["name"], entry["unit"] or ""
-                first_day = next(iter(days.values()))
-                values.setdefault(key, []).append(_value(each, day - first_day, entry))
-    series = []
-    for (side, task, measure), found in values.items():
-        known = mdc95.get(measure, math.nan)
-        changes = [change_between(found[0], later, known) for later in found[1:]]
-        if measure in BY_MOVEMENT:  # means over movements, only where the sessions have like movements
-            counts = {each.session: each for each in values.get((side, task, "movement_count"), ())}
-            changes = [
+                value = SessionValue(
+                    session=each.session,
+                    day=day - next(iter(days.values())),
+                    **{name: _number(entry[name]) for name in _NUMBERS},
+                    n_draws=entry["n_draws"] or 0,
+                    note=entry["note"] or "",
+                    recording=each.recording,
+                )
+                values.setdefault(key, []).append(value)
+    changes: dict[_Key, list[Change]] = {}
+    for key, found in values.items():
+        known = mdc95.get(key[2], math.nan)
+        changes[key] = [change_between(found[0], later, known) for later in found[1:]]
+        if key[2] in BY_MOVEMENT:  # means over movements, only where the sessions have like movements
+            counts = {each.session: each for each in values.get((*key[:2], "movement_count"), ())}
+            changes[key] = [
                 without_like_movements(each, counts.get(each.first.session), counts.get(each.last.session))
-                for each in changes
+                for each in changes[key]
             ]
-        names = about[side, task, measure]
-        series.append(Series(person, side, task, measure, *names, tuple(found), tuple(changes)))
-    doubts = [
-        f"session {each.session} ({each.recording}): {row['gaps_untrusted']} of {row['gaps']} gaps are not"
-        " to be trusted; what was measured in them may be wrong"
-        for each in attendances
-        if (row := rows[each.recording])["status"] == DONE
-        and row["trusted"] is not False
-        and row["gaps_untrusted"]
+    last = {key: own[-1] for key, own in changes.items() if own and is_main(key[2])}
+    for key, p in zip(last, together(list(last.values())), strict=True):
+        changes[key][-1] = replace(last[key], p_together=p)
+    series = [
+        Series(person, *key, *about[key], tuple(values[key]), tuple(own)) for key, own in changes.items()
     ]
     return PersonProgress(
         person=person,
         sessions=tuple(days),
         days=tuple(day - next(iter(days.values())) for day in days.values()),
-        series=tuple(_counted_together(series)),
+        series=tuple(series),
         left_out=tuple(left_out),
-        notes=(*doubts, *_notes([rows[each.recording] for each in attendances], days)),
+        notes=tuple(_notes([(each, rows[each.recording]) for each in attendances], days)),
     )
+
+
+_NUMBERS = ("value", "low", "high", "sigma", "recovered_share")
 
 
 def _usable(row: Row) -> tuple[list[dict[str, Any]], list[str]]:
@@ -151,42 +158,24 @@ def _usable(row: Row) -> tuple[list[dict[str, Any]], list[str]]:
     return usable, why
 
 
-def _value(attendance: SessionEntry, day: float, entry: Mapping[str, Any]) -> SessionValue:
-    return SessionValue(
-        session=attendance.session,
-        day=day,
-        **{name: _number(entry[name]) for name in ("value", "low", "high", "sigma", "recovered_share")},
-        n_draws=entry["n_draws"] or 0,
-        note=entry["note"] or "",
-        recording=attendance.recording,
-    )
-
-
-def _counted_together(series: Sequence[Series]) -> list[Series]:
-    """The last changes of the main measures with the probability of all of them together."""
-    last = [each for each in series if each.changes and is_main(each.key)]
-    adjusted = dict(zip(map(id, last), together([each.changes[-1] for each in last]), strict=True))
-    return [
-        replace(each, changes=(*each.changes[:-1], replace(each.changes[-1], p_together=adjusted[id(each)])))
-        if id(each) in adjusted
-        else each
-        for each in series
-    ]
-
-
-def _notes(rows: Iterable[Row], used: Mapping[str, float]) -> list[str]:
-    notes = []
-    done = [row for row in rows if row["measures"]]
+def _notes(attended: Sequence[tuple[SessionEntry, Row]], used: Mapping[str, float]) -> Iterator[str]:
+    """What limits the statements on a person."""
+    for each, row in attended:
+        if row["status"] == DONE and row["trusted"] is not False and row["gaps_untrusted"]:
+            yield (
+                f"session {each.session} ({each.recording}): {row['gaps_untrusted']} of {row['gaps']} gaps"
+                " are not to be trusted; what was measured in them may be wrong"
+            )
+    done = [row for _, row in attended if row["measures"]]
     if len({(row["config_hash"], row["version"]) for row in done}) > 1:
-        notes.append(
+        yield (
             "The sessions were recovered with different settings or versions, which can change measures:"
             " run `unocclude batch` again on all of them."
         )
     if len({row["calibration_hash"] for row in done}) > 1:
-        notes.append("The sessions have different calibration files.")
+        yield "The sessions have different calibration files."
     if not all(math.isfinite(day) for day in used.values()):
-        notes.append("The days of the sessions are unknown: they are ordered by name.")
-    return notes
+        yield "The days of the sessions are unknown: they are ordered by name."
 
 
 def _number(value: float | None) -> float:
@@ -197,8 +186,8 @@ def entries_of(rows: Sequence[Row]) -> dict[str, SessionEntry]:
     """Whose each recording is, by its folders; one that is in none is a person of its own."""
     entries = {}
     for row in rows:
-        name, day = row["recording"], row.get("recorded_day")
-        entry = by_folders(name, math.nan if day is None else float(day))
+        name = row["recording"]
+        entry = by_folders(name, _number(row.get("recorded_day")))
         entries[name] = entry or SessionEntry(name, Path(name).stem, "1")
     return entries
 
@@ -208,46 +197,29 @@ def persons_of(rows: Sequence[Row]) -> dict[str, str]:
     return {name: entry.person for name, entry in entries_of(rows).items() if "/" in name}
 
 
-_OF_MEASURE = ("name", "unit", "value", "low", "high", "sigma", "recovered_share")
-
-
 def long_rows(rows: Sequence[Row]) -> list[dict[str, Any]]:
     """One row per measure of a session, as R, SPSS and others take them."""
     entries = entries_of(rows)
-    numbers, days = _sessions(list(entries.values()))
+    persons: dict[str, list[SessionEntry]] = {}
+    for entry in entries.values():
+        persons.setdefault(entry.person, []).append(entry)
+    sessions = {person: [each[0].session for each in in_order(mine)] for person, mine in persons.items()}
     found = []
     for row in rows:
         if row["status"] != DONE or row["measures"] is None:
             continue
         entry = entries[row["recording"]]
-        day = entry.day - days[entry.person]
+        day = entry.day - min(each.day for each in persons[entry.person])
         about = {
             "person": entry.person,
             "session": entry.session,
-            "session_number": numbers[entry.person, entry.session],
+            "session_number": 1 + sessions[entry.person].index(entry.session),
             "day": round(day, 3) if math.isfinite(day) else None,
             "task": entry.task,
             "recording": row["recording"],
         }
         for each in row["measures"]:
-            taken = {name: each[name] for name in _OF_MEASURE}
-            found.append(
-                about
-                | {"side": each["side"] or "", "trusted": int(each["trusted"] is not False)}
-                | {"measure": each["key"]}
-                | taken
-            )
+            arm = {"side": each["side"] or "", "trusted": int(each["trusted"] is not False)}
+            taken = {name: each[name] for name in ("name", "unit", *_NUMBERS)}
+            found.append(about | arm | {"measure": each["key"]} | taken)
     return found
-
-
-def _sessions(entries: Sequence[SessionEntry]) -> tuple[dict[tuple[str, str], int], dict[str, float]]:
-    """Number of each session of a person, from 1, and the day of the person's first."""
-    persons: dict[str, list[SessionEntry]] = {}
-    for entry in entries:
-        persons.setdefault(entry.person, []).append(entry)
-    numbers = {
-        (person, session[0].session): number
-        for person, mine in persons.items()
-        for number, session in enumerate(in_order(mine), start=1)
-    }
-    return numbers, {person: min(each.day for each in mine) for person, mine in persons.items()}

@@ -202,25 +202,12 @@ def test_the_example_of_shrout_and_fleiss():
 
 
 def progress_over(values: np.ndarray, sessions: tuple[str, ...]) -> list[PersonProgress]:
-    return [
-        PersonProgress(
-            f"p{row}",
-            sessions,
-            (0.0,) * len(sessions),
-            (
-                Series(
-                    f"p{row}",
-                    "right",
-                    "",
-                    FLEXION,
-                    "elbow flexion",
-                    "deg",
-                    tuple(SessionValue(name, 0.0, value) for name, value in zip(sessions, each, strict=True)),
-                ),
-            ),
-        )
-        for row, each in enumerate(values)
-    ]
+    persons = []
+    for row, each in enumerate(values):
+        found = tuple(SessionValue(name, 0.0, value) for name, value in zip(sessions, each, strict=True))
+        series = Series(f"p{row}", "right", "", FLEXION, "elbow flexion", "deg", found)
+        persons.append(PersonProgress(f"p{row}", sessions, (0.0,) * len(sessions), (series,)))
+    return persons
 
 
 def test_who_takes_part():
@@ -230,9 +217,8 @@ def test_who_takes_part():
     assert reliability_of(progress_over(values[:, :1], ("a",))) == []  # one session
     values[0, 1] = np.nan
     (one,) = reliability_of(progress_over(values, ("a", "b")))
-    assert (
-        one["persons"] == 3 and one["sem_agreement_low"] <= one["sem_agreement"] <= one["sem_agreement_high"]
-    )
+    assert one["persons"] == 3
+    assert one["sem_agreement_low"] <= one["sem_agreement"] <= one["sem_agreement_high"]
 
 
 def test_intervals_of_the_limits_hold():

@@ -40,14 +40,8 @@ def with_joints(t: np.ndarray) -> Truth:
 
 
 def pair(recording: str, value: float, reference: float, **more: object) -> MeasurePair:
-    about = {
-        "side": "right",
-        "scope": "session",
-        "movement": None,
-        "key": FLEXION,
-        "name": "elbow",
-        "unit": "deg",
-    }
+    about = {"side": "right", "scope": "session", "movement": None}
+    about |= {"key": FLEXION, "name": "elbow", "unit": "deg"}
     numbers = {"low": value - 4, "high": value + 4, "recovered_share": 0.1}
     return MeasurePair(recording=recording, value=value, reference=reference, **(about | numbers | more))
 
@@ -160,13 +154,9 @@ class TestManyRecordings:
         ('{"measures": null}', "has no measures"),
         ('{"measures": {"pairs": []}}', "has no measures"),
         ('{"measures": {"pairs": [{"key": 1}]}}', "cannot be read"),
-        (
-            json.dumps({"measures": {"pairs": [plain(pair("r", 1, 2).to_dict()) | {"value": "x"}]}}),
-            "cannot be",
-        ),
-        (
-            json.dumps({"measures": {"pairs": [plain(pair("r", 1, 2).to_dict()) | {"scope": "x"}]}}),
-            "cannot be",
+        *(
+            (json.dumps({"measures": {"pairs": [plain(pair("r", 1, 2).to_dict()) | wrong]}}), "cannot be")
+            for wrong in ({"value": "x"}, {"scope": "x"})
         ),
     ],
 )
@@ -193,18 +183,8 @@ class TestCommand:
     def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
         """A simulated arm, recovered with a few draws."""
         where = tmp_path_factory.mktemp("validated")
-        done(
-            "simulate",
-            "arm",
-            "--set",
-            "protocol=random",
-            "--set",
-            "duration_s=8",
-            "--seed",
-            4,
-            "-o",
-            where / "a.mcap",
-        )
+        short = ("--set", "protocol=random", "--set", "duration_s=8")
+        done("simulate", "arm", *short, "--seed", 4, "-o", where / "a.mcap")
         done("smooth", where / "a.mcap", "-o", where / "out.mcap", "--draws", 20, "--processes", 1)
         return where
 
@@ -225,16 +205,14 @@ class TestCommand:
 
     def test_pooled_files_state_the_agreement(self, folder: Path, tmp_path: Path, capsys):
         earlier = [pair(f"r{n}", 90.0 + 10 * n + n % 2, 90.0 + 10 * n) for n in range(4)]
-        (tmp_path / "old.json").write_text(
-            json.dumps(plain({"measures": {"pairs": [one.to_dict() for one in earlier]}}))
-        )
+        pairs = plain({"measures": {"pairs": [one.to_dict() for one in earlier]}})
+        (tmp_path / "old.json").write_text(json.dumps(pairs))
         files = ("--json", tmp_path / "v.json", "--report", tmp_path / "v.html")
         assert self.command(folder, "--pool", tmp_path / "old.json", *files) == 0
         assert "Agreement of the measures" in capsys.readouterr().out
         found = json.loads((tmp_path / "v.json").read_text())["measures"]["agreement"]["session"][FLEXION]
-        assert (
-            found["pairs"] == 5 and found["mdc95"] > 0 and found["icc_low"] < found["icc"] < found["icc_high"]
-        )
+        assert found["pairs"] == 5 and found["mdc95"] > 0
+        assert found["icc_low"] < found["icc"] < found["icc_high"]
         assert "How well the measures agree" in (tmp_path / "v.html").read_text(encoding="utf-8")
         # the same recording again, with a file that holds it already
         again = (

@@ -19,14 +19,7 @@ from smoother.evaluation.validate import validate
 from smoother.recording import Truth
 from smoother.result import Recovery
 
-KEYS = {
-    "position_rms_m",
-    "position_max_m",
-    "orientation_rms_deg",
-    "orientation_max_deg",
-    "nees",
-    "samples",
-}
+KEYS = {"nees", "samples", "position_rms_m", "position_max_m", "orientation_rms_deg", "orientation_max_deg"}
 
 
 @pytest.fixture

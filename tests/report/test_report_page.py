@@ -114,6 +114,16 @@ def test_whole_page(tmp_path):
     assert len(text) < 6e6
 
 
+#: Of a result that states nothing of itself.
+BARE = dict.fromkeys(("residuals", "calibration")) | dict.fromkeys(
+    ("clock_offset_s", "clock_offset_sigma_s"), np.nan
+)
+BARE |= {"config": {}, "notes": (), "gravity_direction": np.full(3, np.nan)}
+BARE["estimates"] = Estimates(
+    further={"bias": np.arange(3.0), "worst": np.float64(2.5), "deep": {"a": [1, None]}}
+)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize(
     "what", ["no gap", "no covariance", "no joints", "no answer", "open", "bare", "one", "none"]
@@ -137,19 +147,7 @@ def test_odd_results(tmp_path, what):
         "open": lambda: replace(
             recovery, gaps=(Gap(0.0, 3.0, open_start=True), Gap(18.0, 20.0, open_end=True))
         ),
-        "bare": lambda: replace(
-            recovery,
-            residuals=None,
-            calibration=None,
-            config={},
-            notes=(),
-            gravity_direction=np.full(3, np.nan),
-            clock_offset_s=float("nan"),
-            clock_offset_sigma_s=float("nan"),
-            estimates=Estimates(
-                further={"bias": np.arange(3.0), "worst": np.float64(2.5), "deep": {"a": [1, None]}}
-            ),
-        ),
+        "bare": lambda: replace(recovery, **BARE),
         "one": lambda: cut(recovery, 1),
         "none": lambda: cut(recovery, 0),
     }[what]()
@@ -164,19 +162,7 @@ def test_odd_results(tmp_path, what):
 
 
 def cut(recovery: Recovery, count: int) -> Recovery:
-    return replace(
-        recovery,
-        t_s=recovery.t_s[:count],
-        occluded=recovery.occluded[:count],
-        position=recovery.position[:count],
-        quaternion=recovery.quaternion[:count],
-        velocity=recovery.velocity[:count],
-        pose_covariance=recovery.pose_covariance[:count],
-        velocity_covariance=recovery.velocity_covariance[:count],
-        joints={name: value[:count] for name, value in recovery.joints.items()},
-        joint_covariance={name: value[:count] for name, value in recovery.joint_covariance.items()},
-        gaps=(),
-    )
+    return replace(recovery.rows(slice(count)), gaps=())
 
 
 def test_an_uncertain_gap_is_named(tmp_path):
@@ -192,11 +178,7 @@ def test_dishonest_sigma_is_said(tmp_path):
     found = validate(recovery, make_truth(np.arange(0, 20, 0.01)))
     page, _ = written(tmp_path / "r.html", recovery, validation=found)
     words = " ".join(page.cells)
-    assert (
-        "about 3.0 times as large as the stated" in words
-        or "about 2.9 times" in words
-        or "3.1 times" in words
-    )
+    assert re.search(r"about (2\.9|3\.0|3\.1) times as large as the stated", words)
     assert not any("95 of 100 cases" in text for text in summary(recovery, found))
 
 

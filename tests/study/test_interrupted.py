@@ -182,11 +182,8 @@ def test_a_full_disk_is_tried_again(in_here, job, made, monkeypatch, capsys):
     write = smoother.io.write_recovery
     monkeypatch.setattr(smoother.io, "write_recovery", full)
     row = run_job(job)
-    assert (
-        row["status"] == FAILED
-        and row["retry"]
-        and row["error"] == "out.mcap: no space left on the disk; make room and run again"
-    )
+    assert row["status"] == FAILED and row["retry"]
+    assert row["error"] == "out.mcap: no space left on the disk; make room and run again"
     assert batch(made / NAMES[0], "-o", job.folder, "--processes", 1) == 1
     monkeypatch.setattr(smoother.io, "write_recovery", write)
     assert batch(made / NAMES[0], "-o", job.folder, "--processes", 1) == 0
