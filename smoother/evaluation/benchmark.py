@@ -177,9 +177,9 @@ def plain(tables: Tables, seed: int, version: str, data: str) -> dict[str, Any]:
             whole = GapGroup([row for group in groups.values() for row in group.rows])
             medians = {length: group.spread["median_m"] for length, group in groups.items()}
             rms_m = {length: group.figures.position_rms_m for length, group in groups.items()}
-            row = {"method": name, "median_m": medians, "rms_m": rms_m}
-            row |= {"inside_95": whole.figures.coverage_95, "gaps": len(whole.rows), "failed": whole.failed}
-            rows.append(row)
+            each: dict[str, Any] = {"method": name, "median_m": medians, "rms_m": rms_m}
+            each |= {"inside_95": whole.figures.coverage_95, "gaps": len(whole.rows), "failed": whole.failed}
+            rows.append(each)
         about = {"dataset": dataset, "split": split, "trials": len({row.recording for row in table.rows})}
         datasets.append(about | {"lengths": lengths, "methods": sorted(rows, key=rank)})
     notes = list(dict.fromkeys(note for table in tables.values() for note in table.notes))

@@ -59,11 +59,7 @@ class BenchmarkData:
 
 
 #: The development split: BROAD's trials by number, UTD-MHAD's and SmartFallMM's subjects.
-_DEVELOPMENT = {
-    "broad": {3, 5, 7, 11, 14, 16, 24, 33},
-    "utd_mhad": {1, 2, 3, 4},
-    "smartfallmm": {43, 44},
-}
+_DEVELOPMENT = {"broad": {3, 5, 7, 11, 14, 16, 24, 33}, "utd_mhad": {1, 2, 3, 4}, "smartfallmm": {43, 44}}
 
 
 def _split(dataset: str, number: str) -> str:
@@ -166,8 +162,7 @@ DATASETS: Mapping[str, BenchmarkData] = {
     for data in (
         # the IMU against optical motion capture, whose positions at 30 Hz with 8 mm of noise are the camera
         BenchmarkData(
-            *("broad", "BROAD", (0.5, 1.0, 2.0, 3.0), 4, True, broad_trials, _open_broad),
-            "broad/NN_*.mat",
+            *("broad", "BROAD", (0.5, 1.0, 2.0, 3.0), 4, True, broad_trials, _open_broad), "broad/NN_*.mat"
         ),
         # the others: the wrist against the camera's hidden samples
         BenchmarkData(

@@ -47,11 +47,6 @@ class BaselineSettings:
     orientation: str = DEFAULT_ORIENTATION  # The filter of those that need one
     options: Mapping[str, Any] = field(default_factory=dict)  # By name
 
-    def for_method(self, name: str) -> dict[str, Any]:
-        """The options that a method knows."""
-        known = (BASELINES | LIVE_BASELINES)[name].options
-        return {key: value for key, value in self.options.items() if key in known}
-
 
 class Shared(Generic[T]):
     """What is made of a recording, made once and kept until another recording comes; failures too."""
@@ -78,19 +73,6 @@ class Shared(Generic[T]):
         return self._answer
 
 
-def shared_graph(
-    calibration: ArmCalibration | None,
-    config: Config,
-    progress: Progress | None = None,
-    clock: Clock | None = None,
-) -> Shared[Recovery]:
-    """The graph's recovery of a recording, solved once."""
-    from ..smoothing import smooth
-
-    solve = partial(smooth, calibration=calibration, config=config, clock=clock)
-    return Shared(solve, progress=progress)
-
-
 def make_methods(
     names: Sequence[str],
     calibration: ArmCalibration | None,
@@ -101,10 +83,10 @@ def make_methods(
     latency_s: float = 0.1,
 ) -> dict[str, Method]:
     """The chosen methods by name; the baselines start from what the graph estimates, which they share."""
-    graph, settings = (
-        shared_graph(calibration, config, progress, clock),
-        settings or BaselineSettings(),
-    )
+    from ..smoothing import smooth
+
+    solve = partial(smooth, calibration=calibration, config=config, clock=clock)
+    graph, settings = Shared(solve, progress=progress), settings or BaselineSettings()
     played = Shared(partial(play, graph=graph, calibration=calibration, config=config, latency_s=latency_s))
 
     def method(name: str) -> Method:
@@ -112,7 +94,8 @@ def make_methods(
             return graph
         if name in LIVE_SMOOTHER:
             return partial(by_live, LIVE_SMOOTHER[name], played, graph)
-        options = settings.for_method(name)
+        known = (BASELINES | LIVE_BASELINES)[name].options
+        options = {key: value for key, value in settings.options.items() if key in known}
         if name in LIVE_BASELINES:
             options["latency_s"] = latency_s
         return partial(_by_baseline, name, graph, settings.orientation, options)
@@ -219,11 +202,10 @@ def by_live(
         pose_covariance=column([answer.pose_covariance for answer in answers]),
         velocity_covariance=np.full((len(solved), 3, 3), np.nan),
         joints={
-            joint: column([answer.joints.get(joint, no_place) for answer in answers])
-            for joint in solved.joints
+            name: column([each.joints.get(name, no_place) for each in answers]) for name in solved.joints
         },
         joint_covariance={
-            joint: column([answer.joint_covariance.get(joint, no_spread) for answer in answers])
-            for joint in solved.joints
+            name: column([each.joint_covariance.get(name, no_spread) for each in answers])
+            for name in solved.joints
         },
     )

@@ -12,7 +12,7 @@ import numpy as np
 from ..measures.definitions import FEWEST_DRAWS
 from ..table import Table, percent, tabulated
 from .statistics import detectable_change, icc_a1, limits_of_agreement, sem_agreement
-from .words import FIRST, first_of, interval, is_main, limits_words, quantity, with_interval, worded
+from .words import FIRST, first_of, interval, is_main, limits_words, quantity, said, with_interval, worded
 
 #: What may be said of a change.
 Word = Literal["clearly more", "clearly less", "no clear change", "cannot be assessed"]
@@ -96,32 +96,29 @@ def change_between(first: SessionValue, last: SessionValue, mdc95: float = math.
     half, p = _half_and_p(first, last, difference, spread)
     clear = p < LEVEL and not abs(difference) <= mdc95
     word: Word = (MORE if difference > 0 else LESS) if clear else UNCLEAR
-    said = []
+    found: list[str] = []
     if not clear and half > mdc95:  # a change that matters may hide in so wide an interval
         word = UNKNOWN
-        said = ["the interval is wider than the minimal detectable change"]
+        found = ["the interval is wider than the minimal detectable change"]
     if p < LEVEL and not clear:
-        said.append("the change is larger than its interval but not than the minimal detectable change")
+        found.append("the change is larger than its interval but not than the minimal detectable change")
     for value in (first, last):
         if value.recovered_share > MOSTLY_RECOVERED:
-            said.append(f"more than half of session {value.session} comes from recovered samples")
+            found.append(f"more than half of session {value.session} comes from recovered samples")
         if value.value < value.low or value.value > value.high:
-            said.append(f"session {value.session}: the value lies outside its own interval")
-    return Change(first, last, difference, difference - half, difference + half, p, mdc95, word, tuple(said))
+            found.append(f"session {value.session}: the value lies outside its own interval")
+    ends = (difference - half, difference + half)
+    return Change(first, last, difference, *ends, p, mdc95, word, tuple(found))
 
 
 def _lacks(value: SessionValue) -> str:
     """What is missing from a session's value, in words."""
     if not math.isfinite(value.value):
-        return f"session {value.session} has no value" + (
-            f" ({value.note.rstrip('.')})" if value.note else ""
-        )
+        why = f" ({value.note.rstrip('.')})" if value.note else ""
+        return f"session {value.session} has no value{why}"
     if math.isfinite(value.spread):
         return ""
-    return (
-        f"session {value.session} has no interval: it was recovered without drawn motions, or they are too"
-        f" few ({FEWEST_DRAWS} are needed, --draws 64)"
-    )
+    return said("progress", "no_interval", session=value.session, draws=FEWEST_DRAWS)
 
 
 def _half_and_p(
@@ -154,6 +151,7 @@ def without_like_movements(
 def _unlike(change: Change, *counts: SessionValue | None) -> str:
     """Why two sessions' means are over different movements; "" where they are not."""
     sessions, numbers, ends, words = (change.first, change.last), [], [], []
+    first, last = (of.session for of in sessions)
     for of, count in zip(sessions, counts, strict=True):
         if count is None or not math.isfinite(count.value):
             return f"the number of movements of session {of.session} is not known"
@@ -162,17 +160,11 @@ def _unlike(change: Change, *counts: SessionValue | None) -> str:
         ends += [low, high]
         words.append(f"{count.value:.0f}" + (f" ({low:.0f} to {high:.0f})" if low < high else ""))
     if min(numbers) < LIKE_NUMBERS * max(numbers) or min(ends) < LIKE_ENDS * max(ends):
-        return (
-            f"sessions {change.first.session} and {change.last.session} have {words[0]} and {words[1]}"
-            " movements: their means are not comparable"
-        )
+        return said("progress", "unlike_numbers", first=first, last=last, one=words[0], other=words[1])
     shares = [of.recovered_share for of in sessions]
     if abs(shares[1] - shares[0]) > MOSTLY_RECOVERED:
-        return (
-            f"{100 * shares[0]:.0f} % of the movements of session {change.first.session} and"
-            f" {100 * shares[1]:.0f} % of session {change.last.session} are recovered: their means are not"
-            " comparable"
-        )
+        one, other = (100 * share for share in shares)
+        return said("progress", "unlike_shares", first=first, last=last, one=one, other=other)
     return ""
 
 

@@ -118,9 +118,15 @@ def truth_notes(recovery: Recovery, truth: Truth, aligned: bool = False) -> list
     """What makes a truth look wrong, one sentence each; usually none."""
     at = truth_at(truth, recovery.t_s)
     chosen = at.score & ~recovery.occluded
-    distance_m = _distance_m(recovery, at, chosen)
+    away = [np.linalg.norm(mine - other, axis=1)[chosen] for mine, other in _shared(recovery, at)]
+    # of the IMU, else of the joints that both have
+    distance_m = next((float(np.nanmedian(each)) for each in away if np.isfinite(each).any()), np.nan)
     if distance_m > OTHER_UNIT_M:
-        return [_unit_words(recovery, truth, distance_m)]
+        everywhere = (np.concatenate([one.position, *one.joints.values()]) for one in (truth, recovery))
+        true_m, found_m = (float(np.nanmedian(np.linalg.norm(each, axis=1))) for each in everywhere)
+        ratio = true_m / found_m
+        unit = "centimetres" if 30.0 < ratio < 300.0 else "millimetres"
+        return [_said("other_unit", away_m=distance_m, unit=unit)]
     if aligned:
         return []
     correlations = _correlations(recovery, truth)
@@ -138,25 +144,6 @@ def _shared(recovery: Recovery, truth: Truth) -> list[tuple[FloatArray, FloatArr
     return pairs + [
         (recovery.joints[name], place) for name, place in truth.joints.items() if name in recovery.joints
     ]
-
-
-def _distance_m(recovery: Recovery, at: Truth, chosen: BoolArray) -> float:
-    """Median distance of answer and truth: of the IMU, else of the joints they share; nan without any."""
-    for mine, other in _shared(recovery, at):
-        distance = np.linalg.norm(mine - other, axis=1)[chosen]
-        if np.isfinite(distance).any():
-            return float(np.nanmedian(distance))
-    return float("nan")
-
-
-def _unit_words(recovery: Recovery, truth: Truth, distance_m: float) -> str:
-    positions = np.concatenate([truth.position, *truth.joints.values()])
-    answer = np.concatenate([recovery.position, *recovery.joints.values()])
-    ratio = float(np.nanmedian(np.linalg.norm(positions, axis=1))) / float(
-        np.nanmedian(np.linalg.norm(answer, axis=1))
-    )
-    unit = "centimetres" if 30.0 < ratio < 300.0 else "millimetres"
-    return _said("other_unit", away_m=distance_m, unit=unit)
 
 
 def _correlations(recovery: Recovery, truth: Truth) -> list[float]:

@@ -37,10 +37,7 @@ REACHED = {
     "hand_behind_back_reached": "hand behind the back",
 }
 #: What is drawn of each movement, and under which heading.
-BY_MOVEMENT = {
-    "hand_peak_speed_m_s": "How fast the hand was",
-    "sparc": "How smoothly the hand moved",
-}
+BY_MOVEMENT = {"hand_peak_speed_m_s": "How fast the hand was", "sparc": "How smoothly the hand moved"}
 #: More movements are not drawn one by one.
 MOST_MOVEMENTS = 24
 
@@ -121,8 +118,7 @@ def _ranges(arms: Sequence[Measures]) -> PageSection:
         return PageSection()
     figure.update_xaxes(ticksuffix="°", rangemode="tozero").update_yaxes(autorange="reversed")
     return PageSection(
-        "How far the joints moved",
-        plot=dress(figure, 60 + 42 * len(names), head=5, showlegend=False),
+        "How far the joints moved", plot=dress(figure, 60 + 42 * len(names), head=5, showlegend=False)
     )
 
 

@@ -23,18 +23,7 @@ from ..result.untrusted import untrusted_gaps
 from ..table import Table
 from . import tables, traces
 from .player import player, points
-from .sheet import (
-    Fold,
-    Html,
-    Page,
-    PageSection,
-    capitalised,
-    caption,
-    notes,
-    phrase,
-    rendered,
-    trust_badge,
-)
+from .sheet import Fold, Html, Page, PageSection, capitalised, caption, notes, phrase, rendered, trust_badge
 from .style import MOST_POINTS, decimate
 from .summary import below, box
 
