@@ -15,9 +15,9 @@ from plotly.offline import get_plotlyjs
 
 from smoother.angles import JOINT_ANGLES
 from smoother.evaluation.validate import validate
+from smoother.evaluation.words import measure_words
 from smoother.measures.definitions import MEASURED_ANGLES, definitions
 from smoother.report import write_report
-from smoother.report.measures import with_interval
 from smoother.report.sheet import PLOTLY
 from smoother.report.style import decimate
 from smoother.report.summary import summary
@@ -98,14 +98,14 @@ RANGE = made_measure("elbow_flexion_range_deg", 62.0, 2.0)
 
 
 def test_the_unit_stands_once_and_the_interval_only_where_there_is_one() -> None:
-    text = with_interval(RANGE)
+    text = measure_words(RANGE)
     assert text == "62.0° (58.1 to 65.9°)"
-    alone = with_interval(replace(RANGE, low=math.nan, high=math.nan))
+    alone = measure_words(replace(RANGE, low=math.nan, high=math.nan))
     assert alone == "62.0°"
     speed = replace(RANGE, unit="m/s", value=0.812, low=0.75, high=0.87)
-    side = with_interval(made_measure("hand_path_length_m_symmetry_percent", 4.0, 3.0))
+    side = measure_words(made_measure("hand_path_length_m_symmetry_percent", 4.0, 3.0))
     assert side == "+4.0 (−1.9 to +9.9)\u00a0%", "positive: the right one has more"
-    assert with_interval(speed).count("m/s") == 1 and " to " in with_interval(speed)
+    assert measure_words(speed).count("m/s") == 1 and " to " in measure_words(speed)
 
 
 def test_long_lines_keep_ends_and_gaps():
