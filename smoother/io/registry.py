@@ -127,11 +127,7 @@ class FileReader:
         except RecordingError as error:
             if missing := _missing(path, of.kind):
                 raise _lacks(path, of, missing) from error
-            # What the user names is not overruled.
-            tables = _by_names(path, of, error) if self._formats.get(path) is of else []
-            if not tables:
-                raise
-            return tables
+            raise
         except UnoccludeError:  # a package or a model that is not there is no fault of the file
             raise
         except Exception as error:  # a damaged file fails anywhere, in libraries too
@@ -147,20 +143,6 @@ class FileReader:
                 raise _lacks(path, of, missing)
             tables[0].notes.append(f"There is {missing_axes_words(missing)}: this vector was not read.")
         return tables
-
-
-def _by_names(path: Path, of: Format, error: RecordingError) -> list[ImuTable]:
-    """A table that its format refuses and whose columns suffice; [] where they do not."""
-    if of.kind != "imu" or of is NAMED_IMU or not NAMED_IMU.recognises(read_head(path)):
-        return []
-    try:
-        tables = NAMED_IMU.read(path)
-    except RecordingError:
-        return []
-    whole = [t for t in tables if isinstance(t, ImuTable) and t.acc is not None and t.gyro is not None]
-    for table in whole:
-        table.notes.append(f"It was read by its columns: as {of.title} it cannot be ({error})")
-    return whole
 
 
 def _missing(path: Path, kind: str) -> dict[str, list[str]]:

@@ -13,8 +13,7 @@ from numpy.typing import NDArray
 from ..errors import RecordingError
 from ..io.tables.imu import SensorChannels, find_sensors, joint_label, kind_of, stem_of
 from ..io.tables.joints import find_joint_columns, program_of, words_of
-from ..io.tables.skeleton_formats import kinect_states, share_states
-from ..io.tables.skeletons import without_origin
+from ..io.tables.skeletons import kinect_states, share_states, without_origin
 from ..io.tables.units import ACCELERATION, ANGULAR_VELOCITY, METRES, plain_unit
 from ..recording import JOINTS, CameraFrame, JointState
 from ..runtime.printable import printable

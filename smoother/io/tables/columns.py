@@ -259,9 +259,13 @@ def read_skeleton_columns(path: Path, keys: CameraKeys) -> list[SkeletonTable]:
     t_s = t_s if counter is None else counter / (keys.rate_hz or 1.0)
     raw = (_long_rows if is_long else _wide_rows)(table, keys, at, t_s)
     raw.notes = table.notes
-    raw.position = {joint: values * METRES[keys.position_unit] for joint, values in raw.position.items()}
-    hint = None if keys.gravity is None else np.array(keys.gravity)
-    pattern = SkeletonTable(0, None, {}, {}, keys.frame, hint, keys.rate_hz, units=keys.position_unit)
+    position, state = {}, {}
+    for joint, points in raw.points.items():
+        lost = _lost(points[:, :3])
+        position[joint] = np.where(lost[:, None], np.nan, points[:, :3] * METRES[keys.position_unit])
+        state[joint] = np.where(lost, JointState.NOT_TRACKED, points[:, 3]).astype(np.int8)
+    hint, unit = None if keys.gravity is None else np.array(keys.gravity), keys.position_unit
+    pattern = SkeletonTable(0, None, position, state, keys.frame, hint, keys.rate_hz, units=unit)
     assert raw.time is not None
     tables = raw.bodies(pattern, raw.time, 1.0 if "t" in columns else None)
     for one in tables if len(tables) > 1 else ():  # not every body has all joints
@@ -305,12 +309,8 @@ def _wide_rows(
             raise RecordingError(
                 f"{table.path}: columns.{joint}: give its three columns x, y, z in brackets."
             )
-        values = table.vectors(at[joint])
-        lost = _lost(values)
-        values[lost] = np.nan
-        said = _states(table, at[f"{joint}_state"][0], keys) if f"{joint}_state" in at else JointState.TRACKED
-        raw.position[joint] = values
-        raw.state[joint] = np.where(lost, JointState.NOT_TRACKED, said).astype(np.int8)
+        stated = at.get(f"{joint}_state")
+        raw.points[joint] = np.column_stack([table.vectors(at[joint]), _states(table, stated, keys)])
     return raw
 
 
@@ -331,20 +331,18 @@ def _long_rows(
             f" '{shown(', '.join(unknown), 120)}' is not known; it is shoulder, elbow, wrist, hand or strap"
             " with _left or _right."
         )
-    said = _states(table, at["state"][0], keys) if "state" in at else np.full(len(table), JointState.TRACKED)
-    lost = _lost(values)
-    if (bare := (said != JointState.NOT_TRACKED) & lost).any():
+    said = _states(table, at.get("state"), keys)
+    if (bare := (said != JointState.NOT_TRACKED) & _lost(values)).any():
         table.notes.append(
             f"Rows that are tracked or inferred and have no position: {int(bare.sum())}, the first at"
             f" {t_s[bare][0]:.3f} s."
         )
-    said = np.where(lost, JointState.NOT_TRACKED, said)
-    first, position, state = gathered(t_s, bodies, [meaning[name] for name in names], values, said)
-    for each in (position, state):
-        each.pop("", None)
+    points = np.column_stack([values, said])
+    first, by_joint = gathered(t_s, bodies, [meaning[name] for name in names], points)
+    by_joint.pop("", None)
     if len(table) > len(first) * len(meaning):
         table.notes.append("Rows repeat a joint and time; the last of each was taken.")
-    return RawSkeleton(table.path, position, state, t_s[first], body=bodies[first])
+    return RawSkeleton(table.path, by_joint, time=t_s[first], body=bodies[first])
 
 
 def _lost(values: FloatArray) -> NDArray[np.bool_]:
@@ -359,8 +357,11 @@ def _joint_of(name: str) -> str:
     return "" if meaning is None else meaning.joint
 
 
-def _states(table: DeviceTable, column: int, keys: CameraKeys) -> NDArray[np.int64]:
-    """States (n,) of a joint by the words or numbers of a column."""
+def _states(table: DeviceTable, columns: Sequence[int] | None, keys: CameraKeys) -> NDArray[np.int64]:
+    """States (n,) of a joint by the words or numbers of a column; tracked without one."""
+    if columns is None:
+        return np.full(len(table), JointState.TRACKED, np.int64)
+    (column,) = columns
     words = STATES | {cell.strip().lower(): STATES[state] for cell, state in (keys.states or {}).items()}
     cells = [cell.lower() for cell in table.texts(column)]
     cells = [cell if cell in words else cell.removesuffix(".0") for cell in cells]

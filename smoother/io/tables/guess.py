@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -11,11 +12,11 @@ import numpy as np
 
 from ...array_types import FloatArray
 from ...errors import RecordingError
-from .imu import Columns, find_sensors, holds_gravity, kind_of_unit, unit_of, usual_size
-from .joints import JointColumns, find_joint_columns
+from .imu import Columns, SensorChannels, find_sensors, holds_gravity, kind_of_unit, unit_of, usual_size
+from .joints import JointColumns, find_joint_columns, words_of
 from .skeletons import unit_by_arm
 from .table import DeviceTable, shown
-from .times import stated_time_unit, time_among, time_column
+from .time_columns import stated_time_unit, time_among, time_column
 from .units import ACCELERATION, SECONDS, SENSOR_RATES, gravity_unit, in_seconds, split_unit, time_unit
 
 #: How a reason begins that is made up.
@@ -128,22 +129,32 @@ def guess_sensor(table: DeviceTable, usual_gyro: str = "") -> Guess:
 
 # ------------------------------------------------------------------------------------- which are the sensors
 
-#: Stems of a sensor's columns whose names do not tell, and the signs of its axes.
-_BARE, _SIGNS = ("", "value", "values", "v", "axis"), ("xyz", "012", "123")
+#: Words of columns that say no more than an axis' sign does.
+_BARE, _SIGNS = {"value", "values", "v", "axis"}, ("xyz", "012", "123")
 
 
 def bare_vector(table: DeviceTable) -> Columns | None:
     """The one vector of a table whose names do not say of what; without names behind the times."""
-    return table.axes(*_BARE, signs=_SIGNS) if table.labels else (1, 2, 3) if table.width == 4 else None
+    if not table.labels:
+        return (1, 2, 3) if table.width == 4 else None
+    rest = [[word for word in words_of(label) if word not in _BARE] for label in table.labels]
+    triples = ([rest.index([axis]) if [axis] in rest else -1 for axis in signs] for signs in _SIGNS)
+    return next(((x, y, z) for x, y, z in triples if min(x, y, z) >= 0), None)
+
+
+def sensors_of(table: DeviceTable, called: Mapping[str, str] | None = None) -> list[SensorChannels]:
+    """Sensors among the columns of a table by names and units; counts of a converter are none."""
+    names = [split_unit(name)[0] for name in table.names] or list(table.labels)
+    names = ["" if re.search(r"(raw|uncal)$", name, re.IGNORECASE) else name for name in names]
+    for word, kind in (called or {}).items():
+        names = [name.replace(word, kind) for name in names]
+    return find_sensors(names, units=table.units)
 
 
 def sensors_named(table: DeviceTable) -> dict[str, Columns]:
     """Columns of accelerometer, gyroscope and magnetometer by names and units; those of one sensor first."""
-    names = [split_unit(name)[0] for name in table.names] or list(table.labels)
-    names = ["" if name.lower().endswith("raw") else name for name in names]  # counts of a converter
-    sensors = find_sensors(names, units=table.units)
     axes: dict[str, Columns] = {}
-    for sensor in sorted(sensors, key=lambda sensor: not {"acc", "gyro"} <= sensor.axes.keys()):
+    for sensor in sorted(sensors_of(table), key=lambda sensor: not {"acc", "gyro"} <= sensor.axes.keys()):
         axes = {**sensor.axes, **axes}
     return {kind: axes[kind] for kind in ("acc", "gyro", "mag") if kind in axes}
 
@@ -171,7 +182,8 @@ def _is_of_numbers(table: DeviceTable) -> bool:
     numeric = (
         at == time or _time_unit(table, at, 0.0)[0] or table.is_numeric(at) for at in range(table.width)
     )
-    return time is not None and all(numeric) and table.axes("q") is None
+    turned = any({"q", "qx", "quat", "quaternion"} & set(words_of(label)) for label in table.labels)
+    return time is not None and all(numeric) and not turned
 
 
 #: A field of 15 to 120 uT whose middle half lies within a quarter is the earth's.

@@ -112,8 +112,9 @@ def find_sensors(
     """Sensors among the channels of a stream, or the columns of a table."""
     groups: dict[str, dict[str, dict[str, int]]] = {}
     of_stream, count = kind_of(words_of(stream)), len(labels)
-    for at, label in enumerate(labels):
-        words, type_words = words_of(label), words_of(types[at]) if types else []
+    # of a Shimmer's two accelerometers the low-noise one (LN) clips at 2 g
+    for at, words in sorted(enumerate(map(words_of, labels)), key=lambda each: "ln" in each[1]):
+        type_words = words_of(types[at]) if types else []
         if {*words, *type_words} & _DERIVED:
             continue
         letters, by_unit = _of_letters(words), kind_of_unit(units[at]) if units else ""

@@ -1,14 +1,12 @@
-"""Plain tables of inertial sensors: a row of `IMU_FORMATS` a device or program.
-
-Tables of devices have the vectors' columns that their row names; of others the columns identify themselves.
-"""
+"""Plain tables of inertial sensors: a row of `IMU_FORMATS` a device or program."""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 from functools import partial
+from os.path import commonprefix
 from pathlib import Path
 
 import numpy as np
@@ -16,40 +14,37 @@ import numpy as np
 from ...array_types import FloatArray, IntArray
 from ...errors import RecordingError
 from .columns import ImuKeys, imu_by_columns
-from .guess import Guess, bare_vector, guess_sensor, sensors_named
-from .imu import UNUSED, Columns, ImuTable, unit_of, usual_size
-from .table import DeviceTable, FileHead, Format, read_table, shown
-from .times import seconds, time_column
+from .guess import Guess, bare_vector, guess_sensor, sensors_named, sensors_of
+from .imu import UNUSED, Columns, ImuTable, SensorChannels, unit_of, usual_size
+from .table import DeviceTable, FileHead, Format, plain_label, read_table, shown
+from .time_columns import seconds, time_column
 from .units import ACCELERATION, ANGULAR_VELOCITY, plain_unit, time_unit
 
 
 @dataclass(frozen=True)
 class Device:
-    """How a device's table is read: labels are in lower case, of stems see `DeviceTable.axes`."""
+    """How a device's table is read: its vectors are found by their names, and labels are in lower case."""
 
     key: str  # As in `Format`, up to `recognised_by`
     title: str
     recognised_by: str
     fits: Callable[[DeviceTable], bool]  # Whether a table's columns are of this device
     lacks: str = ""  # What a table without both sensors is, and what to do; "" where the columns speak
-    acc: tuple[str, ...] = ("acc",)  # Stems of the vectors' columns, the preferred one first
-    gyro: tuple[str, ...] = ("gyr",)
-    mag: tuple[str, ...] = ("mag",)
+    called: Mapping[str, str] = field(default_factory=dict)  # Words that name a sensor here: {"rot": "gyro"}
     acc_unit: str = "m/s^2"  # Counts where the file states none; "" = as gravity shows
     gyro_unit: str = "rad/s"  # Counts where the file states none, and gravity does not contradict
     settles_unit: bool = False  # The gyroscope's unit, where it is not stated, is the one that gravity shows
     time: tuple[str, ...] = ("time",)  # Labels of the time's column, the preferred one first
     time_unit: str = "s"
-    # Finds the times (n,), s, by what names the sensor and the stated rate, where `time` does not do
+    # Finds the times (n,), s, by the sensor's name and the stated rate, where `time` does not do
     times: Callable[[DeviceTable, str, float | None], FloatArray | None] | None = None
     name: tuple[str, ...] = ()  # Lines of the preamble that state the sensor's name and rate
     rate: tuple[str, ...] = ()
     counter: tuple[str, ...] = ()  # Labels of a packet counter, which starts anew at `counter_wraps`
     counter_wraps: int = 0
-    sensor: re.Pattern[str] | None = None  # Of a table with several sensors: what is before their columns
     notes: Callable[[DeviceTable, str], list[str]] | None = None  # Sentences on what was chosen
-    # Stem of columns of velocity over a sample and forms of a quaternion's, which stand in for rates
-    increments: tuple[str, tuple[str, ...]] | None = None
+    # Forms of columns of velocity over a sample and of a quaternion's, which stand in for rates
+    increments: tuple[tuple[str, ...], tuple[str, ...]] | None = None
     read: Callable[[DeviceTable, Device], list[ImuTable]] | None = None  # Where the columns alone do not do
 
 
@@ -75,9 +70,10 @@ def _read(path: Path, device: Device) -> list[ImuTable]:
     table.refuse_nameless(most=1)  # one more is a counter or a comment of some exporter
     if device.read is not None or not device.lacks:
         return (device.read or _read_named)(table, device)
-    matches = [device.sensor.fullmatch(label) for label in table.labels] if device.sensor else []
-    prefixes = dict.fromkeys(match.group(1) or "" for match in matches if match) if device.sensor else [""]
-    found = [imu for prefix in prefixes if (imu := _sensor(table, device, prefix)) is not None]
+    sensors = [each for each in sensors_of(table, device.called) if {"acc", "gyro"} <= each.axes.keys()]
+    found = [_sensor(table, device, each) for each in sensors]
+    if not found and (imu := _of_increments(table, device)) is not None:
+        found = [imu]
     if not found:
         raise RecordingError(f"{path} ({device.title}) is {device.lacks}")
     for imu in found:
@@ -85,41 +81,40 @@ def _read(path: Path, device: Device) -> list[ImuTable]:
     return found
 
 
-def _sensor(table: DeviceTable, device: Device, prefix: str) -> ImuTable | None:
-    """One sensor; None where it lacks one of the two vectors."""
-    acc, gyro, mag = (
-        table.axes(*(stem.format(prefix, "{}") for stem in stems))
-        for stems in (device.acc, device.gyro, device.mag)
-    )
-    whole = acc is not None and gyro is not None
-    if not whole and device.increments is None:
-        return None
+def _sensor(table: DeviceTable, device: Device, sensor: SensorChannels) -> ImuTable:
+    """One sensor with both vectors."""
+    acc, gyro, mag = (sensor.axes.get(kind) for kind in ("acc", "gyro", "mag"))
+    assert acc is not None and gyro is not None
+    common = commonprefix([table.names[at] for at in (*acc, *gyro)])  # noqa: RUF071 (of names)
+    imu = _empty(table, device, re.sub(r"[^/_]*$", "", common).rstrip("/_"))
+    if mag is not None and np.isfinite(field := table.vectors(mag)).all():
+        imu.mag = field
+    imu.acc, acc_unit = _in_si(table, "acc", acc, device.acc_unit)
+    imu.gyro, gyro_unit = _in_si(table, "gyro", gyro, device.gyro_unit)
+    imu.units = f"{acc_unit}, {gyro_unit}"
+    imu.gyro_unit_assumed = device.settles_unit and not table.unit(gyro[0])
+    if not device.acc_unit and acc_unit != "m/s^2" and not table.unit(acc[0]):
+        imu.notes.append(f"The accelerometer states no unit; it reads gravity in {acc_unit}.")
+    return imu
+
+
+def _empty(table: DeviceTable, device: Device, name: str) -> ImuTable:
+    """What a table states of a sensor beside its vectors."""
     rate = table.stated_number(*device.rate)
     if device.times is not None:
-        t_s = device.times(table, prefix, rate)
+        t_s = device.times(table, name, rate)
     else:
         t_s = seconds(table, table.find(*device.time), device.time_unit)
-    imu = ImuTable(
-        table.names[acc[0]][: len(prefix) - 1] if prefix and acc else table.stated(*device.name),
+    return ImuTable(
+        name or table.stated(*device.name),
         t_s,
         None,
         None,
         rate_hz=rate,
         counter=_counter(table, table.find(*device.counter)),
         counter_wraps=device.counter_wraps,
-        notes=[] if device.notes is None else device.notes(table, prefix),
-        gyro_unit_assumed=device.settles_unit and gyro is not None and not table.unit(gyro[0]),
+        notes=[] if device.notes is None else device.notes(table, name),
     )
-    if mag is not None and np.isfinite(field := table.vectors(mag)).all():
-        imu.mag = field
-    if acc is None or gyro is None:
-        return imu if _fill_from_increments(table, device, imu) else None
-    imu.acc, acc_unit = _in_si(table, "acc", acc, device.acc_unit)
-    imu.gyro, gyro_unit = _in_si(table, "gyro", gyro, device.gyro_unit)
-    imu.units = f"{acc_unit}, {gyro_unit}"
-    if not device.acc_unit and acc_unit != "m/s^2" and not table.unit(acc[0]):
-        imu.notes.append(f"The accelerometer states no unit; it reads gravity in {acc_unit}.")
-    return imu
 
 
 def _in_si(table: DeviceTable, kind: str, columns: Columns, usual: str = "") -> tuple[FloatArray, str]:
@@ -148,17 +143,19 @@ def _counter(table: DeviceTable, column: int | None) -> IntArray | None:
     return values.astype(np.int64) if usable else None
 
 
-def _fill_from_increments(table: DeviceTable, device: Device, imu: ImuTable) -> bool:
-    """Set both vectors from velocity (m/s) and rotation over a sample, if they are there."""
+def _of_increments(table: DeviceTable, device: Device) -> ImuTable | None:
+    """A sensor by its velocity (m/s) and rotation over a sample, if they are there."""
     from scipy.spatial.transform import Rotation
 
-    assert device.increments is not None
-    stem, forms = device.increments
-    velocity = table.axes(stem, signs=("123", "xyz"))
-    parts = (table.find(*(form.format(axis=axis, at=at) for form in forms)) for at, axis in enumerate("wxyz"))
-    rotation = [column for column in parts if column is not None]
+    if device.increments is None:
+        return None
+    forms, parts = device.increments
+    velocity = table.axes(*forms, signs=("123", "xyz"))
+    found = (table.find(*(part.format(axis=axis, at=at) for part in parts)) for at, axis in enumerate("wxyz"))
+    rotation = [column for column in found if column is not None]
     if velocity is None or len(rotation) < 4:
-        return False
+        return None
+    imu = _empty(table, device, "")
     rate = imu.rate_hz
     if rate is None and imu.t_s is not None:
         steps = np.diff(np.unique(imu.t_s[np.isfinite(imu.t_s)]))
@@ -177,7 +174,7 @@ def _fill_from_increments(table: DeviceTable, device: Device, imu: ImuTable) -> 
         f"The increments ({first} and {quaternion} ..) were multiplied by the rate of {rate:.4g} Hz to"
         " acceleration and angular velocity."
     )
-    return True
+    return imu
 
 
 # -------------------------------------------------------------------------------------- what devices are like
@@ -222,7 +219,7 @@ def _is_dot(table: DeviceTable) -> bool:
     return table.find(*_MT_ONLY, "utc_year", "counter") is None and table.find(*own) is not None
 
 
-_SHIMMER = re.compile(r"(.*?_)?(accel(?:_ln|_wr)?|gyro|mag)_[xyz]_(cal|raw|uncal)")
+_SHIMMER = re.compile(r".*(accel(_ln|_wr)?|gyro)_[xyz]_(cal|raw|uncal)")
 #: Preferred first; the synchronised ones are on one clock for all sensors of a session.
 _SHIMMER_TIMES = (
     *("timestampsync_unix", "timestamp_unix", "timestampsync_formattedunix", "timestamp_formattedunix"),
@@ -230,33 +227,32 @@ _SHIMMER_TIMES = (
 )
 
 
-def _shimmer_times(table: DeviceTable, prefix: str, _: float | None) -> FloatArray | None:
-    for name in _SHIMMER_TIMES:
-        if (t_s := seconds(table, table.find(f"{prefix}{name}_cal"), "ms")) is not None:
+def _shimmer_times(table: DeviceTable, name: str, _: float | None) -> FloatArray | None:
+    prefix = f"{plain_label(name)}_" if name else ""
+    for label in _SHIMMER_TIMES:
+        if (t_s := seconds(table, table.find(f"{prefix}{label}_cal"), "ms")) is not None:
             return t_s
     column = table.find(f"{prefix}timestamp_raw")
     return None if column is None else table.numbers(column) / 32768  # ticks of the device's clock
 
 
-def _shimmer_notes(table: DeviceTable, prefix: str) -> list[str]:
+def _shimmer_notes(table: DeviceTable, name: str) -> list[str]:
     """Of the two accelerometers the wide-range one is taken, which fast arms do not clip."""
-    wide, low = (table.axes(f"{prefix}accel_{kind}_{{}}_cal") is not None for kind in ("wr", "ln"))
+    prefix = f"{plain_label(name)}_" if name else ""
+    wide, low = (table.find(f"{prefix}accel_{kind}_x_cal") is not None for kind in ("wr", "ln"))
     if wide and low:
         return ["Of its two accelerometers the wide-range one was taken (the low-noise one clips at 2 g)."]
     return ["Its accelerometer is the low-noise one, which clips at 2 g; record the wide-range one."] * low
 
 
-def _is_shimmer(table: DeviceTable) -> bool:
-    return any(match and match[2] != "mag" for match in map(_SHIMMER.fullmatch, table.labels))
-
-
-_APDM = re.compile(r"(.+/)(acceleration|angular velocity|magnetic field|orientation)/(x|y|z|scalar)")
+_APDM = re.compile(r".+/(acceleration|angular velocity|magnetic field|orientation)/(x|y|z|scalar)")
 
 
 def _is_ximu(table: DeviceTable) -> bool:
     """Whether the columns are x-io's: the words in full, in deg/s or g."""
-    columns = [table.axes("gyroscope"), table.axes("accelerometer")]
-    units = {plain_unit(table.units[c[0]]) for c in columns if c is not None}
+    sensors = ("gyroscope", "accelerometer")
+    columns = (table.find(f"{sensor} x", f"{sensor}_x", f"{sensor}x") for sensor in sensors)
+    units = {plain_unit(table.units[at]) for at in columns if at is not None}
     return bool(units & {"deg/s", "g"}) and table.find("timestamp", "time", "packet number") is not None
 
 
@@ -273,8 +269,8 @@ def _is_nilspod(table: DeviceTable) -> bool:
 
 # ---------------------------------------------------------------------------- SensorLog (iPhone, Apple Watch)
 
-_RAW, _USER, _GRAVITY = "accelerometeracceleration", "motionuseracceleration", "motiongravity"
-_GYRO, _RATE = "gyrorotation", "motionrotationrate"
+_RAW, _USER, _GRAVITY = "accelerometeracceleration{}", "motionuseracceleration{}", "motiongravity{}"
+_GYRO, _RATE = "gyrorotation{}", "motionrotationrate{}"
 #: Vectors that make an IMU, the preferred ones first: of the raw sensors, of Core Motion, of both.
 _LOGGED = (((_RAW,), _GYRO), ((_USER, _GRAVITY), _RATE), ((_RAW,), _RATE), ((_USER, _GRAVITY), _GYRO))
 _LOGGED_TIMES = ("loggingtime", "timestamp", "time", "locationtimestamp_since1970")
@@ -458,7 +454,7 @@ IMU_FORMATS = tuple(
             rate=("update rate", "sample rate", "samplerate", "updaterate"),
             counter=("counter", "packetcounter"),
             counter_wraps=2**16,
-            increments=("velinc", ("oriinc_{axis}", "oriinc_q{at}")),
+            increments=(("velinc_{}",), ("oriinc_{axis}", "oriinc_q{at}")),
         ),
         Device(  # Xsens DOT user manual, sections 4.2 (outputs, `SampleTimeFine` in us)
             "xsens-dot",
@@ -474,19 +470,15 @@ IMU_FORMATS = tuple(
             rate=("outputrate", "output rate"),
             counter=("packetcounter",),
             counter_wraps=2**32,
-            increments=("dv", ("dq_{axis}", "dq[{at}]")),
+            increments=(("dv[{}]", "dv_{}"), ("dq_{axis}", "dq[{at}]")),
         ),
         Device(
             "shimmer",
             "Shimmer Consensys export",
             "columns such as Shimmer_952D_Accel_WR_X_CAL and Shimmer_952D_Gyro_X_CAL",
-            _is_shimmer,
+            lambda table: any(map(_SHIMMER.fullmatch, table.labels)),
             "without a calibrated accelerometer and gyroscope; record both sensors and export calibrated data"
             " (the columns end in _CAL).",
-            sensor=_SHIMMER,
-            acc=("{}accel_wr_{}_cal", "{}accel_ln_{}_cal", "{}accel_{}_cal"),
-            gyro=("{}gyro_{}_cal",),
-            mag=("{}mag_{}_cal",),
             gyro_unit="deg/s",
             times=_shimmer_times,
             notes=_shimmer_notes,
@@ -495,13 +487,9 @@ IMU_FORMATS = tuple(
             "apdm",
             "APDM Opal CSV",
             "columns such as Wrist/Acceleration/X and Wrist/Angular Velocity/X",
-            lambda table: any(_APDM.fullmatch(label) for label in table.labels),
+            lambda table: any(map(_APDM.fullmatch, table.labels)),
             "without both acceleration and angular velocity of a sensor; export the raw data (CSV with"
             " Acceleration and Angular Velocity).",
-            sensor=_APDM,
-            acc=("{}acceleration/{}",),
-            gyro=("{}angular velocity/{}",),
-            mag=("{}magnetic field/{}",),
             time=("time", "time (s)", "timestamp"),
             rate=("sample rate",),
         ),
@@ -512,9 +500,6 @@ IMU_FORMATS = tuple(
             _is_ximu,
             "without both gyroscope and accelerometer; export the inertial messages (Inertial.csv,"
             " sensors.csv).",
-            acc=("accelerometer",),
-            gyro=("gyroscope",),
-            mag=("magnetometer",),
             acc_unit="g",
             gyro_unit="deg/s",
             time=("timestamp", "time"),

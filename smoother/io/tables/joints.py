@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 import unicodedata
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
 from itertools import pairwise
@@ -237,10 +237,20 @@ class JointColumns:
 
     def has_arm(self) -> bool:
         """Whether there is a side with an elbow and a wrist or hand."""
-        return any(
-            f"elbow_{side}" in self.axes and {f"wrist_{side}", f"hand_{side}"} & self.axes.keys()
-            for side in ("left", "right")
-        )
+        return has_arm(self.axes)
+
+    def others(self, width: int) -> list[int]:
+        """The columns of a table of that width that are nothing of these."""
+        used = {at for three in (*self.axes.values(), *(each for _, each in self.rest)) for at in three}
+        used |= {*self.confidence.values()} | {at for at in (self.frame, self.body) if at is not None}
+        return [at for at in range(width) if at not in used]
+
+
+def has_arm(joints: Iterable[str]) -> bool:
+    """Whether there is a side with an elbow and a wrist or hand."""
+    there = set(joints)
+    sides = ("left", "right")
+    return any(f"elbow_{side}" in there and {f"wrist_{side}", f"hand_{side}"} & there for side in sides)
 
 
 def find_joint_columns(names: Sequence[str]) -> JointColumns:

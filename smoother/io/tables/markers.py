@@ -325,12 +325,13 @@ def _skeleton_of(markers: Markers, path: Path, up: tuple[int, int] | None) -> li
         columns = {name.pair: at for name, at in reversed(candidates) if name.kind == kind}
         pair = [columns[side] for side in "ab"] if {"a", "b"} <= columns.keys() else []
         used = pair or list(columns.values())[-1:]
-        raw.position[joint] = markers.position[:, used].mean(axis=1)
+        place = markers.position[:, used].mean(axis=1)
+        raw.points[joint] = np.column_stack([place, np.full(len(place), np.nan)])
         called = " and ".join(markers.names[at] for at in used)
         words[joint] = f"{joint} is {'the middle of' if pair else _KINDS[kind]} {called}"
         if kind == "skin" and (note := _ON_SKIN) not in notes:
             notes.append(note)
-    require_arm(raw.position, path, "markers", list(markers.names))
+    require_arm(raw.points, path, "markers", markers.names)
     seen = [text for joint, text in words.items() if np.isfinite(raw.position[joint]).any()]
     notes.insert(len(markers.notes), "; ".join(seen) + ".")
     camera = CameraFrame.OPTICAL if any("k4abt" in name.lower() for name in markers.names) else None

@@ -4,34 +4,23 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ...array_types import FloatArray
 from ...errors import RecordingError
 from ...recording import CameraFrame
-from ..recording.keypoints import states_of_scores
-from .joints import AZURE, BLAZEPOSE, POINT_SETS, TIME_WORDS, column_named, joint_name, time_unit_of
-from .skeleton_formats import (
-    AZURE_AXES,
-    STATE_WORDS,
-    about_hips,
-    inferred_throughout,
-    kinect_states,
-    landmarks_in_metres,
-    share_states,
-)
-from .skeletons import PIXELS, Conventions, RawSkeleton, SkeletonTable
+from .joints import AZURE, POINT_SETS, TIME_WORDS, column_named, joint_name, time_unit_of
+from .skeletons import AZURE_AXES, PIXELS, STATE_WORDS, Conventions, RawSkeleton, SkeletonTable
 from .table import FileHead, Format, decode, read_bytes
 from .units import CAMERA_RATES, time_unit
 
-#: x, y, z and the confidence of a point.
+#: x, y, z and the confidence of a point; of a keypoint u, v, and the score twice.
 Point = tuple[float, float, float, float]
 NAN = float("nan")
 NOTHING: Point = (NAN,) * 4
@@ -68,23 +57,33 @@ def _number(value: Any) -> float:
     return NAN
 
 
+def _first(value: Any, names: Iterable[str]) -> Any:
+    """What is under the first of these names that is there and not empty."""
+    return next((value[name] for name in names if value.get(name)), None)
+
+
 def _first_number(value: Any, names: Iterable[str], default: float = NAN) -> float:
     """The number under the first of these names that is there."""
     there = value if isinstance(value, Mapping) else {}
     return next((_number(there[name]) for name in names if name in there), default)
 
 
-_SHARES = (
-    *("visibility", "confidence", "confidence_level", "state", "trackingstate", "tracking_state", "score"),
-)
+_SHARES = [
+    "visibility",
+    "confidence",
+    "confidence_level",
+    "state",
+    "trackingstate",
+    "tracking_state",
+    "score",
+]
 
 
 def _point_of(value: Any) -> Point:
     """A point as a list or a mapping; nan for what is missing."""
     if isinstance(value, Mapping):
         small = {str(key).lower(): entry for key, entry in value.items()}
-        names = ("position", "pos", "xyz", "location", "point")
-        inner = next((small[key] for key in names if key in small), None)
+        inner = next((small[k] for k in ("position", "pos", "xyz", "location", "point") if k in small), None)
         x, y, z = (_number(small.get(axis)) for axis in "xyz") if inner is None else _point_of(inner)[:3]
         return x, y, z, _first_number(small, _SHARES)
     if isinstance(value, Sequence) and not isinstance(value, str) and len(value) >= 3:
@@ -134,16 +133,12 @@ class _Rows:
         known = np.isfinite(time)
         return time if known.mean() > 0.5 and np.ptp(time[known]) > 0 else None
 
-    def raw(self, path: Path, states: Callable[[FloatArray], NDArray[np.int8]]) -> RawSkeleton:
+    def raw(self, path: Path) -> RawSkeleton:
         """The skeleton of all rows."""
         raw = RawSkeleton(path, time_unit=self.unit, frame=np.array(self.frame))
-        order = {name: at for at, name in enumerate(BLAZEPOSE)}
-        names = dict.fromkeys(name for row in self.points for name in row)
-        for name in sorted(names, key=lambda name: order.get(name, 99)):
+        for name in dict.fromkeys(name for row in self.points for name in row):
             if joint_name(name) is not None:
-                table = np.array([row.get(name, NOTHING) for row in self.points], dtype=float)
-                share = table[:, 3]
-                raw.add(name, table[:, :3].copy(), states(share) if np.isfinite(share).any() else None)
+                raw.add(name, np.array([row.get(name, NOTHING) for row in self.points], dtype=float))
         return raw
 
 
@@ -165,12 +160,12 @@ def _is_kinect_json(head: FileHead) -> bool:
 def _read_kinect_json(path: Path) -> list[SkeletonTable]:
     """`frames`, each with `timestamp_usec` and `bodies`, each with `body_id` and `joint_positions` in mm."""
     value = _read_json(path, _KINECT_EXPECTED)
-    frames = value.get("frames") if isinstance(value, Mapping) else value
+    about = value if isinstance(value, Mapping) else {"frames": value}
+    frames, names = about.get("frames"), about.get("joint_names")
     if not isinstance(frames, list) or not frames:
         raise RecordingError(
             f"{path} should be {_KINECT_EXPECTED}, and has no list of frames; export it again."
         )
-    names = value.get("joint_names") if isinstance(value, Mapping) else None
     order = [str(name) for name in names] if isinstance(names, list) and names else list(AZURE)
     rows = _Rows()
     for count, frame in enumerate(frames):
@@ -189,10 +184,9 @@ def _read_kinect_json(path: Path) -> list[SkeletonTable]:
             rows.add(frame, of_frame, of_body if 0 <= of_body < 2**32 - 1 else NAN, points)
         if not there:
             rows.add(frame, of_frame, NAN, {})
-    raw = rows.raw(path, kinect_states)
+    raw = rows.raw(path)
     raw.time = np.array(rows.time) if np.isfinite(rows.time).any() else None
     raw.body = np.array(rows.body)
-    inferred_throughout(raw)
     return raw.skeletons(AZURE_AXES)
 
 
@@ -231,29 +225,34 @@ _MARK = re.compile(
 
 
 def _read_pose_json(path: Path) -> list[SkeletonTable]:
-    """Frames of landmarks: in a list or by number, landmarks in a list or by name."""
+    """Frames of landmarks: in a list or by number, landmarks in a list or by name; or keypoints in images."""
     value = _read_json(path, _POSE_EXPECTED)
-    rows, listed, is_world = _Rows(), _frames_of(value), False
-    for at, (key, frame) in enumerate(listed):
-        count = _first_number(frame, _NUMBERS)
-        digits = re.search(r"\d+(\.\d+)?", key)
-        points, world = _points_in(frame)
-        is_world |= world
-        number = float(digits.group()) if digits else count if np.isfinite(count) else at
-        rows.add(frame, number, 0.0, _points_by_name(points))
     rate = _first_number(value, _RATES)
     rate_hz = rate if 1.0 <= rate <= 1000.0 else None
-    keypoints = _coco(value) or _keypoints([frame for _, frame in listed], rows)
-    if keypoints is not None:
-        return _keypoint_tables(path, *keypoints, rate_hz)
+    frames = _frames_of(value)
+    flat = _coco(value) or _openpose(frames)
+    rows, is_world = _Rows(), False
+    for at, (key, frame) in enumerate(frames if flat is None else flat):
+        number = _first_number(frame, _NUMBERS)
+        digits = re.search(r"\d+(\.\d+)?", key)
+        points, world = (frame.get("points"), False) if flat is not None else _points_in(frame)
+        is_world |= world
+        number = float(digits.group()) if digits else number if np.isfinite(number) else at
+        named = _points_by_name(points) if flat is None else _keypoints(path, points)
+        rows.add(frame, number, 0.0, named)
     if not any(rows.points):
         raise RecordingError(f"{path} should be {_POSE_EXPECTED}, and no frame of it has points in space.")
-    raw = rows.raw(path, share_states)
+    raw = rows.raw(path)
     raw.time, raw.rate_hz = rows.known_times(), rate_hz
+    if flat is not None:
+        raw.frame = np.array(rows.frame) - rows.frame[0]
+        if raw.time is not None and not (time_unit(rows.unit, raw.time, CAMERA_RATES) or rows.unit):
+            raw.time = None
+        return raw.skeletons(Conventions(PIXELS, CameraFrame.OPTICAL))
     names = {re.sub(r"[^a-z0-9]", "", name.lower()) for row in rows.points for name in row}
-    if is_world or {"rightpinky", "leftpinky"} & names or about_hips(raw):
-        return landmarks_in_metres(raw, is_world)
-    return raw.skeletons(Conventions())
+    if is_world or {"rightpinky", "leftpinky"} & names or raw.is_about_hips():
+        return raw.landmarks(is_world)
+    return raw.skeletons(Conventions(states="share"))
 
 
 POSE_JSON = Format(
@@ -304,13 +303,12 @@ def _points_in(frame: Any, depth: int = 0) -> tuple[Any, bool]:
     if isinstance(frame, Mapping):
         if _is_points(frame):
             return frame, False
-        if world := next((frame[name] for name in _WORLD if frame.get(name)), None):
+        if world := _first(frame, _WORLD):
             return _points_in(world, depth + 1)[0], True
         people = frame.get("people", frame.get("persons", frame.get("instances")))
         if isinstance(people, list):
-            one = people[0] if people and isinstance(people[0], Mapping) else None
-            return _points_in(one, depth + 1)
-        return _points_in(next((frame[name] for name in _POINTS if frame.get(name)), None), depth + 1)
+            return _points_in(people[0] if people and isinstance(people[0], Mapping) else None, depth + 1)
+        return _points_in(_first(frame, _POINTS), depth + 1)
     if not isinstance(frame, list):
         return None, False
     is_one = len(frame) == 1 and isinstance(frame[0], list | Mapping) and "x" not in frame[0]
@@ -319,24 +317,25 @@ def _points_in(frame: Any, depth: int = 0) -> tuple[Any, bool]:
 
 #: Scores of COCO's visibilities: not labelled, labelled and hidden, visible.
 _VISIBILITY = (0.0, 0.3, 1.0)
-#: Rows of frames, and u, v, score one after the other of each.
-Keypoints = tuple[_Rows, list[list[float]]]
+#: Frames of keypoints: name, and what it states with `points` beside it, u, v and score by turns.
+_Flat = list[tuple[str, dict[str, Any]]]
 
 
-def _keypoints(frames: list[Any], rows: _Rows) -> Keypoints | None:
+def _openpose(frames: list[tuple[str, Any]]) -> _Flat | None:
     """The first person's keypoints of OpenPose by frame; None where the file contains none in images."""
-    found: list[list[float]] = []
-    for frame in frames:
+    found: _Flat = []
+    for key, frame in frames:
         people = frame.get("people") if isinstance(frame, Mapping) else None
         person = (people[0] if people else None) if isinstance(people, list) else frame
         flat = person.get("pose_keypoints_2d") if isinstance(person, Mapping) else None
         if isinstance(person, Mapping) and person.get("pose_keypoints_3d"):
             return None
-        found.append(flat if isinstance(flat, list) else [])
-    return (rows, found) if any(found) else None
+        stated = frame if isinstance(frame, Mapping) else {}
+        found.append((key, {**stated, "points": flat if isinstance(flat, list) else []}))
+    return found if any(frame["points"] for _, frame in found) else None
 
 
-def _coco(value: Any) -> Keypoints | None:
+def _coco(value: Any) -> _Flat | None:
     """Of COCO's annotations or results the surest person of each image, by the images' numbers."""
     listed = value.get("annotations") if isinstance(value, Mapping) else value
     if not isinstance(listed, list) or not listed:
@@ -355,30 +354,17 @@ def _coco(value: Any) -> Keypoints | None:
     if max(thirds, default=0.0) > 1.0 and thirds <= {0, 1, 2}:  # labelled by hand
         for _, flat in ordered:
             flat[2::3] = [_VISIBILITY[int(one)] for one in flat[2::3]]
-    rows = _Rows([NAN] * len(ordered), [image for image, _ in ordered])
-    return rows, [flat for _, flat in ordered]
+    return [(f"{image:f}", {"points": flat}) for image, flat in ordered]
 
 
-def _keypoint_tables(
-    path: Path, rows: _Rows, flats: list[list[float]], rate_hz: float | None
-) -> list[SkeletonTable]:
-    """A body whose positions are u, v and score."""
-    count = next((len(flat) // 3 for flat in flats if flat), 0)
-    names = POINT_SETS.get(count)
-    if names is None:
+def _keypoints(path: Path, flat: list[Any]) -> dict[str, Point]:
+    """Keypoints by name; what was not found is stored as 0, 0 with a score of 0, and left out."""
+    count = len(flat) // 3
+    if flat and count not in POINT_SETS:
         raise RecordingError(
             f"{path}: {count} keypoints per person are not a known set"
             f" ({', '.join(map(str, POINT_SETS))} are); export COCO's 17 or OpenPose's BODY_25."
         )
-    table = np.full((len(flats), count, 3), np.nan)
-    for at, flat in enumerate(flats):
-        if len(flat) == 3 * count:
-            table[at] = np.array([_number(each) for each in flat]).reshape(count, 3)
-    table[~(table[..., 2] > 0.0)] = np.nan  # what was not found is stored as 0, 0
-    raw = RawSkeleton(path, time_unit=rows.unit, rate_hz=rate_hz)
-    raw.frame = np.array(rows.frame) - rows.frame[0]
-    if (time := rows.known_times()) is not None and (time_unit(rows.unit, time, CAMERA_RATES) or rows.unit):
-        raw.time = time
-    for at, name in enumerate(names[:count]):
-        raw.add(name, table[:, at], states_of_scores(table[:, at, 2]))
-    return raw.skeletons(Conventions(PIXELS, CameraFrame.OPTICAL))
+    rows = [tuple(map(_number, flat[at : at + 3])) for at in range(0, 3 * count, 3)]
+    points = {name: (u, v, s, s) for name, (u, v, s) in zip(POINT_SETS.get(count, []), rows, strict=False)}
+    return {name: point if point[3] > 0.0 else NOTHING for name, point in points.items()}

@@ -15,7 +15,7 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 from datetime import datetime, timedelta, timezone
 from functools import cached_property, lru_cache
-from itertools import islice
+from itertools import islice, product
 from pathlib import Path
 from statistics import median
 from typing import TYPE_CHECKING, Any, TypeAlias
@@ -42,8 +42,6 @@ SHOWN_CHARACTERS = 200
 SEPARATORS = (";", "\t", "|", ",", " ")
 #: This many lines at the beginning settle the layout.
 LAYOUT_LINES = 400
-#: How columns put stem and axis together.
-AXIS_FORMS = ("{} {}", "{}_{}", "{}{}", "{}.{}", "{}-{}", "{}[{}]", "{}({})", "{}/{}", "{} {}-axis")
 #: Cells without a value, in lower case; Windows and spreadsheets have spellings of their own.
 _MISSING = r"^([-+]?(nan(\(.*\))?|inf(inity)?|1\.?#(ind|qnan|snan|inf).*)|#?n/?a|none|null|missing|-+|\*+)?$"
 #: More columns are no table of a sensor or a skeleton's; a longer line, characters, is no row of one.
@@ -222,14 +220,12 @@ class DeviceTable:
         """Number of the first column (from 0) that has one of these labels; the first label first."""
         return next((self.labels.index(label) for label in labels if label in self.labels), None)
 
-    def axes(self, *stems: str, signs: Sequence[str] = ("xyz",)) -> tuple[int, int, int] | None:
-        """Columns of a vector by labels of one of these stems and the axes' signs (`{}` is the axis)."""
-        for stem in stems:
-            for form in (stem,) if "{}" in stem else (each.format(stem, "{}") for each in AXIS_FORMS):
-                for sign in signs:
-                    columns = [self.find(form.format(axis).strip()) for axis in sign]
-                    if None not in columns:
-                        return columns[0], columns[1], columns[2]  # type: ignore[return-value]
+    def axes(self, *forms: str, signs: Sequence[str] = ("xyz",)) -> tuple[int, int, int] | None:
+        """Columns of a vector by labels of one of these forms (`{}` is the axis) and the axes' signs."""
+        for form, sign in product(forms, signs):
+            x, y, z = (self.find(form.format(axis)) for axis in sign)
+            if x is not None and y is not None and z is not None:
+                return x, y, z
         return None
 
     def stated(self, *subjects: str) -> str:

@@ -17,12 +17,10 @@ import numpy as np
 
 from ...array_types import FloatArray
 from ...errors import RecordingError, UnoccludeError
-from ...recording import CameraFrame
 from ...runtime.packages import extra_module
 from ...runtime.pool import Progress
 from .joints import BLAZEPOSE
-from .skeleton_formats import RELATIVE_NOTE, share_states
-from .skeletons import Conventions, RawSkeleton, SkeletonTable
+from .skeletons import LANDMARKS, RELATIVE_NOTE, RawSkeleton, SkeletonTable
 from .table import Format
 
 #: Bytes at the beginning of videos: where they stand, and what they are.
@@ -110,7 +108,7 @@ def pose_video(
             raw.notes.append(f"The file was filmed turned by {stored_deg} degrees; it was turned upright.")
         flipped = "The pictures were flipped left to right (--mirrored)."
         raw.notes += [flipped if mirrored else _NOT_MIRRORED, *_about_persons(poses, numbers, seen)]
-        return raw.skeletons(Conventions("m", CameraFrame.OPTICAL, relative=True))
+        return raw.skeletons(LANDMARKS)
 
     title, by = "video, MediaPipe pose landmarker", "the beginning of MP4, MOV, MKV, WebM or AVI"
     return Format("video", title, "skeleton", by, lambda head: is_video(head.raw), read)
@@ -272,7 +270,7 @@ def _raw(
     raw = RawSkeleton(path, time_unit="s")
     raw.time, raw.body = np.array([row[0] for row in rows]), np.array([row[1] for row in rows])
     for at, name in enumerate(BLAZEPOSE):
-        raw.add(name, table[:, at, :3], share_states(table[:, at, 3]))
+        raw.add(name, table[:, at])
     return raw
 
 

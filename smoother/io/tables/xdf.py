@@ -22,7 +22,6 @@ from .imu import (
     with_halves_joined,
 )
 from .joints import find_joint_columns, program_of
-from .skeleton_formats import states_of
 from .skeletons import Conventions, RawSkeleton, SkeletonTable
 from .table import Format, begins, shown
 from .units import ACCELERATION, ANGULAR_VELOCITY, METRES, plain_unit
@@ -121,15 +120,9 @@ def _xdf_skeletons(stream: _Stream, path: Path) -> list[SkeletonTable]:
     if not columns.has_arm():
         return []
     values = stream.values.astype(float)
-    raw = RawSkeleton(
-        path,
-        {joint: values[:, triple] for joint, triple in columns.axes.items()},
-        states_of({joint: values[:, column] for joint, column in columns.confidence.items()}),
-        time=stream.t_s,
-        time_unit="s",
-        rest=[(name, values[:, triple]) for name, triple in columns.rest],
-        notes=[f"Joints are of the stream {stream.name} ({stream.kind})."],
-    )
+    raw = RawSkeleton(path, time=stream.t_s, time_unit="s")
+    raw.add_columns(columns, lambda at: values[:, at], lambda at: values[:, at])
+    raw.notes.append(f"Joints are of the stream {stream.name} ({stream.kind}).")
     if columns.body is not None and (body := values[:, columns.body] > 0).any():
         raw.body = np.where(body, values[:, columns.body], np.nan)
     frames = {"azure": CameraFrame.OPTICAL, "kinect": CameraFrame.KINECT}

@@ -312,12 +312,7 @@ def test_dates_and_three_numbers_in_two_files_that_start_apart(tmp_path: Path):
     assert "assumed a gyroscope" in said and "repeat or go back" in said
 
 
-def test_a_table_that_looks_like_a_device_and_is_read_by_its_columns(tmp_path: Path):
+def test_a_device_whose_gyroscope_has_another_name(tmp_path: Path):
     path = written(tmp_path, f"t_ms,{A3},gyro_x,gyro_y,gyro_z", *rows(1000 * TIME, ACC / GRAVITY, DEG))
-    reader = FileReader()
-    (table,) = reader.read(path, reader.format_of(path, "imu"))
-    np.testing.assert_allclose(table.acc, printed(ACC / GRAVITY) * GRAVITY, rtol=1e-12)
-    assert "as NilsPod CSV it cannot be" in table.notes[-1]
-    with pytest.raises(RecordingError, match=r"NilsPod CSV.* is without both"):
-        named = FileReader(imu_format="nilspod")
-        named.read(path, named.format_of(path, "imu"))
+    (table,) = tables(path, "nilspod")
+    check(table, printed(ACC / GRAVITY) * GRAVITY, np.radians(printed(DEG)), TIME)
