@@ -139,7 +139,7 @@ def test_text_and_two_sensors_in_one_stream():
         with pytest.raises(RecordingError, match="notes sends text, not numbers"):
             read(text)
     ranges = [f"{name}_{axis}" for name in ("acc_ln", "acc_wr", "gyro") for axis in AXES]
-    with pytest.raises(RecordingError, match=r"has several accelerometers \(acc_ln_x, acc_ln_y"):
+    with pytest.raises(RecordingError, match=r"has several accelerometers \(acc_wr_x, acc_wr_y"):
         ImuChannels.of(stream(ranges, ["m/s^2"] * 6 + ["rad/s"] * 3))
     with pytest.raises(RecordingError, match=r"has several accelerometers \(acc_x, acc_y, acc_z\)"):
         ImuChannels.of(stream([*imu_labels()[:3], *imu_labels()], "g"))
