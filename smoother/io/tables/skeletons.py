@@ -148,8 +148,8 @@ def _up_axis(points: list[tuple[JointName, FloatArray]]) -> tuple[int, int] | No
     trunk = middles[0] - middles[1]
     trunk = trunk[np.isfinite(trunk).all(axis=1)]
     direction = np.median(trunk, axis=0) if len(trunk) else np.zeros(3)
-    axis = int(np.abs(direction).argmax())
-    if not abs(direction[axis]) > 0 or abs(direction[axis]) < UPRIGHT * np.linalg.norm(direction):
+    length, axis = float(np.linalg.norm(direction)), int(np.abs(direction).argmax())
+    if not length > 0 or abs(direction[axis]) < UPRIGHT * length:
         return None
     return axis, 1 if direction[axis] > 0 else -1
 
