@@ -370,7 +370,13 @@ def keep(factors: Sequence[LengthFactor], reference: str, names: list[str], path
             f"{path} was not written: sigma has to be multiplied by {worst:.0f}, so it is not sigma"
             " that is wrong; check clock, axes and mounting"
         )
-    rows = [{name: round(value, 4) for name, value in row.to_dict().items()} for row in factors]
+    rows = [
+        {
+            name: round(value, 4) if isinstance(value, float) else value
+            for name, value in row.to_dict().items()
+        }
+        for row in factors
+    ]
     write_calibration(path, with_sigma_table(CalibrationFile(), rows, reference, names))
 
 
