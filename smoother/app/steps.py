@@ -19,7 +19,7 @@ Step = dict[str, Any]
 #: What commands write in a recording's folder.
 RESULT, REPORT = "recovered.mcap", "report.html"
 STREAMS, CHECK, FIGURES, MATCHES = "streams.json", "check.json", "smooth.json", "matches.json"
-IMPORTED = "import.json"
+IMPORTED, SESSION = "import.json", "session.txt"
 #: Files that are used without being a stream.
 _NO_STREAM = ("video", "model", "calibration", "description")
 NO_MODEL = (
@@ -205,7 +205,7 @@ def _templates(folder: AppFolder) -> list[str]:
     return [word for path in folder.template_files() for word in ("--template", str(path))]
 
 
-def _arm_words(place: Path, kept: KeptRecording) -> list[str]:
+def _arm_words(folder: AppFolder, place: Path, kept: KeptRecording) -> list[str]:
     """Options of `check` and `smooth` by what was chosen."""
     words = [word for option in remedy_options(kept.choices.remedy) for word in option.split(" ", 1)]
     if kept.choices.side:
@@ -215,12 +215,29 @@ def _arm_words(place: Path, kept: KeptRecording) -> list[str]:
     left_out = kept.choices.left_out
     given = [each for each in described(place) if each["kind"] == "calibration"]
     given = [each for each in given if Path(each["file"]).name not in left_out]
-    return words + (["--calibration", _local(given[0])] if given else [])
+    return words + (["--calibration", _local(given[0])] if given else _session_words(folder, place))
+
+
+def _session_words(folder: AppFolder, place: Path) -> list[str]:
+    """`--session`, where the person was recorded several times that day: short trials prove themselves so."""
+    mine = read_kept(place)
+    day = recorded_date(place, mine)
+    if not (mine.person and day):
+        return []
+    others = [(folder.of(name), read_kept(folder.of(name))) for name in folder.recordings()]
+    same = [at for at, kept in others if kept.person == mine.person and recorded_date(at, kept) == day]
+    trials = [path for path in (at / recording_of(at) for at in same if at != place) if path.is_file()]
+    if not trials:
+        return []
+    lines = "".join(f"{os.path.relpath(path, place)}\n" for path in trials)
+    (place / SESSION).write_text(lines, encoding="utf-8")
+    return ["--session", SESSION]
 
 
 def check_steps(folder: AppFolder, place: Path, strict: bool = False) -> list[Step]:
     """Import and check; with `strict`, a set-up that seems wrong stops the job there."""
-    words = ["check", recording_of(place), *_arm_words(place, read_kept(place)), "--json", CHECK, "--force"]
+    arm = _arm_words(folder, place, read_kept(place))
+    words = ["check", recording_of(place), *arm, "--json", CHECK, "--force"]
     verdict: Step = {"ok": [0], "held": [3]} if strict else {"ok": [0, 3]}
     return [*import_steps(folder, place), {"name": "check", "argv": words, **verdict}]
 
@@ -229,7 +246,7 @@ def recover_steps(folder: AppFolder, place: Path, anyway: bool = False) -> list[
     """Import, check, recover, and write the report."""
     kept = read_kept(place)
     words = ["smooth", recording_of(place), "-o", RESULT, "--report", REPORT, "--json", FIGURES, "--force"]
-    words += ["--draws", str(USUAL_DRAWS), *_arm_words(place, kept)]
+    words += ["--draws", str(USUAL_DRAWS), *_arm_words(folder, place, kept)]
     return [*check_steps(folder, place, strict=not anyway), {"name": "recover", "argv": words}]
 
 

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
 from math import isfinite
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Unpack
 
 import typer
@@ -218,6 +220,44 @@ class ArmInput(Which):
         if self.calibration_file is None:
             return None
         return measured_clock(read_calibration(self.calibration_file), recording)
+
+
+@dataclass(frozen=True)
+class TrialInput(ArmInput):
+    """The same of a recording that may be one trial of a session."""
+
+    session: o.Session = None
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        twice = self.session is not None and self.calibration_file is not None
+        o.refuse({"--session finds the calibration; give it or --calibration, not both": twice})
+
+    @contextmanager
+    def in_session(self, recording_file: Path, config: Config) -> Iterator[ArmInput]:
+        """The input with the calibration that the session's trials show together, which is printed."""
+        if self.session is None:
+            yield self
+            return
+        from ..study.sessions import calibrate_session, is_trial, trials_in, write_arms
+
+        own = recording_file.resolve()
+        if not is_trial(own, self.chosen):
+            say(f"{recording_file}: it is over a minute long, or has one clock: it stands for itself")
+            yield self
+            return
+        found = calibrate_session(
+            dict.fromkeys([*trials_in(self.session), own]), self.chosen, config, config.windows.processes
+        )
+        if found.sentence:
+            say(f"{self.session}: {found.sentence}")
+        if own not in found.arms:
+            say(f"{recording_file}: it is no trial of this session's straps, or its motion does not show it")
+            yield self
+            return
+        with TemporaryDirectory(prefix="unocclude-") as folder:
+            write_arms(Path(folder) / "session.toml", found.arms[own])
+            yield replace(self, calibration_file=Path(folder) / "session.toml", session=None)
 
 
 def _names(text: str | None) -> tuple[str, ...]:

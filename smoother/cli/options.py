@@ -130,6 +130,7 @@ Force = Annotated[bool, option("Overwrite outputs that exist.", "--force")]
 Calibration = Annotated[
     File, value("CAL.toml", "IMU mounting, lever arms, limb lengths.", "--calibration"), SHARED
 ]
+Session = Annotated[File, value("FOLDER", "Trials of the same strap, calibrated together (or a list).")]
 Known = Annotated[File, value("CAL.toml", "Calibration file with values to use as given.", "--known"), SHARED]
 Strict = Annotated[bool, option("Exit with 3 where a result is not to be trusted.", "--strict")]
 Verbose = Annotated[bool, option("Print all estimates, gaps and notes.", "--verbose")]

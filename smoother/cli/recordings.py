@@ -13,7 +13,7 @@ import typer
 
 from ..table import Table, tabulated
 from . import options as o
-from .load import ArmInput, PersonConfigInput, Which
+from .load import PersonConfigInput, TrialInput, Which
 from .output import Out, arms_figures, part_of, print_notes, progress_bar, say, say_arm, show
 from .run import NOT_TRUSTED
 
@@ -228,7 +228,7 @@ def cut(
     print_notes(notes)
 
 
-def check(recording_file: o.RecordingPath, source: ArmInput, settings: PersonConfigInput, out: Out) -> None:
+def check(recording_file: o.RecordingPath, source: TrialInput, settings: PersonConfigInput, out: Out) -> None:
     """Test what a recording allows and what is wrong with its set-up.
 
     Checks every arm that has an IMU; of a long recording only the most informative excerpts. The exit code
@@ -237,10 +237,10 @@ def check(recording_file: o.RecordingPath, source: ArmInput, settings: PersonCon
     Example: unocclude check session.mcap --json check.json
     """
     config = settings.read()
-    arms = source.load(recording_file, truth=False)
-    with progress_bar("checking") as progress:
+    with source.in_session(recording_file, config) as known, progress_bar("checking") as progress:
+        arms = known.load(recording_file, truth=False)
         findings = [
-            checked(*arm, config, source.clock(arm[0]), part_of(progress, place, len(arms)))
+            checked(*arm, config, known.clock(arm[0]), part_of(progress, place, len(arms)))
             for place, arm in enumerate(arms)
         ]
         progress(1.0, "done")

@@ -4,10 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from contextlib import ExitStack
 from dataclasses import replace
-from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
@@ -16,7 +13,7 @@ from ..errors import UnoccludeError
 from ..evaluation.methods import GRAPH, METHODS, make_methods
 from ..table import tabulated
 from . import options as o
-from .load import ArmInput, PersonConfigInput, baseline_settings
+from .load import PersonConfigInput, TrialInput, baseline_settings
 from .output import Out, end_strictly, is_imported, progress_bar, say, say_more, show
 
 if TYPE_CHECKING:
@@ -32,10 +29,9 @@ if TYPE_CHECKING:
 def smooth(
     recording_file: o.RecordingPath,
     output: o.ResultOutput,
-    source: ArmInput,
+    source: TrialInput,
     settings: PersonConfigInput,
     out: Out,
-    session: Annotated[o.File, o.value("FOLDER", "Trials of the same strap, calibrated together.")] = None,
     method: Annotated[str, o.value("M", f"Method: {', '.join(METHODS)}.")] = "graph",
     report: o.Report = None,
     max_sigma_m: Annotated[o.Number, o.value("M", "Mark samples above this sigma (`usable` = 0).")] = None,
@@ -68,10 +64,7 @@ def smooth(
     baselines = baseline_settings(names, orientation)
     motions = drawn_motions(draws, seed, names[0])
     config = settings.read()
-    with ExitStack() as ended:
-        if session is not None:
-            folder = Path(ended.enter_context(TemporaryDirectory(prefix="unocclude-")))
-            source = of_session(recording_file, session, source, config, folder)
+    with source.in_session(recording_file, config) as source:
         arms = source.load(recording_file, truth=False)
         recordings = [recording for recording, _ in arms]
         clocks = [source.clock(one) for one in recordings]
@@ -98,28 +91,6 @@ def smooth(
         out.end(output, report)
     if strict:
         end_strictly(recovery.estimates.trusted for recovery in answers)
-
-
-def of_session(
-    recording_file: Path, session: Path, source: ArmInput, config: Config, folder: Path
-) -> ArmInput:
-    """The input with the calibration that the trials of a folder show together, and what they brought."""
-    from ..study.sessions import calibrate_session, write_arms
-
-    if source.calibration_file is not None:
-        raise typer.BadParameter("--session finds the calibration; give it or --calibration, not both")
-    if not session.is_dir():
-        raise typer.BadParameter(f"--session is a folder of recordings; {session} is none")
-    own = recording_file.resolve()
-    trials = dict.fromkeys([*(path.resolve() for path in sorted(session.glob("*.mcap"))), own])
-    found = calibrate_session(trials, source.chosen, config, config.windows.processes)
-    if found.sentence:
-        say(f"{session}: {found.sentence}")
-    if own not in found.arms:
-        say(f"{recording_file}: it is no trial of this session's straps, or its motion does not show it")
-        return source
-    write_arms(folder / "session.toml", found.arms[own])
-    return replace(source, calibration_file=folder / "session.toml")
 
 
 def smooth_figures(recording: Recording, recovery: Recovery) -> dict[str, Any]:

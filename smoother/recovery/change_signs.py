@@ -45,7 +45,8 @@ def changed_for_good(steps: Sequence[Step], left: Sequence[Step]) -> Iterator[Fi
 
     `left` are those without the camera's blocks that the rest contradicts: another body for a while is no
     step, and what is left of a step after a part of one side was taken for such a block still shows it.
-    Where it does not, or chance is not that rare, the gap there is not to be trusted.
+    Where it does not, or chance is not that rare, the gap there is not to be trusted. A step that is rare
+    without those blocks is one, wherever it is.
     """
     significant = [step for step in steps if _chance(step) * len(steps) < DOUBTFUL]
     if not significant:
@@ -62,9 +63,10 @@ def changed_for_good(steps: Sequence[Step], left: Sequence[Step]) -> Iterator[Fi
         of = "the sensor on the arm" if step.kind == "mounting" else "all that the camera sees"
         what = f"{of} turns by {turned_deg:.0f} degrees and moves by {moved_cm:.0f} cm, unfelt by the IMU"
         code, cause = "moved-or-slipped", "the camera was moved, or the strap slipped"
+    stays = any(_chance(each) * len(left) < FALSE_ALARM for each in left)
     shows_still = [each.at_s for each in left if _chance(each) < LEFT_CHANCE]
     is_rare = _chance(step) * len(steps) < FALSE_ALARM
-    if not is_rare or not any(abs(step.at_s - at_s) < LEFT_WITHIN_S for at_s in shows_still):
+    if not stays and not (is_rare and any(abs(step.at_s - at_s) < LEFT_WITHIN_S for at_s in shows_still)):
         seems = "" if is_rare else "it seems that "
         yield finding(
             code,

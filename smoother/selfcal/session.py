@@ -9,7 +9,7 @@ another one, as after a strap was put on anew.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -29,6 +29,10 @@ DIRECTIONS, BESIDE_RAD, HALVED = 400, 0.12, 3
 MOST_OF_ONE = 15.0
 #: So many recordings that a direction proves are a strap; one recording alone proves nothing of others.
 FEWEST = 2
+#: Two straps may be so much alike that a direction between them fits every trial. Directions so far apart are
+#: tried, up to so far from it, rad. Two of them gain less than the third by chance (of 25 simulated sessions
+#: none gained 4); no trial objects to a direction by more than the fourth.
+STEP_RAD, REACH_RAD, PARTED, MOST_OBJECTION = 0.07, 0.42, 7.0, 3.5
 
 
 @dataclass(frozen=True)
@@ -50,6 +54,9 @@ def find_straps(recordings: Sequence[Recording], workers: Pool | None = None) ->
         members = tuple(number for number in left if _fits(recordings[number], along, workers))
         if len(members) < FEWEST:
             break
+        members = _alike(along, members, sums)
+        if len(members) < len(left):
+            along = _shared_direction([each for number in members for each in sums[number]])
         straps.append(along)
         fitting += members
         left = [number for number in left if number not in members]
@@ -68,6 +75,26 @@ def _fits(recording: Recording, along: FloatArray, workers: Pool | None) -> bool
         return False
     pairing, _ = decided(found, recording)
     return pairing is not None and pairing.chance < LIKELY
+
+
+def _alike(
+    along: FloatArray, members: tuple[int, ...], sums: Mapping[int, Sequence[TurningSums]]
+) -> tuple[int, ...]:
+    """The members; where two directions beside the shared one are clearly better, those of one of the two."""
+    u, v = np.mgrid[-REACH_RAD:REACH_RAD:STEP_RAD, -REACH_RAD:REACH_RAD:STEP_RAD].reshape(2, -1, 1)
+    near = np.hypot(u, v)[:, 0] <= REACH_RAD
+    across = np.linalg.svd(along[None])[2][1:]
+    directions = unit(along + u[near] * across[0] + v[near] * across[1])
+    support = np.array([sum(each.best_of(directions) for each in sums[number]) for number in members])
+    support = np.maximum(support, support.max(axis=1, keepdims=True) - MOST_OBJECTION)
+    of_two = np.array([np.maximum(support, own[:, None]).sum(axis=0) for own in support.T])
+    one, other = np.unravel_index(of_two.argmax(), of_two.shape)
+    is_first = support[:, one] >= support[:, other]
+    fewest = min(is_first.sum(), (~is_first).sum())
+    if of_two.max() - support.sum(axis=0).max() < PARTED or fewest < FEWEST:
+        return members
+    is_most = is_first.sum() > len(members) / 2
+    return tuple(number for number, first in zip(members, is_first, strict=True) if first == is_most)
 
 
 def _shared_direction(sums: Sequence[TurningSums]) -> FloatArray:

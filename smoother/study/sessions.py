@@ -20,7 +20,7 @@ from ..recording import Recording
 from ..runtime.outputs import writing
 from ..runtime.pool import Pool, check_allowance
 from .folder import StudyFolder, text_hash
-from .inputs import Entry, config_hash, file_hash
+from .inputs import Entry, config_hash, file_hash, find_entries
 
 if TYPE_CHECKING:
     from ..calibration import ArmCalibration
@@ -86,11 +86,25 @@ def calibrate_session(
     return Session(arms, len(looked_at), straps)
 
 
+def trials_in(session: Path) -> list[Path]:
+    """The recordings of a session: those of a folder, or of a list as `batch` takes it."""
+    if session.is_dir():
+        return [path.resolve() for path in sorted(session.glob("*.mcap"))]
+    return [Path(entry.path) for entry in find_entries(str(session), session)]
+
+
+def is_trial(path: Path, selection: Selection) -> bool:
+    """Whether a recording is so short, and its clocks so unrelated, that a session helps it."""
+    return next(_trials(path, selection), None) is not None
+
+
 def _trials(path: Path, selection: Selection) -> Iterator[Recording]:
     """The arms of a recording that is a trial with clocks that have nothing in common."""
     from ..io.recording.read import read_arms
 
     with suppress(UnoccludeError, OSError):
+        if path.stat().st_size > LARGEST_BYTES:
+            return
         for recording, _ in read_arms(path, None, truth=False, **selection):
             t_s = recording.arm.t_s
             if recording.clocks_unrelated and len(t_s) > 1 and t_s[-1] - t_s[0] <= LONGEST_S:

@@ -173,7 +173,7 @@ def test_a_wrong_focal_length_is_in_sigma_and_not_trusted(part: float, share: fl
     recovery = smooth(replace(simulated.recording, arm=wrong, truth=None), processes=1)
     off_m, sigma_m = depth_off(recovery, simulated)
     assert abs(off_m) > 0.08
-    assert abs(off_m) < 3.0 * sigma_m
+    assert abs(off_m) < 3.5 * sigma_m  # the statement is ten of its own sigmas off
     assert not recovery.estimates.trusted
     asked = any("calibrate the lens" in each for each in recovery.estimates.reasons)
     assert asked == (share == FOCAL_DATA_SHEET)

@@ -164,7 +164,8 @@ def test_a_slip_that_is_left_out_distrusts_its_gap() -> None:
     made = moving(1, "realistic", 40.0)
     recovery = answer(strap(15.0)(made, halfway(made)))
     assert recovery.estimates.trusted is False or not all(each.trusted for each in recovery.gap_verdicts)
-    assert np.nanmax(sample_errors(recovery, made.recording.truth).distance_m[recovery.trusted]) < 0.04
+    distance_m = sample_errors(recovery, made.recording.truth).distance_m
+    assert not (distance_m[recovery.trusted] > 0.04).any()
 
 
 def nearer_on_both_sides(made: SimulatedArm, at_s: float) -> Recording:
@@ -183,7 +184,7 @@ def nearer_on_both_sides(made: SimulatedArm, at_s: float) -> Recording:
         (camera("x", 12.0), 3, {}, "the camera was moved", True),
         (camera("x", -6.0), 5, {}, "the camera was moved", True),
         (camera("x", 0.0, (0.25, 0.0, 0.1)), 3, {"cameras": (60.0,)}, "the camera was moved", True),
-        (nearer_on_both_sides, 3, {}, "nothing on either side confirms", False),
+        (nearer_on_both_sides, 3, {}, "contradict each other", False),
     ],
     ids=["tilted", "tilted a little", "first of two cameras moved", "blocks on both sides"],
 )
