@@ -64,10 +64,10 @@ def smooth(
     baselines = baseline_settings(names, orientation)
     motions = drawn_motions(draws, seed, names[0])
     config = settings.read()
-    with source.in_session(recording_file, config) as source:
-        arms = source.load(recording_file, truth=False)
+    with source.in_session(recording_file, config) as known:
+        arms = known.load(recording_file, truth=False)
         recordings = [recording for recording, _ in arms]
-        clocks = [source.clock(one) for one in recordings]
+        clocks = [known.clock(one) for one in recordings]
         given = [with_strap(known, recording) if solve_lever_arms else known for recording, known in arms]
         with progress_bar("recovering") as progress:
             recoveries = recover_arms(
