@@ -16,7 +16,7 @@ from test_server import upload
 
 from smoother.app import server
 from smoother.app.folder import write_json
-from smoother.app.steps import IMPORTED, MATCHES, import_steps, recover_steps
+from smoother.app.steps import IMPORTED, MATCHES, SESSION, import_steps, recording_of, recover_steps
 from smoother.simulation import ArmSimulation, simulate_arm
 
 #: A recovery of 33 s with measures, two at a time on a busy machine.
@@ -89,6 +89,20 @@ def test_a_job_that_misses_mediapipe_says_so(page: Page, film: dict[str, Path]):
     page.begin(name, "check")
     sentence = page.wait(name)["job"]["sentence"]
     assert "this needs MediaPipe, which is not installed" in sentence and "'.[video]'" in sentence
+
+
+def test_trials_of_one_person_and_day_are_a_session(page: Page, session_files: dict[str, Path]) -> None:
+    """Those that were imported, each for the other; not one of another person."""
+    names = [page.add([session_files["imu"], session_files["skeleton"]]) for _ in range(3)]
+    for name, person in zip(names, ("p1", "p1", "p2"), strict=True):
+        page.change(name, person=person, date="2026-01-05")
+        place = page.folder.of(name)
+        (place / recording_of(place)).touch()
+    first, second, other = (page.folder.of(name) for name in names)
+    assert "--session" in recover_steps(page.folder, first)[-1]["argv"]
+    listed = (first / SESSION).read_text().splitlines()
+    assert [(first / line).resolve() for line in listed] == [second / recording_of(second)]
+    assert "--session" not in recover_steps(page.folder, other)[-1]["argv"]
 
 
 def test_an_upload_without_a_length_stops_before_the_disk_is_full(

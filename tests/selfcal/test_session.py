@@ -17,7 +17,7 @@ from smoother.selfcal.pairing import find_pairing
 from smoother.selfcal.session import find_straps
 from smoother.simulation import SimulatedArm
 from smoother.smoothing import smooth
-from tools.accuracy.sessions import made_session, trials_of
+from tools.accuracy.sessions import FOREIGN, made_session, trials_of
 
 COUNT = 10
 ALONE = Config.model_validate({"windows": {"processes": 1}})
@@ -73,6 +73,19 @@ def test_a_strap_put_on_anew_is_another_one() -> None:
     assert sorted(len({number < 5 for number in strap.members}) for strap in straps) == [1, 1]
     with pytest.raises(CalibrationError, match="in 2 ways"):
         calibrate_motion(mixed, None, ALONE)
+
+
+@pytest.mark.slow
+def test_straps_that_are_much_alike_are_two() -> None:
+    """A direction between the two, 8 to 18 degrees apart, fits the trials of both."""
+    one, other = (
+        [trial for trial, *_ in trials_of(made_session(seed, 20), 20, 13)] for seed in (13, 13 + FOREIGN)
+    )
+    straps = find_straps([*one[:10], *other[10:]])
+    assert [{number < 10 for number in strap.members} for strap in straps] in (
+        [{True}, {False}],
+        [{False}, {True}],
+    )
 
 
 def test_streams_of_two_trials_are_no_pair_by_the_strap_that_they_share() -> None:

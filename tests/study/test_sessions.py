@@ -50,11 +50,29 @@ def test_trials_get_the_calibration_that_they_share_once(trials: Path, tmp_path:
 
 
 @pytest.mark.slow
-def test_smooth_takes_a_session(trials: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    words = ["smooth", str(trials / "trial_2.mcap"), "-o", str(tmp_path / "out.mcap")]
-    assert run([*words, "--session", str(trials)]) == 0
+@pytest.mark.parametrize("command", ["smooth", "check"])
+@pytest.mark.parametrize("as_list", [False, True], ids=["folder", "list"])
+def test_a_trial_is_proved_by_its_session(
+    command: str, as_list: bool, trials: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    session = tmp_path / "trials.txt" if as_list else trials
+    if as_list:
+        session.write_text("".join(f"{trials / f'trial_{number}.mcap'}\n" for number in (1, 3, 4, 5, 6)))
+    words = [command, str(trials / "trial_2.mcap")]
+    words += ["-o", str(tmp_path / "out.mcap")] if command == "smooth" else []
+    assert run([*words, "--session", str(session)]) == 0
     said = capsys.readouterr().out
     assert "share their calibration" in said
     assert "Usable" in said
-    assert run([*words, "--session", str(tmp_path / "none"), "--force"]) == 2
-    assert "is a folder of recordings" in capsys.readouterr().err
+    assert run([*words, "--session", str(tmp_path / "none"), *(["--force"] if "-o" in words else [])]) == 1
+    assert "name a folder" in capsys.readouterr().err
+
+
+@pytest.mark.slow
+def test_a_recording_with_one_clock_needs_no_session(
+    trials: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    alone = tmp_path / "alone.mcap"
+    write_recording(made_session(SEED, COUNT).recording, alone)
+    assert run(["check", str(alone), "--session", str(trials)]) == 0
+    assert "stands for itself" in capsys.readouterr().out
