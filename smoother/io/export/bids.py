@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
@@ -33,12 +33,30 @@ _SPATIAL = {
     CameraFrame.OPTICAL: ("RIA", "x to the camera's right, y down, z forward"),
     CameraFrame.ZUP: ("__S", "z up; the direction of x is not stated"),
 }
-
-
 _MARKS = {
     "occluded": "1: the camera did not see the forearm",
     "usable": "1: there is an answer that is not distrusted",
     "trusted": "1: the answer is to be trusted",
+}
+#: The vectors of an IMU: name, unit, and what they are in its axes.
+_SENSORS = (
+    ("acc", "m/s^2", "specific force"),
+    ("gyro", "rad/s", "turn rate"),
+    ("mag", "n/a", "magnetic field, in the sensor's own unit"),
+)
+#: Types of channels by their names, which say their component and their tracked point; the first that fits.
+_KINDS = {
+    "latency": "LATENCY",
+    r".*sigma.*?(_(?P<component>[xyz]))?": "MISC",
+    r"(?P<point>.*)_acc_(?P<component>[xyz])": "ACCEL",
+    r"(?P<point>.*)_gyro_(?P<component>[xyz])": "GYRO",
+    r"(?P<point>.*)_mag_(?P<component>[xyz])": "MAGN",
+    r"(?P<point>.*)_([xy]_image|state)": "MISC",
+    r"(?P<point>.*)_q(?P<quaternion>[wxyz])": "ORNT",
+    r"(?P<imu>v)(?P<component>[xyz])": "VEL",
+    r"(?P<point>.*)_deg": "JNTANG",
+    r"(?P<point>.*)_(?P<component>[xyz])": "POS",
+    ".*": "MISC",
 }
 
 
@@ -51,7 +69,7 @@ class BidsNames:
     task: str = "arm"
 
     def __post_init__(self) -> None:
-        for option, label in (("subject", self.subject), ("session", self.session), ("task", self.task)):
+        for option, label in vars(self).items():
             if not re.fullmatch(r"[A-Za-z0-9]+", label) and (label or option != "session"):
                 raise UnoccludeError(f"--{option} of BIDS is letters and digits alone, not '{label}'")
 
@@ -72,16 +90,34 @@ def label_of(name: str) -> str:
 
 
 class Channel(NamedTuple):
-    """A column of a motion file, as `channels.tsv` describes it; "" is n/a."""
+    """A column of a motion file, as `channels.tsv` describes it."""
 
     name: str
-    component: str
-    kind: str  # Its `type`
-    point: str
-    units: str
-    frame: str
-    description: str
     values: FloatArray  # (N,): nan is n/a
+    units: str
+    description: str
+    frame: str = ""
+
+    @property
+    def kind(self) -> str:
+        """Its `type`."""
+        return self.row[2]
+
+    @property
+    def row(self) -> tuple[str, ...]:
+        """Name, component, type, tracked point, units, frame, description; "" is n/a."""
+        fits = ((re.fullmatch(pattern, self.name), kind) for pattern, kind in _KINDS.items())
+        said, kind = next((match.groupdict(""), kind) for match, kind in fits if match)
+        quaternion, point = said.get("quaternion"), said.get("point", "")
+        component = f"quat_{quaternion}" if quaternion else said.get("component", "")
+        point = "imu" if "imu" in said else point
+        return self.name, component, kind, point, self.units, self.frame, self.description
+
+
+def _vector(name: str, values: FloatArray, units: str, about: str, frame: str = "") -> list[Channel]:
+    """Channels of a vector (N, 3), whose names end in its axes."""
+    parts = zip("xyz", np.asarray(values).T, strict=True)
+    return [Channel(f"{name}_{axis}", each, units, about, frame) for axis, each in parts]
 
 
 @dataclass(frozen=True)
@@ -98,23 +134,13 @@ class TrackingSystem:
 
 def recorded_systems(recording: Recording) -> list[TrackingSystem]:
     """The camera's joints and the IMUs of an arm, as they were recorded."""
-    side, arm = recording.side.capitalize(), recording.arm
-
-    def point_of(name: str) -> str:
-        return f"{recording.side}_{name}" if recording.side else name
-
-    systems = []
+    side, arm, systems = recording.side.capitalize(), recording.arm, []
+    before = f"{recording.side}_" if recording.side else ""
     for segment, imu in {"forearm": recording.imu, **recording.further_imus}.items():
-        sensors = [
-            ("acc", "ACCEL", "m/s^2", imu.acc, "specific force"),
-            ("gyro", "GYRO", "rad/s", imu.gyro, "turn rate"),
-            ("mag", "MAGN", "n/a", imu.mag, "magnetic field, in the sensor's own unit"),
-        ]
-        point, channels = point_of(segment), []
-        for name, kind, unit, values, words in sensors:
-            if values is not None:
-                about = f"{words} in the IMU's axes"
-                channels += _vector(f"{point}_{name}_", np.asarray(values), kind, point, unit, "", about)
+        channels = []
+        for sensor, unit, words in _SENSORS:
+            if (values := getattr(imu, sensor)) is not None:
+                channels += _vector(f"{before}{segment}_{sensor}", values, unit, f"{words} in the IMU's axes")
         label = "".join(word.capitalize() for word in segment.split("_"))
         systems.append(TrackingSystem(f"imu{label}{side}", "inertial sensor", imu.t_s, channels))
     frames: dict[str, dict[str, str]] = {}
@@ -122,52 +148,38 @@ def recorded_systems(recording: Recording) -> list[TrackingSystem]:
         axes, about_axes = _SPATIAL[recording.camera_frame]
         level = {"Description": about_axes, "RotationRule": "right-hand", "RotationOrder": "XYZ"}
         frames = {"camera": {**level, "SpatialAxes": axes}}
-    channels = []
+    channels, is_flat = [], arm.pixel_rad is not None
     for joint in arm.present:
-        point, state = point_of(joint), arm.state[:, JOINTS.index(joint)]
+        point, state = f"{before}{joint}", arm.state[:, JOINTS.index(joint)]
         place = np.where((state == JointState.NOT_TRACKED)[:, None], np.nan, arm.joint(joint))
-        if arm.pixel_rad is None:
-            words = f"position of the {joint} in the camera's axes"
-            channels += _vector(f"{point}_", place, "POS", point, "m", next(iter(frames), ""), words)
-        else:
+        if is_flat:
             for axis, values in zip("xy", place.T, strict=False):
                 words = f"image coordinate {axis}/z of the {joint}, lens distortion removed"
-                channels.append(Channel(f"{point}_{axis}_image", "", "MISC", point, "", "", words, values))
+                channels.append(Channel(f"{point}_{axis}_image", values, "", words))
+        else:
+            words = f"position of the {joint} in the camera's axes"
+            channels += _vector(point, place, "m", words, next(iter(frames), ""))
         about = "0 not tracked, 1 a guess of the camera's, 2 tracked"
-        channels.append(Channel(f"{point}_state", "", "MISC", point, "", "", about, state.astype(float)))
-    title = "depth camera" if arm.pixel_rad is None else "camera without depth"
+        channels.append(Channel(f"{point}_state", state.astype(float), "", about))
+    title = "camera without depth" if is_flat else "depth camera"
     return [*systems, TrackingSystem(f"camera{side}", title, arm.t_s, channels, frames=frames)]
 
 
-def _vector(
-    name: str, values: FloatArray, kind: str, point: str, units: str, frame: str, about: str
-) -> list[Channel]:
-    """Channels of a vector (N, 3), whose names end in its axes."""
-    return [
-        Channel(name + axis, axis, kind, point, units, frame, about, each)
-        for axis, each in zip("xyz", values.T, strict=True)
-    ]
-
-
-def recovered_system(recovery: Recovery, version: str) -> TrackingSystem:
+def _recovered_system(recovery: Recovery, version: str) -> TrackingSystem:
     """The answer: every column of the CSV export, with its sigmas, on the forearm IMU's clock."""
-    channels = [
-        Channel(name, *_kind(name), column.unit, "", column.description, values)
-        for name, values, column in file_columns(recovery)
-    ]
+    channels = [Channel(name, values, of.unit, of.description) for name, values, of in file_columns(recovery)]
     marks = marks_of(recovery)
-    for name in (name for name in _MARKS if name in marks):
-        channels.append(Channel(name, "", "MISC", "", "", "", _MARKS[name], np.asarray(marks[name], float)))
+    channels += [Channel(m, marks[m].astype(float), "", about) for m, about in _MARKS.items() if m in marks]
+    offset, sigma = (
+        float(each) if np.isfinite(each) else None
+        for each in (recovery.clock_offset_s, recovery.clock_offset_sigma_s)
+    )
+    clock = {"Value": offset, "Sigma": sigma, "Units": "s", "Description": "IMU's time less the camera's"}
     more: dict[str, object] = {
         "SoftwareVersions": f"unocclude {version}",
         "Method": recovery.method,
         "Verdict": recovery.estimates.verdict or "n/a",
-        "ClockOffset": {
-            "Value": _finite(recovery.clock_offset_s),
-            "Sigma": _finite(recovery.clock_offset_sigma_s),
-            "Units": "s",
-            "Description": "IMU's time less the camera's",
-        },
+        "ClockOffset": clock,
         "Notes": list(recovery.notes),
     }
     return TrackingSystem(f"arm{recovery.side.capitalize()}", "recovered arm", recovery.t_s, channels, more)
@@ -184,7 +196,7 @@ def write_bids(
     """Write one session into a data set, which is begun where there is none."""
     derivative = folder / "derivatives" / "unocclude"
     raw = [system for recording in recordings for system in recorded_systems(recording)]
-    answers = [recovered_system(recovery, version) for recovery in recoveries]
+    answers = [_recovered_system(recovery, version) for recovery in recoveries]
     if folder.exists() and any(folder.iterdir()) and not (folder / "dataset_description.json").exists():
         raise UnoccludeError(f"{folder} contains other files; name a new folder, or that of a BIDS data set")
     for system in raw:
@@ -197,14 +209,10 @@ def write_bids(
         (derivative, "derivative", "Arms recovered by unocclude"),
     ):
         root.joinpath(*names.parts, "motion").mkdir(parents=True, exist_ok=True)
-        description: dict[str, object] = {
-            "Name": title,
-            "BIDSVersion": BIDS_VERSION,
-            "DatasetType": kind,
-            "GeneratedBy": [{"Name": "unocclude", "Version": version}],
-        }
+        about = {"Name": title, "BIDSVersion": BIDS_VERSION, "DatasetType": kind}
+        made_by = {"GeneratedBy": [{"Name": "unocclude", "Version": version}]}
         if not (root / "dataset_description.json").exists():
-            _json(root / "dataset_description.json", description)
+            _json(root / "dataset_description.json", about | made_by)
         _add_row(root / "participants.tsv", "participant_id", f"sub-{names.subject}")
     if not (folder / "README.md").exists():
         _lines(folder / "README.md", _README.splitlines())
@@ -223,20 +231,20 @@ def write_bids(
 def _write(root: Path, names: BidsNames, system: TrackingSystem) -> None:
     """The four files of a tracking system."""
     latency = system.t_s - system.t_s[0]
-    about = "seconds since the first sample"
-    channels = [Channel("latency", "", "LATENCY", "", "s", "", about, latency), *system.channels]
+    channels = [Channel("latency", latency, "s", "seconds since the first sample"), *system.channels]
     values = np.stack([channel.values for channel in channels], axis=1)
-    rows = ("\t".join(f"{x:.11g}" if np.isfinite(x) else "n/a" for x in row) for row in values.tolist())
-    _lines(root / names.file(system, "motion.tsv"), rows)
+    cells = ("\t".join(f"{x:.11g}" if np.isfinite(x) else "n/a" for x in row) for row in values.tolist())
+    _lines(root / names.file(system, "motion.tsv"), cells)
     head = "name\tcomponent\ttype\ttracked_point\tunits\treference_frame\tdescription"
-    listed = ("\t".join(each or "n/a" for each in channel[:-1]) for channel in channels)
+    rows = [channel.row for channel in channels]
+    listed = ("\t".join(each or "n/a" for each in row) for row in rows)
     _lines(root / names.file(system, "channels.tsv"), [head, *listed])
     frames: dict[str, object] = {"Description": "axes of the positions; n/a: the sensor's own, or none"}
     frames |= {"Levels": system.frames} if system.frames else {}
     _json(root / names.file(system, "channels.json"), {"reference_frame": frames})
     rate = median_rate_hz(system.t_s) if len(system.t_s) > 1 else 1.0
     span = float(latency[-1]) if len(latency) > 1 else 0.0
-    counts = {f"{kind}ChannelCount": sum(channel.kind == kind for channel in channels) for kind in _TYPES}
+    _, _, kinds, points, *_ = zip(*rows, strict=True)
     motion: dict[str, object] = {
         "TaskName": names.task,
         "TrackingSystemName": system.title,
@@ -246,26 +254,11 @@ def _write(root: Path, names: BidsNames, system: TrackingSystem) -> None:
         "RecordingType": "continuous",
         "MissingValues": "n/a",
         "MotionChannelCount": len(channels),
-        "TrackedPointsCount": len({channel.point for channel in channels if channel.point}),
-        **counts,
+        "TrackedPointsCount": len({*points} - {""}),
+        **{f"{kind}ChannelCount": kinds.count(kind) for kind in _TYPES},
         **system.more,
     }
     _json(root / names.file(system, "motion.json"), motion)
-
-
-def _kind(column: str) -> tuple[str, str, str]:
-    """Component, type and tracked point of a column of the CSV export."""
-    if "sigma" in column:
-        return column[-1] if column[-2:] in ("_x", "_y", "_z") else "", "MISC", ""
-    if match := re.fullmatch(r"(.*)_q([wxyz])", column):
-        return f"quat_{match[2]}", "ORNT", match[1]
-    if match := re.fullmatch(r"v([xyz])", column):
-        return match[1], "VEL", "imu"
-    if column.endswith("_deg"):
-        return "", "JNTANG", column.removesuffix("_deg")
-    if match := re.fullmatch(r"(.*)_([xyz])", column):
-        return match[2], "POS", match[1]
-    return "", "MISC", ""
 
 
 def _add_row(path: Path, header: str, row: str) -> None:
@@ -279,11 +272,7 @@ def _add_row(path: Path, header: str, row: str) -> None:
     _lines(path, [head, *sorted([*(each for each in rows if each not in same), "\t".join(cells)])])
 
 
-def _finite(value: float) -> float | None:
-    return float(value) if np.isfinite(value) else None
-
-
-def _lines(path: Path, lines: Sequence[str] | Iterator[str]) -> None:
+def _lines(path: Path, lines: Iterable[str]) -> None:
     with writing(path, True) as temporary, open(temporary, "w", encoding="utf-8", newline="\n") as file:
         file.writelines(f"{line}\n" for line in lines)
 

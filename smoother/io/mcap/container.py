@@ -10,12 +10,11 @@ from __future__ import annotations
 import os
 import struct
 import zlib
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
 from io import BytesIO
 from pathlib import Path
-from typing import IO
+from typing import IO, Any
 
 import numpy as np
 from mcap.data_stream import ReadDataStream
@@ -26,7 +25,6 @@ from mcap.records import (
     Channel,
     Chunk,
     ChunkIndex,
-    McapRecord,
     Metadata,
     MetadataIndex,
     Schema,
@@ -49,14 +47,10 @@ HEAD = struct.Struct("<BQ")
 CHUNK = struct.Struct("<QQQII")
 #: A message record up to its payload.
 MESSAGE = np.dtype(
-    [
-        ("opcode", "u1"),
-        ("length", "<u8"),
-        ("channel", "<u2"),
-        ("sequence", "<u4"),
-        ("log", "<u8"),
-        ("publish", "<u8"),
-    ]
+    {
+        "names": ["opcode", "length", "channel", "sequence", "log", "publish"],
+        "formats": ["u1", "<u8", "<u2", "<u4", "<u8", "<u8"],
+    }
 )
 _FOOTER = struct.Struct("<BQQQI")
 #: A name of a compression is no longer than this.
@@ -80,10 +74,13 @@ _LATEST = np.uint64(np.iinfo(np.int64).max - 1)
 _GATHER, CHUNK_LIMIT = 1 << 20, 1 << 28
 #: What reading a damaged record raises.
 _BROKEN = (McapError, struct.error, ValueError, OverflowError, MemoryError, EOFError)
-
-
-#: A chunk: its records, where it is, its first and last log time.
-_Block = tuple[bytes, int, tuple[int | None, int | None]]
+#: First and last log time, ns; None where it is not known.
+_Times = tuple[int | None, int | None]
+_UNKNOWN: _Times = (None, None)
+#: Records of a file's end by their kind.
+Summary = defaultdict[type, list[Any]]
+#: Records of a chunk, where it is, and its times.
+_Block = tuple[bytes, int, _Times]
 
 
 class Container:
@@ -98,7 +95,9 @@ class Container:
         self.notes: list[str] = []
         self.damage: list[Damage] = []
         self.missing: dict[str, int] = {}  # by topic, where the file's own count says so
-        self._summary = Summary()
+        self._summary = Summary(list)  # empty where it cannot be read
+        self._channels: dict[int, Channel] = {}  # as the summary has them
+        self._is_whole = False  # it ends as a whole file does
         self._schemas: dict[int, Schema] = {}
         self._number = np.full(1 << 16, -1, np.int64)  # position in `topics` by channel
         self._first_ns: int | None = None
@@ -117,9 +116,8 @@ class Container:
     def messages(self, wanted: Callable[[Topic], bool]) -> Iterator[McapMessage]:
         """The same one by one, in the file's order: for topics whose messages are few, or large."""
         for chunk in self.chunks():
-            numbers = np.unique(chunk.topic).tolist()
-            mine = np.isin(chunk.topic, [each for each in numbers if wanted(self.topics[each])])
-            rows, data = chunk.select(np.flatnonzero(mine)), memoryview(chunk.chunk)
+            numbers = [each for each in np.unique(chunk.topic).tolist() if wanted(self.topics[each])]
+            rows, data = chunk.select(np.flatnonzero(np.isin(chunk.topic, numbers))), memoryview(chunk.chunk)
             columns = (rows.topic.tolist(), rows.log_ns.tolist(), rows.start.tolist(), rows.stop.tolist())
             for position, log_ns, start, stop in zip(*columns, strict=True):
                 yield McapMessage(self.topics[position], log_ns, bytes(data[start:stop]))
@@ -146,27 +144,26 @@ class Container:
                 self._define(opcode, content)
             if end < len(data):
                 lost = f"the last {len(data) - end} bytes of the chunk at byte {place}"
-                self._lost(f"{lost} are damaged and were passed over", place, place, *times)
+                self._lost(f"{lost} are damaged and were passed over", place, place, times)
             heads = cut_out(data, at, MESSAGE.itemsize).reshape(-1).view(MESSAGE)
             if (late := heads["log"] > _LATEST).any():
                 heads["log"][late] = _LATEST
                 what = f"{int(late.sum())} messages have log times after the year 2262, the latest possible"
                 self._lost(what, place, place)
             for channel in np.unique(heads["channel"][self._number[heads["channel"]] < 0]).tolist():
-                if (stated := self._summary.channels.get(channel)) is not None:
+                if (stated := self._channels.get(channel)) is not None:
                     self._enter(stated)
-                    self._note(
-                        f"the record of channel {plain_name(stated.topic)} is missing before its messages"
-                    )
-            number, log_ns = self._number[heads["channel"]], heads["log"].astype(np.int64)
-            chunk = Messages(
-                *(number, heads["sequence"].astype(np.int64), log_ns, heads["publish"].astype(np.int64)),
-                *(data, at + MESSAGE.itemsize, at + HEAD.size + heads["length"].astype(np.int64)),
-            )
-            if not (known := number >= 0).all():
-                what = f"{int((~known).sum())} messages of channels that no record describes were dropped"
-                self._lost(what, place, place, int(log_ns[~known].min()), int(log_ns[~known].max()))
-                chunk = chunk.select(np.flatnonzero(known))
+                    name = plain_name(stated.topic)
+                    self._note(f"the record of channel {name} is missing before its messages")
+            number = self._number[heads["channel"]]
+            columns = (heads[name].astype(np.int64) for name in ("sequence", "log", "publish"))
+            stop = at + HEAD.size + heads["length"].astype(np.int64)
+            chunk = Messages(number, *columns, data, at + MESSAGE.itemsize, stop)
+            if (dropped := number < 0).any():
+                log_ns = chunk.log_ns[dropped]
+                what = f"{len(log_ns)} messages of channels that no record describes were dropped"
+                self._lost(what, place, place, (int(log_ns.min()), int(log_ns.max())))
+                chunk = chunk.select(np.flatnonzero(~dropped))
             if len(chunk.topic):
                 first, last = int(chunk.log_ns.min()), int(chunk.log_ns.max())
                 self._first_ns = first if self._first_ns is None else self._first_ns
@@ -183,24 +180,18 @@ class Container:
         try:
             if opcode == Opcode.SCHEMA:
                 schema = Schema.read(stream)
-                self._schemas[schema.id] = self._summary.schemas.get(schema.id, schema)
-                is_other = self._schemas[schema.id].name != schema.name
+                self._schemas.setdefault(schema.id, schema)
             else:
                 channel = Channel.read(stream)
-                stated = self._summary.channels.get(channel.id, channel)
-                is_other = stated.topic != channel.topic
-                self._enter(stated)
+                self._enter(self._channels.get(channel.id, channel))
         except _BROKEN:
             self._note("a schema or channel record is damaged")
-            return
-        if is_other:
-            self._note("a schema or channel is described in two ways")
 
     def _enter(self, channel: Channel) -> None:
         """A channel; recorders that split or restart make a second one of the same topic."""
         if self._number[channel.id] >= 0:
             return
-        its = self._schemas.get(channel.schema_id) or self._summary.schemas.get(channel.schema_id)
+        its = self._schemas.get(channel.schema_id)
         schema = (its.name, its.encoding, its.data) if its else ("", "", b"")
         topic = Topic(channel.topic, *schema, channel.message_encoding, dict(channel.metadata))
         keys = [(known.name, known.schema, known.encoding) for known in self.topics]
@@ -218,10 +209,13 @@ class Container:
             size = self.path.stat().st_size
             with open(self.path, "rb") as file:
                 magic = file.read(len(MAGIC))
-                self._summary = read_summary(file, size)
+                summary, self._is_whole = _summary_of(file, size)
+                self._summary = Summary(list) if summary is None else summary
+                self._schemas = {each.id: each for each in self._summary[Schema]}
+                self._channels = {each.id: each for each in self._summary[Channel]}
                 self._check_magic(magic)
-                if self._summary.chunks:
-                    self._first_ns = min(chunk.message_start_time for chunk in self._summary.chunks)
+                starts = [chunk.message_start_time for chunk in self._summary[ChunkIndex]]
+                self._first_ns = min(starts, default=None)
                 yield from self._read_blocks(file, size, unpack)
         except OSError as error:
             raise RecordingError(_unreadable(self.path, error)) from error
@@ -232,7 +226,7 @@ class Container:
             raise RecordingError(f"{self.path} is compressed with {name}; rewrite it with `mcap compress`.")
         if unpack:
             self._compare_counts()
-        if self._summary.is_damaged:
+        if self._is_whole and summary is None:
             self._note("the index at its end is damaged, so it is not known how many messages it had")
 
     def _read_blocks(self, file: IO[bytes], size: int, unpack: bool) -> Iterator[_Block]:
@@ -243,7 +237,7 @@ class Container:
                 if len(loose) < _GATHER:
                     continue
             if loose:
-                yield bytes(loose), start, (None, None)
+                yield bytes(loose), start, _UNKNOWN
                 loose.clear()
             if opcode in (Opcode.ATTACHMENT, Opcode.METADATA):
                 try:
@@ -252,20 +246,19 @@ class Container:
                     self._note(f"the record at byte {start}, metadata or an attachment, is damaged")
             elif opcode == Opcode.CHUNK and unpack:
                 data, times = self._unpacked(_at(file, start, length), start)
-                if data is None:
-                    self._lost(
-                        f"the chunk at byte {start} is damaged and was left out",
-                        start,
-                        start + length,
-                        *times,
-                    )
-                else:
+                if data is not None:
                     yield data, start, times
+                else:
+                    what = f"the chunk at byte {start} is damaged and was left out"
+                    self._lost(what, start, start + length, times)
         if loose:
-            yield bytes(loose), size, (None, None)
+            yield bytes(loose), size, _UNKNOWN
 
     def _records(self, file: IO[bytes], size: int) -> Iterator[tuple[int, int, int]]:
         """Opcode, first byte and length of the content of each record up to the end of the data section."""
+        indexes = self._summary[ChunkIndex]
+        others = (*self._summary[AttachmentIndex], *self._summary[MetadataIndex])
+        places = sorted([*(each.chunk_start_offset for each in indexes), *(each.offset for each in others)])
         place = len(MAGIC)
         while True:
             head = _at(file, place, HEAD.size + CHUNK.size + _LETTERS + 8)
@@ -274,18 +267,16 @@ class Container:
             if inner == length and opcode != Opcode.CHUNK:
                 self._note(f"the head of the chunk at byte {start} is damaged; the chunk was read")
                 opcode = Opcode.CHUNK
-            is_sound = start + length <= size and (
-                opcode >= _PRIVATE or length >= _LEAST.get(opcode, 1 << 64)
-            )
-            if is_sound and (opcode != Opcode.CHUNK or inner == length):
+            is_record = opcode >= _PRIVATE or length >= _LEAST.get(opcode, 1 << 64)
+            if is_record and start + length <= size and (opcode != Opcode.CHUNK or inner == length):
                 yield opcode, start, length
                 if opcode == Opcode.DATA_END:
                     return
                 place = start + length
                 continue
-            resume = next((each for each in self._summary.places if each > place), None)
+            resume = next((each for each in places if each > place), None)
             stop = size if resume is None else resume
-            lost = [each for each in self._summary.chunks if place <= each.chunk_start_offset < stop]
+            lost = [each for each in indexes if place <= each.chunk_start_offset < stop]
             first_ns = min((each.message_start_time for each in lost), default=self._last_ns)
             last_ns = max((each.message_end_time for each in lost), default=None)
             if opcode == Opcode.CHUNK and not lost and len(head) >= HEAD.size + CHUNK.size:
@@ -293,12 +284,11 @@ class Container:
             if stop > place:
                 what = f"the {stop - place} bytes from byte {place} on are damaged or cut and were left out"
                 more = "; `mcap recover` may find more in them" if resume is None else ""
-                self._lost(what + more, place, stop, first_ns, last_ns)
+                self._lost(what + more, place, stop, (first_ns, last_ns))
             if resume is None:
-                if not self._summary.is_there:
-                    self._note(
-                        "the file ends in the middle of the recording; everything before the cut was read"
-                    )
+                if not self._is_whole:
+                    cut = "the file ends in the middle of the recording; everything before the cut was read"
+                    self._note(cut)
                 return
             place = resume
 
@@ -316,25 +306,24 @@ class Container:
             raise ValueError("its sizes contradict each other")
         self.attachments[name] = (start, length, data)
 
-    def _unpacked(self, content: bytes, place: int) -> tuple[bytes | None, tuple[int | None, int | None]]:
+    def _unpacked(self, content: bytes, place: int) -> tuple[bytes | None, _Times]:
         """A chunk's records, None where it is damaged; its first and last log time."""
         try:
             chunk = Chunk.read(ReadDataStream(BytesIO(content)))
         except _BROKEN:
-            return None, (self._last_ns, None)
-        times, size = (chunk.message_start_time, chunk.message_end_time), chunk.uncompressed_size
-        data = None
-        if chunk.compression in ("", "zstd", "lz4"):
-            data = _unpack(chunk.compression, chunk.data, size) if size <= CHUNK_LIMIT else None
-        else:
+            return None, _UNKNOWN
+        times, size, data = (chunk.message_start_time, chunk.message_end_time), chunk.uncompressed_size, None
+        if chunk.compression not in ("", "zstd", "lz4"):
             self._unknown = chunk.compression
+        elif size <= CHUNK_LIMIT:
+            data = _unpack(chunk.compression, chunk.data, size)
         if data is None or len(data) != size:
             return None, times
         if chunk.uncompressed_crc not in (0, zlib.crc32(data)):
             if not self._unverified:
                 return None, times
             what = f"the chunk at byte {place} fails its checksum; its messages are not verified"
-            self._lost(what, place, place + len(content), *times)
+            self._lost(what, place, place + len(content), times)
         return data, times
 
     def _check_magic(self, magic: bytes) -> None:
@@ -343,7 +332,7 @@ class Container:
         if magic == MAGIC:
             return
         alike = sum(a == b for a, b in zip(magic, MAGIC, strict=False))
-        if not self._summary.is_there and alike < len(MAGIC) - 2:
+        if not self._is_whole and alike < len(MAGIC) - 2:
             raise RecordingError(
                 f"{self.path} is not an MCAP file; convert a ROS bag with `mcap convert`, and the files of"
                 " devices with `unocclude import files`."
@@ -358,20 +347,19 @@ class Container:
         if note not in self.notes:
             self.notes.append(note)
 
-    def _lost(
-        self, what: str, start: int, stop: int, first_ns: int | None = None, last_ns: int | None = None
-    ) -> None:
+    def _lost(self, what: str, start: int, stop: int, times: _Times = _UNKNOWN) -> None:
         """Take down a damage; if its time is unknown, it is behind the messages before."""
-        self.damage.append(
-            Damage(what, start, stop, self._last_ns if first_ns is None else first_ns, last_ns)
-        )
+        first_ns, last_ns = times
+        first_ns = self._last_ns if first_ns is None else first_ns
+        self.damage.append(Damage(what, start, stop, first_ns, last_ns))
 
     def _compare_counts(self) -> None:
         """Compare what was read with the file's own count."""
         stated, read = Counter[str](), Counter[str]()
-        for number, count in self._summary.counts.items():
-            channel = self._summary.channels.get(number)
-            stated[f"channel {number}" if channel is None else channel.topic] += count
+        for statistics in self._summary[Statistics]:
+            for number, count in statistics.channel_message_counts.items():
+                channel = self._channels.get(number)
+                stated[f"channel {number}" if channel is None else channel.topic] += count
         for topic in self.topics:
             read[topic.name] += topic.count
         self.missing = {name: count - read[name] for name, count in stated.items() if count > read[name]}
@@ -382,54 +370,26 @@ class Container:
             self._note(f"by the file's own count messages are missing: {listed(self.missing, stated)}")
 
 
-@dataclass
-class Summary:
-    """Records of the summary; empty where there is none that can be read."""
-
-    schemas: dict[int, Schema] = field(default_factory=dict)  # By their numbers
-    channels: dict[int, Channel] = field(default_factory=dict)
-    chunks: list[ChunkIndex] = field(default_factory=list)  # In the file's order
-    places: list[int] = field(default_factory=list)  # Where chunks, attachments and metadata begin
-    counts: dict[int, int] = field(default_factory=dict)  # Messages by channel
-    is_there: bool = False  # The file ends as a whole file does
-    is_damaged: bool = False  # It is there and cannot be read
-
-
-def read_summary(file: IO[bytes], size: int) -> Summary:
-    """Read what is at a file's end; nothing is raised where it is damaged or missing."""
+def _summary_of(file: IO[bytes], size: int) -> tuple[Summary | None, bool]:
+    """What is at a file's end, None where it is damaged, and whether the file ends as a whole one does."""
     tail = _FOOTER.size + len(MAGIC)
     end = _at(file, size - tail, tail) if size >= tail + len(MAGIC) else b""
     if end[-len(MAGIC) :] != MAGIC:
-        return Summary()
+        return Summary(list), False
     opcode, length, start, _, crc = _FOOTER.unpack_from(end)
     if not start:
-        return Summary(is_there=True)
+        return Summary(list), True
     content = _at(file, start, size - tail - start) if len(MAGIC) <= start < size - tail else b""
     is_checked = not crc or zlib.crc32(end[: _FOOTER.size - 4], zlib.crc32(content)) == crc
     if opcode != Opcode.FOOTER or length != 20 or not content or not is_checked:
-        return Summary(is_there=True, is_damaged=True)
-    summary = Summary(is_there=True)
+        return None, True
+    summary = Summary(list)
     try:
         for record in StreamReader(BytesIO(content + end), skip_magic=True).records:
-            _add(summary, record)
+            summary[type(record)].append(record)
     except _BROKEN:
-        return Summary(is_there=True, is_damaged=True)
-    summary.places.sort()
-    return summary
-
-
-def _add(summary: Summary, record: McapRecord) -> None:
-    if isinstance(record, Schema):
-        summary.schemas[record.id] = record
-    elif isinstance(record, Channel):
-        summary.channels[record.id] = record
-    elif isinstance(record, Statistics):
-        summary.counts = dict(record.channel_message_counts)
-    elif isinstance(record, ChunkIndex):
-        summary.chunks.append(record)
-        summary.places.append(record.chunk_start_offset)
-    elif isinstance(record, AttachmentIndex | MetadataIndex):
-        summary.places.append(record.offset)
+        return None, True
+    return summary, True
 
 
 def _chunk_length(content: bytes) -> int | None:

@@ -191,6 +191,13 @@ class Output:
         encode = Encoder(schema, constants)
         return OutputStream(self.channel(topic, schema), time_ns, lambda part: encode(columns(part)))
 
+    def each(
+        self, topic: str, schema: str, time_ns: IntArray, encode: Callable[[int], bytes]
+    ) -> OutputStream:
+        """Protobuf messages of a topic, to be written, that are encoded one by one, by their numbers."""
+        channel = self.channel(topic, schema)
+        return OutputStream(channel, time_ns, lambda part: [encode(k) for k in range(part.start, part.stop)])
+
     def flush(self) -> None:
         """Write all that was given so far, so that a reader of the unfinished file has it."""
         assert self._file is not None

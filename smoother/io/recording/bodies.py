@@ -25,21 +25,18 @@ _REACH_M = {
 
 def join_bodies(arms: list[ArmFrames]) -> tuple[list[ArmFrames], list[str]]:
     """Join arms of one topic and side that are never seen together and take over where the other was lost."""
-    joined: list[tuple[ArmFrames, list[int]]] = []  # with the numbers that each had so far
+    joined: list[tuple[ArmFrames, set[int]]] = []  # with the numbers that each had so far
     notes = []
     for arm in sorted(arms, key=lambda arm: _first_and_last(arm)[0]):
-        fits = (
-            k for k, (one, numbers) in enumerate(joined) if arm.body not in numbers and _goes_on(one, arm)
-        )
-        if (place := next(fits, None)) is None:
-            joined.append((arm, [arm.body]))
-            continue
-        earlier, numbers = joined[place]
-        joined[place] = _merged(earlier, arm, arm.state != JointState.NOT_TRACKED), [*numbers, arm.body]
-        notes.append(
-            f"{earlier.label} and body {arm.body} were joined: the camera lost the body and numbered it anew"
-            " where it was; --body takes one alone."
-        )
+        for place, (earlier, numbers) in enumerate(joined):
+            if arm.body not in numbers and _goes_on(earlier, arm):
+                merged = _merged(earlier, arm, arm.state != JointState.NOT_TRACKED)
+                joined[place] = merged, numbers | {arm.body}
+                why = "the camera lost the body and numbered it anew where it was; --body takes one alone."
+                notes.append(f"{earlier.label} and body {arm.body} were joined: {why}")
+                break
+        else:
+            joined.append((arm, {arm.body}))
     return [arm for arm, _ in joined], notes
 
 

@@ -11,7 +11,6 @@ from ...array_types import FloatArray
 from ...errors import RecordingError
 from ...linalg import unit
 from ...recording import Camera, CameraFrame
-from ..mcap.messages import seconds
 from .bodies import people
 from .clean import clean_arm
 from .keypoints import tracks_of
@@ -86,7 +85,7 @@ def camera_of(
         clean, notes = clean_arm(arm, source)
     except RecordingError as error:
         return None, [f"{stream.name} was left out: {error}"]
-    tracks = tracks_of(clean, seconds(clean.stamp_ns, origin_ns))
+    tracks = tracks_of(clean, origin_ns)
     frame = stream.camera_frame or clean.camera_frame
     known = (lenses or {}).get(arm.topic)
     pose = None if known is None else known.pose

@@ -62,25 +62,21 @@ def topics_of(file: RecordingFile) -> str:
 
 def choose_imu(file: RecordingFile, name: str | None = None) -> ImuSamples:
     """The IMU of that name, of whatever limb, or the only one that there is."""
-    if name is None and len(file.imus) == 1:
-        return file.imus[0]
-    if name is None and file.imus:
+    if name is None and len(file.imus) > 1:
         raise RecordingError(f"{file.path} has several IMUs ({_topics(file.imus)}); choose one with --imu.")
-    return forearm_imus(file, name)[0]
+    return file.imus[0] if name is None and file.imus else _forearm_imus(file, name)[0]
 
 
-def forearm_imus(file: RecordingFile, name: str | None) -> list[ImuSamples]:
-    """The IMU of that name, or all that may be on a forearm by their names."""
-    if not file.imus and file.halves:
+def _forearm_imus(file: RecordingFile, name: str | None, of_several: bool = False) -> list[ImuSamples]:
+    """The IMU of that name, or all that may be on a forearm by their names; of several people all unnamed."""
+    if not file.imus:
         alone = ", ".join(
             f"{half.name} ({'gyroscope' if half.acc is None else 'accelerometer'})" for half in file.halves
         )
         raise RecordingError(
             f"{file.path} has no IMU with both sensors, but {alone} alone; record the other one as well."
-        )
-    if not file.imus:
-        raise RecordingError(
-            f"{file.path} has no IMU (sensor_msgs/Imu or unocclude.Imu); it has {topics_of(file)}; "
+            if alone
+            else f"{file.path} has no IMU (sensor_msgs/Imu or unocclude.Imu); it has {topics_of(file)}; "
             "record the wrist's IMU as well."
         )
     if name is not None:
@@ -93,20 +89,23 @@ def forearm_imus(file: RecordingFile, name: str | None) -> list[ImuSamples]:
                 f"{file.path}: {what} --imu {name}; give one of {_topics(matches or file.imus)}, or --side."
             )
         return matches
-    candidates = [stream for stream in file.imus if role_among(stream, file.imus) in ("", "forearm")]
+    roles = [(imu, role_among(imu, file.imus)) for imu in file.imus]
+    candidates = [imu for imu, named in roles if named in ("", "forearm")]
     if not candidates:
         raise RecordingError(
             f"{file.path}: no IMU is named as one of a forearm; it has {_topics(file.imus)}; choose with"
             " --imu."
         )
-    named = [
-        s for s in candidates if role_among(s, file.imus) == "forearm" or named_side(s.topic, s.frame_id)
-    ]
-    return named or candidates
+    sure = [imu for imu, named in roles if named == "forearm" or (named == "" and _worn_on(imu))]
+    return candidates if of_several else sure or candidates
 
 
 def _topics(imus: Sequence[ImuSamples]) -> str:
     return ", ".join(stream.topic for stream in imus)
+
+
+def _worn_on(imu: ImuSamples) -> str:
+    return named_side(imu.topic, imu.frame_id)
 
 
 _TRUTH_WORDS = ("truth", "mocap", "reference", "optical", "vicon", "optitrack", "qualisys")
@@ -122,10 +121,8 @@ def choose_truth(
         sided = [p for p in named if named_side(p.topic) == side]
         poses = sided if len(sided) == 1 else named
         if len(poses) != 1:
-            return None, [
-                f"Of the poses {', '.join(p.topic for p in file.poses)} none is named as this arm's truth; "
-                "none was taken."
-            ]
+            topics = ", ".join(p.topic for p in file.poses)
+            return None, [f"Of the poses {topics} none is named as this arm's truth; none was taken."]
     return (poses[0], []) if poses else (None, [])
 
 
@@ -133,27 +130,21 @@ def _further_by_name(
     file: RecordingFile, forearm: ImuSamples, side: str, segment: BodySegment
 ) -> tuple[ImuSamples | None, list[str]]:
     """The IMU that names say is on a segment of the same arm, or None, and a sentence on it."""
-    named = [imu for imu in file.imus if imu is not forearm and role_among(imu, file.imus) == segment.name]
-    sided = [imu for imu in named if side and named_side(imu.topic, imu.frame_id) == side]
-    other_forearms = [i for i in file.imus if i is not forearm and role(i) in ("", "forearm")]
-    free = [imu for imu in named if not named_side(imu.topic, imu.frame_id)]
-    fitting = sided or ([] if other_forearms else free)
-    if not side and not fitting and not other_forearms:
-        fitting = named
+    others = [imu for imu in file.imus if imu is not forearm]
+    named = [imu for imu in others if role_among(imu, file.imus) == segment.name]
+    fitting = [imu for imu in named if side and _worn_on(imu) == side]
+    if not fitting and not any(role(imu) in ("", "forearm") for imu in others):  # there is one arm alone
+        fitting = [imu for imu in named if not _worn_on(imu)] or ([] if side else named)
     if len(fitting) == 1:
         return fitting[0], [f"IMU {fitting[0].topic} is on the same arm's {segment.label} by its name."]
-    if len(fitting) > 1:
-        names = ", ".join(imu.topic for imu in fitting)
-        return None, [
-            f"Of the {segment.label.replace(' ', '-')} IMUs {names} none was taken: their names do not show"
-            " which is meant."
-        ]
+    if fitting:
+        what = f"Of the {segment.label.replace(' ', '-')} IMUs {_topics(fitting)} none was taken"
+        return None, [f"{what}: their names do not show which is meant."]
     return None, []
 
 
-def wanted_arms(file: RecordingFile, selection: Selection) -> list[ArmFrames]:
+def _wanted_arms(file: RecordingFile, selection: Selection) -> list[ArmFrames]:
     """The tracked arms that fit what was asked for."""
-    skeleton, side, body = selection.get("skeleton"), selection.get("side"), selection.get("body")
     if not file.arms and not file.frames_without_body:
         if any(name.partition("/")[0] == "unocclude.result" for name in file.metadata):
             raise RecordingError(f"{file.path} is a result; name the recording that it was made from.")
@@ -168,18 +159,24 @@ def wanted_arms(file: RecordingFile, selection: Selection) -> list[ArmFrames]:
             f"{file.path} has {frames} skeleton frames and no forearm joint is tracked in any of them; "
             "record again with the arm in view of the camera for some seconds."
         )
+    skeleton, side, body = (selection.get(name) for name in ("skeleton", "side", "body"))
     fitting = [
         arm
         for arm in seen
-        if (skeleton is None or is_named(skeleton, arm.topic, arm.frame_id))
+        if (skeleton is None or is_named(str(skeleton), arm.topic, arm.frame_id))
         and (not side or arm.side in (side, ""))
         and (body is None or arm.body == body)
     ]
     if not fitting:
-        options = {"skeleton": skeleton, "side": side, "body": body}
-        wanted = " ".join(f"--{name} {value}" for name, value in options.items() if value is not None)
+        given = {name: value for name, value in selection.items() if name != "imu" and value is not None}
+        wanted = " ".join(f"--{name} {value}" for name, value in given.items())
         raise RecordingError(f"{file.path}: no tracked arm fits {wanted}; {_what_else(file)}.")
     return fitting
+
+
+def _listing(file: RecordingFile) -> str:
+    arms = ", ".join(arm.label for arm in file.arms if arm.tracked)
+    return f"IMU {_topics(file.imus)} and skeleton {arms}"
 
 
 def _what_else(file: RecordingFile) -> str:
@@ -214,24 +211,28 @@ def choose_arms(
     if selection.get("body") is None:
         arms, notes = people(file)
         file = replace(file, arms=arms)
-    chosen, left_out = _settled(file, prefer_side, alone, selection)
-    return [_completed(one, file, others, notes) for one in chosen], left_out
-
-
-def _settled(
-    file: RecordingFile, prefer_side: str | None, alone: bool, selection: Selection
-) -> tuple[list[StreamChoice], list[str]]:
+    chosen: list[StreamChoice] = []
+    errors: dict[str, RecordingError] = {}
+    sides: list[str | None] = [selection.get("side")]
     if not alone and selection.get("imu") is None:
-        arms, imus = wanted_arms(file, selection), forearm_imus(file, None)
-        if len({(arm.topic, arm.body) for arm in arms}) > 1:  # of several people also those without a name
-            imus = [imu for imu in file.imus if role_among(imu, file.imus) in ("", "forearm")]
+        arms = _wanted_arms(file, selection)
+        of_several = len({arm.key[:2] for arm in arms}) > 1
+        imus = _forearm_imus(file, None, of_several)
         if len(imus) > 1 and len(arms) > 1:
-            if _names_settle(imus, arms):
-                return _by_side(file, selection)
-            choices = _by_motion(file, arms, selection.get("side"))
-            if len(choices) > 1:
-                return choices, []
-    return [_one_arm(file, prefer_side, selection)], []
+            worn, seen = {_worn_on(imu) for imu in imus}, {arm.side for arm in arms}
+            if not of_several and worn == seen == set(_SIDES):  # one person, and names that show all
+                prefer_side, sides = None, list(_SIDES)
+            elif len(by_motion := _by_motion(file, arms, sides[0])) > 1:
+                chosen, sides = by_motion, []
+    for side in sides:
+        try:
+            chosen.append(_one_arm(file, prefer_side, {**selection, "side": side}))
+        except RecordingError as error:
+            errors[str(side)] = error
+    if not chosen:
+        raise next(iter(errors.values()))
+    left_out = [left_out_words(f"{side} arm", error) for side, error in errors.items()]
+    return [_completed(one, file, others, notes) for one in chosen], left_out
 
 
 def _completed(
@@ -253,13 +254,13 @@ def _completed(
             " bends, the result is off by centimetres. Wear one on the forearm too."
         )
     cameras, more = same_arm(others, choice.arm, imu)
-    return StreamChoice(imu, choice.arm, side, base, truth, notes + more, further, body, cameras)
+    return replace(choice, base=base, truth=truth, notes=notes + more, further=further, cameras=cameras)
 
 
 def _one_arm(file: RecordingFile, prefer_side: str | None, selection: Selection) -> StreamChoice:
     side = selection.get("side")
-    arms, imus = wanted_arms(file, selection), forearm_imus(file, selection.get("imu"))
-    pairs = [(i, a) for i in imus for a in arms if len({_worn_on(i), a.side, side or ""} - {""}) <= 1]
+    arms, imus = _wanted_arms(file, selection), _forearm_imus(file, selection.get("imu"))
+    pairs = [(i, a) for i in imus for a in arms if _agree(_worn_on(i), a.side, side)]
     if not pairs:
         raise RecordingError(f"{file.path}: no IMU is on an arm that the skeleton shows; {_what_else(file)}.")
     if prefer_side and not side:
@@ -274,38 +275,14 @@ def _one_arm(file: RecordingFile, prefer_side: str | None, selection: Selection)
     return StreamChoice(imu, arm, arm.side or _worn_on(imu) or side or "", notes=said)
 
 
-def _by_side(file: RecordingFile, selection: Selection) -> tuple[list[StreamChoice], list[str]]:
-    """Both arms of one person by the IMUs' names, or the one that can be used and why the other cannot."""
-    chosen: list[StreamChoice] = []
-    errors: dict[str, RecordingError] = {}
-    for side in _SIDES:
-        try:
-            chosen.append(_one_arm(file, None, {**selection, "side": side}))
-        except RecordingError as error:
-            errors[side] = error
-    if not chosen:
-        raise errors[_SIDES[0]]
-    return chosen, [left_out_words(f"{side} arm", error) for side, error in errors.items()]
+def _agree(*sides: str | None) -> bool:
+    """Whether sides, as far as they are known, are one."""
+    return len({*sides} - {"", None}) <= 1
 
 
 def left_out_words(arm: str, error: Exception) -> str:
     """That an arm is not among the results, and why."""
     return f"The {arm} was left out: {error}"
-
-
-def _names_settle(imus: Sequence[ImuSamples], arms: Sequence[ArmFrames]) -> bool:
-    """Whether one person wears IMUs whose names show on which arm each of them is."""
-    is_one = len({(arm.topic, arm.body) for arm in arms}) == 1
-    return is_one and {_worn_on(imu) for imu in imus} == {arm.side for arm in arms} == set(_SIDES)
-
-
-def _worn_on(imu: ImuSamples) -> str:
-    return named_side(imu.topic, imu.frame_id)
-
-
-def _listing(file: RecordingFile) -> str:
-    arms = ", ".join(arm.label for arm in file.arms if arm.tracked)
-    return f"IMU {_topics(file.imus)} and skeleton {arms}"
 
 
 def _assigned(
@@ -324,6 +301,7 @@ Pair = tuple[ImuSamples, ArmFrames]
 
 
 def _pair_by_motion(file: RecordingFile, pairs: Sequence[Pair]) -> tuple[Pair, str]:
+    """The pair that moves together: by the assignment of all, else by the turning of each pair."""
     from .match import agreement
 
     imus = list({id(imu): imu for imu, _ in pairs}.values())
@@ -334,40 +312,39 @@ def _pair_by_motion(file: RecordingFile, pairs: Sequence[Pair]) -> tuple[Pair, s
         worn_as_named = limb.segment == "wrist" or role(imus[row]) != "forearm"
         return worn_as_named and (imus[row].topic, *limb.arm) in pair_of
 
-    matches = {each.imu: each for each in _assigned(file, imus, arms, may_be)[0] if each.limb is not None}
-    limbs = {name: match.limb for name, match in matches.items() if match.limb is not None}
-    matched = {name: pair_of[name, *limb.arm] for name, limb in limbs.items() if limb.segment == "wrist"}
+    found = [(m, m.limb) for m in _assigned(file, imus, arms, may_be)[0] if m.limb is not None]
+    matched = {m.imu: pair_of[m.imu, *limb.arm] for m, limb in found if limb.segment == "wrist"}
     if len(matched) == 1:
-        ((name, pair),) = matched.items()
-        sure = matches[name].probability
+        (sure,) = (m.probability for m, limb in found if limb.segment == "wrist")
+        (pair,) = matched.values()
         return pair, f"their motion agrees best (probability {sure:.2f} among all limbs in view)"
-    elsewhere = {name for name, match in matches.items() if name not in matched and match.is_sure}
+    elsewhere = {m.imu: limb.label for m, limb in found if m.imu not in matched and m.is_sure}
     left = [*matched.values()] or [pair for pair in pairs if pair[0].topic not in elsewhere]
     if not left:
-        where = ", ".join(f"{name} as {limb.label}" for name, limb in limbs.items() if name in elsewhere)
+        where = ", ".join(f"{name} as {label}" for name, label in elsewhere.items())
         raise RecordingError(
             f"{file.path}: no IMU moves as a forearm that the camera shows ({where}); "
             "choose with --imu and --side if one is on a forearm."
         )
-    found = [agreement(imu, arm) for imu, arm in left]
-    scores = np.array([0.0 if far and score < _ENOUGH_SHIFTED else score for score, _, far in found])
+    turning = [agreement(imu, arm) for imu, arm in left]
+    scores = np.array([0.0 if far and score < _ENOUGH_SHIFTED else score for score, _, far in turning])
     order = np.argsort(-scores)
     best, second = scores[order[0]], max(scores[order[1:]].max(initial=0.0), 0.0)
     if best < _ENOUGH or best - second < _LEAD:
-        kinds: dict[str, set[object]] = {
+        kinds = {
             "--imu": {imu.topic for imu, _ in pairs},
             "--skeleton": {arm.topic for _, arm in pairs},
             "--side": {arm.side for _, arm in pairs},
-            "--body": {(arm.topic, arm.body) for _, arm in pairs},
+            "--body": {arm.key[:2] for _, arm in pairs},
         }
         needed = " and ".join(option for option, values in kinds.items() if len(values) > 1)
         raise RecordingError(
             f"{file.path} has {_listing(file)}; one arm is wanted here, and their motion does not show which"
             f" belong together; choose with {needed}."
         )
-    pair, (_, shift_s, far) = left[order[0]], found[order[0]]
+    pair, (_, shift_s, far) = left[order[0]], turning[order[0]]
     apart = f", with the clocks {abs(shift_s):.1f} s apart" if far else ""
-    moves = [f"{name} moves as {limbs[name].label}" for name in matched if name != pair[0].topic]
+    moves = [f"{m.imu} moves as {limb.label}" for m, limb in found if m.imu in {*matched} - {pair[0].topic}]
     why = f"their motion agrees best{apart} (correlation {best:.2f}, the next {second:.2f})"
     return pair, "; ".join([why, *moves])
 
@@ -379,30 +356,25 @@ def _by_motion(file: RecordingFile, arms: Sequence[ArmFrames], side: str | None)
     def may_be(row: int, limb: Limb) -> bool:
         named = role_among(imus[row], imus)
         segment = {"": limb.segment, "forearm": "wrist"}.get(named, named)
-        return limb.segment == segment and len({_worn_on(imus[row]), limb.side, side or ""} - {""}) <= 1
+        return limb.segment == segment and _agree(_worn_on(imus[row]), limb.side, side)
 
     matches, open_notes = _assigned(file, imus, list(arms), may_be)
-    on_arm: dict[tuple[str, int, str], dict[str, tuple[ImuSamples, ImuMatch]]] = {}
+    on_arm: dict[tuple[str, int, str], dict[str, tuple[ImuSamples, float]]] = {}
     for imu, match in zip(imus, matches, strict=False):
         if (limb := match.limb) is not None and match.probability >= _TAKEN_FROM:
-            on_arm.setdefault(limb.arm, {})[limb.segment] = imu, match
+            on_arm.setdefault(limb.arm, {})[limb.segment] = imu, match.probability
     worn = [arm for arm in sorted(arms, key=lambda arm: arm.key) if "wrist" in on_arm.get(arm.key, {})]
     several = len({arm.key[:2] for arm in worn}) > 1
     choices = []
     for arm in worn:
         found = on_arm[arm.key]
-        imu, match = found["wrist"]
-        notes = [
-            *open_notes,
-            f"IMU {imu.topic} and {arm.label} were taken: their motion agrees best (probability"
-            f" {match.probability:.2f} among all limbs in view).",
-        ]
+        imu, sure = found["wrist"]
+        taken = f"IMU {imu.topic} and {arm.label} were taken: their motion agrees best (probability"
+        notes = [*open_notes, f"{taken} {sure:.2f} among all limbs in view)."]
         further = {each.name: found[each.name] for each in FURTHER if each.name in found}
-        notes += [
-            f"IMU {match.imu} is on the same arm's {SEGMENTS[name].label} by its motion (probability"
-            f" {match.probability:.2f})."
-            for name, (_, match) in further.items()
-        ]
+        for name, (stream, sure) in further.items():
+            where = f"the same arm's {SEGMENTS[name].label} by its motion (probability {sure:.2f})"
+            notes.append(f"IMU {stream.topic} is on {where}.")
         streams = {name: stream for name, (stream, _) in further.items()}
         body = arm.body if several else None
         choices.append(StreamChoice(imu, arm, arm.side, notes=notes, further=streams, body=body))

@@ -111,10 +111,10 @@ class _PartOutput:
         for counts, rows in counted:
             for position, of_topic in enumerate(np.bincount(chunk.topic[rows]).tolist()):
                 counts[container.topics[position].name] += of_topic
-        mine = chunk.select(np.flatnonzero(written))
-        mine = mine._replace(log_ns=np.maximum(mine.log_ns, self._start_ns))  # their own stamps stay
-        if len(mine.topic):
-            self._output.copy(container.topics, mine)
+        if written.any():
+            mine = chunk.select(np.flatnonzero(written))
+            # their own stamps stay
+            self._output.copy(container.topics, mine._replace(log_ns=np.maximum(mine.log_ns, self._start_ns)))
 
     def finished(self, container: Container, source: str) -> dict[str, object]:
         """Write the metadata; what is stated of the part."""
@@ -123,16 +123,15 @@ class _PartOutput:
             raise RecordingError(
                 f"{source}: there is no message between {part.from_s:g} and {part.to_s:g} s ({part.name})"
             )
-        for name, values in container.metadata.items():
-            if name == METADATA and "truth_score" in values:
-                with suppress(ValueError, TypeError, AttributeError):  # it is checked where it is read
-                    values = {**values, "truth_score": self._scored(json.loads(values["truth_score"]))}
-            if name != CUT:
-                self._output.metadata(name, values)
-        record = {"source": source, "name": part.name}
-        self._output.metadata(CUT, record | {"from_s": repr(part.from_s), "to_s": repr(part.to_s)})
-        about = {"name": part.name, "file": str(part.path), "from_s": part.from_s, "to_s": part.to_s}
-        return {**about, "messages": dict(+self._written)}
+        records = {name: values for name, values in container.metadata.items() if name != CUT}
+        about = records.get(METADATA, {})
+        with suppress(KeyError, ValueError, TypeError, AttributeError):  # it is checked where it is read
+            records[METADATA] = {**about, "truth_score": self._scored(json.loads(about["truth_score"]))}
+        bounds = {"from_s": repr(part.from_s), "to_s": repr(part.to_s)}
+        for name, values in {**records, CUT: {"source": source, "name": part.name, **bounds}}.items():
+            self._output.metadata(name, values)
+        stated = {"name": part.name, "file": str(part.path), "from_s": part.from_s, "to_s": part.to_s}
+        return {**stated, "messages": dict(+self._written)}
 
     def _scored(self, runs_by_topic: dict[str, list[list[int]]]) -> str:
         """Rows of a truth that are scored, counted from the part's start."""

@@ -13,6 +13,7 @@ from ...array_types import FloatArray
 from ...errors import RecordingError
 from ...recording import JOINTS, CameraFrame, CameraPose, JointState, JointTracks
 from ...runtime.store import by_rows
+from ..mcap.messages import seconds
 from .decode import INFERRED_SCORE, TRACKED_SCORE
 from .decode import states_of_scores as states_of_scores
 from .streams import ArmFrames, KnownLens, RecordingFile
@@ -36,8 +37,9 @@ def with_lenses(file: RecordingFile, topics: set[str]) -> None:
         )
 
 
-def tracks_of(arm: ArmFrames, t_s: FloatArray) -> JointTracks:
+def tracks_of(arm: ArmFrames, origin_ns: int) -> JointTracks:
     """Cleaned frames as a recording has them: of a camera without depth the points become rays."""
+    t_s = seconds(arm.stamp_ns, origin_ns)
     if arm.lens is None:
         return JointTracks(arm.topic, t_s, arm.position, arm.state)
     lens = arm.lens

@@ -16,7 +16,7 @@ from ..mcap.messages import seconds
 from .bodies import people
 from .clean import clean_arm, clean_imu
 from .names import is_named, named_side, role_among
-from .streams import ArmFrames, ImuSamples, RecordingFile
+from .streams import ArmFrames, ImuSamples, RecordingFile, rows_of
 
 #: Clocks may be this far apart, s: where they are far apart, and where an assignment is made.
 _FAR_S, REACH_S = 600.0, 5.0
@@ -55,58 +55,46 @@ def match_streams(
     """Match some IMUs of a file to some of its arms, by motion alone."""
     source = str(file.path)
     notes: list[str] = []
-    stamps = [*(imu.stamp_ns for imu in imus), *(arm.stamp_ns for arm in arms)]
-    origin = min((int(stamp[0]) for stamp in stamps if len(stamp)), default=0)
+    origin = min((int(each.stamp_ns[0]) for each in (*imus, *arms) if len(each.stamp_ns)), default=0)
     limbs: list[Limb] = []
-    for arm in arms:
-        if arm.tracked:
-            frames, dropped = clean_arm(arm, source)
-            notes += dropped
-            t_s = seconds(frames.stamp_ns, origin)
-            tracks = JointTracks(arm.topic, t_s, frames.position, frames.state)
-            limbs += limbs_of(tracks, arm.body, arm.side, arm.topic)
+    for arm in (arm for arm in arms if arm.tracked):
+        frames, dropped = clean_arm(arm, source)
+        notes += dropped
+        t_s = seconds(frames.stamp_ns, origin)
+        tracks = JointTracks(arm.topic, t_s, frames.position, frames.state)
+        limbs += limbs_of(tracks, arm.body, arm.side, arm.topic)
     streams: list[ImuStream] = []
     for imu in imus:
         try:
             samples, dropped = clean_imu(imu, source)
         except RecordingError as error:
             # one broken sensor of a box does not keep the others from being matched
-            notes.append(f"{imu.topic} cannot be matched: {error}")
-            streams.append(ImuStream(imu.topic, np.empty(0), np.empty((0, 3)), np.empty((0, 3))))
-            continue
+            samples, dropped = rows_of(imu, slice(0, 0)), [f"{imu.topic} cannot be matched: {error}"]
         notes += dropped
-        streams.append(ImuStream(imu.topic, seconds(samples.stamp_ns, origin), samples.acc, samples.gyro))
+        streams.append(samples.on_axis(origin))
     allowed = None
     if may_be is not None:
         allowed = np.array([[may_be(i, limb) for limb in limbs] for i in range(len(streams))], bool)
+    level_down = replace(file, arms=list(arms)).level_down
     try:
-        matches = match_imus(
-            streams, limbs, replace(file, arms=list(arms)).level_down, method, reach_s, allowed
-        )
+        matches = match_imus(streams, limbs, level_down, method, reach_s, allowed)
     except RecordingError as error:
         raise RecordingError(f"{source}: {error}.") from None
-    return matches, notes + _left_open(streams, limbs, matches, reach_s)
-
-
-def _left_open(
-    imus: Sequence[ImuStream], limbs: Sequence[Limb], matches: Sequence[ImuMatch], reach_s: float
-) -> list[str]:
-    notes = []
-    start = min((float(limb.tracks.t_s[0]) for limb in limbs), default=0.0)
-    end = max((float(limb.tracks.t_s[-1]) for limb in limbs), default=0.0)
-    for imu, match in zip(imus, matches, strict=True):
-        if len(imu) and (imu.t_s[0] - reach_s > end or imu.t_s[-1] + reach_s < start):
+    start = min((float(limb.tracks.t_s[0]) for limb in limbs), default=0.0) - reach_s
+    end = max((float(limb.tracks.t_s[-1]) for limb in limbs), default=0.0) + reach_s
+    for stream, match in zip(streams, matches, strict=True):
+        if len(stream) and (stream.t_s[0] > end or stream.t_s[-1] < start):
             notes.append(
-                f"{imu.name} and the camera have no time in common, so it cannot be matched; set the clocks "
-                f"to within {reach_s:g} s of each other."
+                f"{stream.name} and the camera have no time in common, so it cannot be matched; set the"
+                f" clocks to within {reach_s:g} s of each other."
             )
-        elif len(imu) and not match.is_known:
+        elif len(stream) and not match.is_known:
             best = " or ".join(f"{where} ({p:.0%})" for where, p in match.others[:2])
             notes.append(
-                f"{imu.name} may be on {best}: the motion does not settle it; record some seconds in which "
-                "this limb moves and the others do something else."
+                f"{stream.name} may be on {best}: the motion does not settle it; record some seconds in which"
+                " this limb moves and the others do something else."
             )
-    return notes
+    return matches, notes
 
 
 def match_file(
@@ -130,22 +118,17 @@ def match_file(
     arms, notes = people(replace(file, arms=arms))
     reach_s = REACH_S if reach_s is None else reach_s
     matches, more = match_streams(file, file.imus, arms, method=method, reach_s=reach_s)
-    return matches, notes + more + _contradicted(file.imus, matches)
-
-
-def _contradicted(imus: Sequence[ImuSamples], matches: Sequence[ImuMatch]) -> list[str]:
-    """Sensors whose names say something else than their motion, where the motion is sure."""
-    notes = []
-    for imu, match in zip(imus, matches, strict=True):
-        named, side = role_among(imu, imus), named_side(imu.topic, imu.frame_id)
+    notes += more
+    for imu, match in zip(file.imus, matches, strict=True):
         if match.limb is None or not match.is_sure:
             continue
+        named, side = role_among(imu, file.imus), named_side(imu.topic, imu.frame_id)
         segment = "forearm" if match.limb.segment == "wrist" else match.limb.segment
-        if named == "hand" and segment == "forearm":
-            continue  # no limb of its own to be matched to: the forearm's is the nearest
-        if (named and named != segment) or (side and match.limb.side and side != match.limb.side):
+        # a hand has no limb of its own to be matched to: the forearm's is the nearest
+        other_limb = named not in ("", segment) and (named, segment) != ("hand", "forearm")
+        if other_limb or (side and match.limb.side and side != match.limb.side):
             notes.append(
                 f"{imu.topic} moves as {match.limb.label}, which its name contradicts; if it was mixed up, "
                 f"name it in the recording or give --imu {imu.topic} with --side and --body."
             )
-    return notes
+    return matches, notes

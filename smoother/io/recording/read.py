@@ -1,7 +1,4 @@
-"""Topics that belong to another topic's stream: reference joints, magnetometers of their own.
-
-One IMU of a recording by itself: for what needs no camera.
-"""
+"""Recordings from MCAP files: all streams of a file, one arm or every arm of it, one IMU by itself."""
 
 from __future__ import annotations
 
@@ -9,7 +6,6 @@ import json
 import os
 from collections.abc import Collection
 from dataclasses import replace
-from functools import partial
 from typing import Unpack, cast
 
 import numpy as np
@@ -33,12 +29,14 @@ from .keypoints import lenses_from_plain, with_lenses
 from .names import OTHER_SIDE
 from .select import select_recordings
 from .streams import (
+    ARRIVAL,
+    ORDER,
     FieldSamples,
     ImuSamples,
     PoseSamples,
     RecordingFile,
-    drop_timestamp_outliers,
-    sort_arrivals,
+    in_order,
+    without_outlying,
 )
 
 TRUTH_PREFIX = "/truth"
@@ -46,28 +44,26 @@ TRUTH_PREFIX = "/truth"
 
 def _join_truth_joints(file: RecordingFile) -> None:
     """Skeletons on truth topics are reference joints of the truth beside them."""
-
-    def where_same(column: FloatArray, row: IntArray, same: BoolArray) -> FloatArray:
-        return np.where(same[:, None], column[row], np.nan)
-
     for arm in [arm for arm in file.arms if arm.topic.startswith(TRUTH_PREFIX)]:
         file.arms.remove(arm)
         for poses in (poses for poses in file.poses if f"{poses.topic}/joints" == arm.topic):
             row = np.minimum(np.searchsorted(arm.stamp_ns, poses.stamp_ns), len(arm.stamp_ns) - 1)
             same = arm.stamp_ns[row] == poses.stamp_ns
             for i in np.flatnonzero(arm.state.any(axis=0)).tolist():
-                poses.joints[JOINTS[i]] = by_rows(partial(where_same, arm.position[:, i]), row, same)
+
+                def at_same(
+                    row: IntArray, same: BoolArray, column: FloatArray = arm.position[:, i]
+                ) -> FloatArray:
+                    return np.where(same[:, None], column[row], np.nan)
+
+                poses.joints[JOINTS[i]] = by_rows(at_same, row, same)
 
 
 def _join_field(file: RecordingFile, field: FieldSamples) -> None:
     """Give a magnetometer to the IMU of its frame, or under the same name."""
-
-    def beside(imu: ImuSamples) -> bool:
-        return field.topic.rpartition("/")[0] == imu.topic.rpartition("/")[0]
-
-    mine = [imu for imu in file.imus if imu.frame_id == field.frame_id and beside(imu)]
-    mine = mine or [imu for imu in file.imus if field.frame_id and imu.frame_id == field.frame_id]
-    mine = mine or [imu for imu in file.imus if beside(imu)]
+    beside = [i for i in file.imus if field.topic.rpartition("/")[0] == i.topic.rpartition("/")[0]]
+    framed = [imu for imu in file.imus if field.frame_id and imu.frame_id == field.frame_id]
+    mine = [i for i in beside if i.frame_id == field.frame_id] or framed or beside
     if len(mine) != 1 or mine[0].mag is not None:
         file.notes.append(f"{field.topic}: the magnetometer belongs to no IMU by its names and was left out.")
         return
@@ -107,9 +103,8 @@ def open_recording(
 ) -> RecordingFile:
     """Read all streams of an MCAP file that a recording can be made of."""
     container = Container(path)
-    decoders: dict[
-        int, PlainDecoder | JointDecoder | None
-    ] = {}  # by topic, in the order in which they are met
+    # by topic, in the order in which they are met
+    decoders: dict[int, PlainDecoder | JointDecoder | None] = {}
 
     def wanted(topic: Topic) -> bool:
         if id(topic) not in decoders:
@@ -125,15 +120,25 @@ def open_recording(
         if only and is_imu and set(only) <= {topic.name for topic in container.topics if topic.count}:
             break
     found = [decoder for decoder in decoders.values() if decoder is not None]
-
     file = RecordingFile(container.path, notes=list(container.notes), metadata=container.metadata)
     file.damage = list(container.notes)
     for topic in container.topics:  # names as messages show them
         names = (plain_name(topic.schema), plain_name(topic.encoding))
         file.topics.append(replace(topic, name=topic.label, schema=names[0], encoding=names[1]))
     _gather(file, found)
-    sort_arrivals(file, file.metadata.get(METADATA, {}))
-    drop_timestamp_outliers(file)
+    if file.metadata.get(METADATA, {}).get(ORDER) == ARRIVAL:
+        file.imus, file.arms = [in_order(each) for each in file.imus], [in_order(each) for each in file.arms]
+    file.imus = [without_outlying(imu, file.notes) for imu in file.imus]
+    file.arms = [without_outlying(arm, file.notes) for arm in file.arms]
+    file.poses = [without_outlying(poses, file.notes) for poses in file.poses]
+    _tell_of_others(file)
+    _take_metadata(file)
+    with_lenses(file, {each.topic.label for each in found if isinstance(each, JointDecoder) and each.is_flat})
+    return file
+
+
+def _tell_of_others(file: RecordingFile) -> None:
+    """Motion that is there in messages that are not read."""
     there = {"imu": file.imus, "skeleton": file.arms}
     kinds = {topic.name: topic.schema.replace(".", "/").rpartition("/")[2].lower() for topic in file.topics}
     json = [t.name for t in file.topics if t.encoding == "json" and kinds[t.name] in _MOTION]
@@ -147,9 +152,6 @@ def open_recording(
         if topic.schema.replace("/msg/", "/") == "sensor_msgs/JointState":
             what = "sensor_msgs/JointState contains angles, not joint positions; ignored."
             file.notes.append(f"{topic.name}: {what}")
-    _take_metadata(file)
-    with_lenses(file, {each.topic.label for each in found if isinstance(each, JointDecoder) and each.is_flat})
-    return file
 
 
 def is_motion(topic: Topic) -> bool:
@@ -254,8 +256,7 @@ def _gather(file: RecordingFile, decoders: list[PlainDecoder | JointDecoder]) ->
             what = f"{broken} messages of {decoder.topic.label} were dropped."
             file.notes.append(damage_note(file.name, what))
         if isinstance(decoder, JointDecoder):
-            arms = decoder.arms()
-            file.arms += arms
+            file.arms += (arms := decoder.arms())
             if not arms and not decoder.topic.name.startswith(TRUTH_PREFIX):
                 file.frames_without_body += decoder.topic.count
             continue
@@ -307,9 +308,7 @@ def read_imu(path: str | os.PathLike[str], imu: str | None = None) -> tuple[ImuS
         kept, notes = clean_imu(chosen, str(file.path))
     if kept.stamp_ns[-1] - kept.stamp_ns[0] <= 0:
         raise RecordingError(f"{path}: {kept.topic} lasts no time; record it again.")
-    origin = int(kept.stamp_ns[0]) // SECOND_NS * SECOND_NS
-    stream = ImuStream(kept.topic, seconds(kept.stamp_ns, origin), kept.acc, kept.gyro, kept.mag)
-    return stream, [*file.notes, *notes]
+    return kept.on_axis(int(kept.stamp_ns[0]) // SECOND_NS * SECOND_NS), [*file.notes, *notes]
 
 
 def read_arm(
@@ -348,13 +347,12 @@ def read_arms(
     for recording in recordings:
         recording = with_gravity(corrected(remedy.applied(recording), calibration), calibration)
         recording = with_camera_poses(recording, poses)
-        other_arm = len(recordings) > 1 and not {recording.side, "any"} & set(calibration.arms)
-        if calibration.arms and other_arm:
+        # sensors, clocks, frames alone: the arm is found from the motion
+        given = ArmCalibration(recording.side, sigma_factors=factors) if factors else None
+        if calibration.arms and (len(recordings) == 1 or {recording.side, "any"} & set(calibration.arms)):
+            given = replace(calibration.arm(recording.side), sigma_factors=factors)
+        elif calibration.arms:
             note = f"{calibration_file} has no {recording.side} arm: this one is found from the motion."
             recording = replace(recording, notes=(*recording.notes, note))
-        if not calibration.arms or other_arm:  # sensors, clocks, frames: the arm is found from the motion
-            given = ArmCalibration(recording.side, sigma_factors=factors) if factors else None
-        else:
-            given = replace(calibration.arm(recording.side), sigma_factors=factors)
         arms.append((recording, given))
     return arms

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import replace
-from typing import Unpack
+from typing import TypeVar, Unpack
 
 import numpy as np
 
 from ...array_types import IntArray
 from ...errors import RecordingError
-from ...recording import ImuStream, JointTracks, Recording, TrunkSensors, Truth, arm_words
+from ...recording import JointTracks, Recording, TrunkSensors, Truth, arm_words
 from ..mcap.messages import SECOND_NS, seconds
 from .bodies import join_bodies
 from .camera_streams import camera_of
@@ -26,6 +27,7 @@ _SMALL_NS = 1_000_000 * SECOND_NS
 _COVERS, _PAUSE_NS = 0.9, 500_000_000
 #: Streams with less in common, ns, or fewer samples of the IMU in it, hold nothing that could be solved.
 _LEAST_NS, _FEWEST = SECOND_NS // 5, 3
+Cleaned = TypeVar("Cleaned", ImuSamples, ArmFrames, PoseSamples)
 
 
 def select_recording(
@@ -64,54 +66,49 @@ def _cleaned(choice: StreamChoice, file: RecordingFile) -> StreamChoice:
     """The same with streams that are cleaned, still with their stamps."""
     source, notes = str(file.path), [*file.notes, *choice.notes]
 
-    def imu(stream: ImuSamples) -> ImuSamples:
-        cleaned, dropped = clean_imu(stream, source)
-        notes.extend(dropped)
-        return cleaned
+    def said(cleaned: tuple[Cleaned, list[str]]) -> Cleaned:
+        notes.extend(cleaned[1])
+        return cleaned[0]
 
-    forearm = imu(choice.imu)
-    arm, dropped = clean_arm(choice.arm, source)
-    notes += dropped
-    _check_overlap(forearm, arm, source, file.clocks_unrelated)
+    imu, arm = said(clean_imu(choice.imu, source)), said(clean_arm(choice.arm, source))
+    _check_overlap(imu, arm, source, file.clocks_unrelated)
     if not file.clocks_unrelated:
-        notes += _coverage(forearm, arm)
-    base = None if choice.base is None else imu(choice.base)
-    truth = choice.truth
-    if truth is not None:
-        truth, dropped = clean_poses(truth)
-        notes += dropped
-    further = {segment: imu(stream) for segment, stream in choice.further.items()}
-    return replace(choice, imu=forearm, arm=arm, base=base, truth=truth, further=further, notes=notes)
+        notes += _coverage(imu, arm)
+    base = None if choice.base is None else said(clean_imu(choice.base, source))
+    truth = None if choice.truth is None else said(clean_poses(choice.truth))
+    further = {segment: said(clean_imu(stream, source)) for segment, stream in choice.further.items()}
+    return replace(choice, imu=imu, arm=arm, base=base, truth=truth, further=further, notes=notes)
 
 
 def _recording(choice: StreamChoice, file: RecordingFile, origin: int) -> Recording:
     arm, base, truth = choice.arm, choice.base, choice.truth
-    trunk, notes = _trunk(file, choice, origin)
+    opposite = _opposite_arm(file, choice, origin)
+    trunk, notes = _trunk(file, choice, opposite, origin)
     found = [camera_of(*each, str(file.path), origin, file.lenses) for each in choice.cameras]
     notes += [note for _, more in found for note in more]
     return Recording(
-        imu=_imu_stream(choice.imu, origin),
-        arm=tracks_of(arm, seconds(arm.stamp_ns, origin)),
+        imu=choice.imu.on_axis(origin),
+        arm=tracks_of(arm, origin),
         side=choice.side,
         camera_frame=arm.camera_frame if arm.lens is not None else file.camera_frame or arm.camera_frame,
         gravity_hint=file.gravity_hint,
-        base_imu=None if base is None else _imu_stream(base, origin),
+        base_imu=None if base is None else base.on_axis(origin),
         truth=None if truth is None else _truth(truth, origin),
         origin_ns=origin,
         name=file.name,
         notes=(*choice.notes, *notes),
-        further_imus={name: _imu_stream(stream, origin) for name, stream in choice.further.items()},
+        further_imus={name: stream.on_axis(origin) for name, stream in choice.further.items()},
         body=choice.body,
         trunk=trunk,
         clocks_unrelated=file.clocks_unrelated,
         applied_fixes=file.applied_fixes,
-        opposite=_opposite_arm(file, choice, origin),
+        opposite=opposite,
         cameras=tuple(camera for camera, _ in found if camera is not None),
     )
 
 
 def _trunk(
-    file: RecordingFile, choice: StreamChoice, origin_ns: int
+    file: RecordingFile, choice: StreamChoice, opposite: JointTracks | None, origin_ns: int
 ) -> tuple[TrunkSensors | None, list[str]]:
     """The trunk's IMU by its name with the other arm, whose shoulder shows the trunk's heading; sentences."""
     named = [imu for imu in file.imus if imu is not choice.imu and role(imu) == "trunk"]
@@ -121,23 +118,19 @@ def _trunk(
         names = ", ".join(imu.topic for imu in named)
         return None, [f"Of the trunk IMUs {names} none was taken: their names do not show which is meant."]
     samples, notes = clean_imu(named[0], str(file.path))
-    imu = ImuStream(samples.topic, seconds(samples.stamp_ns, origin_ns), samples.acc, samples.gyro)
-    notes = [f"IMU {samples.topic} is on the trunk by its name.", *notes]
-    return TrunkSensors(imu, _opposite_arm(file, choice, origin_ns)), notes
+    imu = replace(samples, mag=None).on_axis(origin_ns)
+    return TrunkSensors(imu, opposite), [f"IMU {samples.topic} is on the trunk by its name.", *notes]
 
 
 def _opposite_arm(file: RecordingFile, choice: StreamChoice, origin_ns: int) -> JointTracks | None:
     """The camera's joints of the same person's other arm; None where there is none that can be used."""
     sides = {"left", "right"}
-    if not any({arm.side, choice.arm.side} == sides for arm in file.arms):
-        return None
-    for arm in join_bodies(file.arms)[0]:
-        if arm.key[:2] == choice.arm.key[:2] and {arm.side, choice.arm.side} == sides:
-            try:
-                other, _ = clean_arm(arm, str(file.path))
-            except RecordingError:  # it was not asked for
+    if any({arm.side, choice.arm.side} == sides for arm in file.arms):
+        for arm in join_bodies(file.arms)[0]:
+            if arm.key[:2] == choice.arm.key[:2] and {arm.side, choice.arm.side} == sides:
+                with suppress(RecordingError):  # it was not asked for
+                    return tracks_of(clean_arm(arm, str(file.path))[0], origin_ns)
                 return None
-            return tracks_of(other, seconds(other.stamp_ns, origin_ns))
     return None
 
 
@@ -177,29 +170,24 @@ def _check_overlap(imu: ImuSamples, arm: ArmFrames, source: str, unrelated: bool
 
 def _coverage(imu: ImuSamples, arm: ArmFrames) -> list[str]:
     """A sentence where one stream is there for much less of the time than the other."""
-    (imu_first, imu_last), (first, last) = (
-        (int(stamp[0]), int(stamp[-1])) for stamp in (imu.stamp_ns, arm.stamp_ns)
+    (imu_first, imu_last), (first, last) = ((int(s[0]), int(s[-1])) for s in (imu.stamp_ns, arm.stamp_ns))
+    shared_s, imu_s, camera_s = (
+        ns / 1e9 for ns in (min(imu_last, last) - max(imu_first, first), imu_last - imu_first, last - first)
     )
-    shared_s = (min(imu_last, last) - max(imu_first, first)) / 1e9
     steps = np.diff(imu.stamp_ns)
-    paused_s = float(steps[steps > _PAUSE_NS].sum()) / 1e9
-    imu_s, camera_s = (imu_last - imu_first) / 1e9 - paused_s, (last - first) / 1e9
+    there_s = min(imu_s - float(steps[steps > _PAUSE_NS].sum()) / 1e9, shared_s)
     sentences = []
-    if imu_s < _COVERS * camera_s or shared_s < _COVERS * camera_s:
-        there = min(imu_s, shared_s)
-        sentences.append(f"{imu.topic}: there are samples for {there:.1f} of the camera's {camera_s:.1f} s.")
-    if shared_s < _COVERS * ((imu_last - imu_first) / 1e9):
-        total = (imu_last - imu_first) / 1e9
-        sentences.append(f"{arm.label}: there are frames for {shared_s:.1f} of the IMU's {total:.1f} s.")
+    if there_s < _COVERS * camera_s:
+        what = f"samples for {there_s:.1f} of the camera's {camera_s:.1f} s"
+        sentences.append(f"{imu.topic}: there are {what}.")
+    if shared_s < _COVERS * imu_s:
+        what = f"frames for {shared_s:.1f} of the IMU's {imu_s:.1f} s"
+        sentences.append(f"{arm.label}: there are {what}.")
     return sentences
 
 
 def _span(stamp_ns: IntArray) -> str:
     return f"{stamp_ns[0] / 1e9:.3f} .. {stamp_ns[-1] / 1e9:.3f} s"
-
-
-def _imu_stream(stream: ImuSamples, origin: int) -> ImuStream:
-    return ImuStream(stream.topic, seconds(stream.stamp_ns, origin), stream.acc, stream.gyro, stream.mag)
 
 
 def _truth(poses: PoseSamples, origin: int) -> Truth:

@@ -20,9 +20,9 @@ from ...array_types import BoolArray, FloatArray, IntArray
 from ...errors import RecordingError
 from ...measurements.timestamps import largest_group
 from ...measurements.visibility import enough_joints
-from ...recording import CameraFrame, CameraPose, JointState
+from ...recording import CameraFrame, CameraPose, ImuStream, JointState
 from ...runtime.store import by_rows
-from ..mcap.messages import Topic, told_behind
+from ..mcap.messages import Topic, seconds, told_behind
 from ..tables.imu import ImuTable
 
 
@@ -39,6 +39,10 @@ class ImuSamples:
     log_shift_ns: int = 0  # Median of log time minus stamp
     made_of: tuple[str, ...] = ()  # Topics that contain a half of it each; () where one contains the whole
     units: str = "m/s^2, rad/s"  # As the file has them
+
+    def on_axis(self, origin_ns: int) -> ImuStream:
+        """The same with times in seconds after an origin."""
+        return ImuStream(self.topic, seconds(self.stamp_ns, origin_ns), self.acc, self.gyro, self.mag)
 
 
 @dataclass
@@ -170,22 +174,8 @@ _COLUMNS = ("stamp_ns", "acc", "gyro", "mag", "position", "state", "quaternion",
 Stream = TypeVar("Stream", "ImuSamples", "ArmFrames", "PoseSamples", "FieldSamples")
 
 
-def sort_arrivals(file: RecordingFile, metadata: dict[str, str]) -> None:
-    """Put the samples and frames of a live recording in the order of their stamps."""
-    if metadata.get(ORDER) == ARRIVAL:
-        file.imus = [_sorted(imu) for imu in file.imus]
-        file.arms = [_sorted(arm) for arm in file.arms]
-
-
-def _sorted(stream: Stream) -> Stream:
-    stamp = stream.stamp_ns
-    if (stamp[1:] >= stamp[:-1]).all():
-        return stream
-    return rows_of(stream, np.argsort(stamp, kind="stable"))
-
-
-def rows_of(stream: Stream, rows: NDArray) -> Stream:
-    """Rows of a stream, by their numbers or by a mask."""
+def rows_of(stream: Stream, rows: NDArray | slice) -> Stream:
+    """Rows of a stream, by their numbers, by a mask or a slice."""
     columns: dict[str, Any] = {name: getattr(stream, name, None) for name in _COLUMNS}
     columns = {name: kept(values, rows) for name, values in columns.items() if values is not None}
     if isinstance(stream, PoseSamples):
@@ -193,8 +183,10 @@ def rows_of(stream: Stream, rows: NDArray) -> Stream:
     return replace(stream, **columns)
 
 
-def kept(values: NDArray, rows: NDArray) -> NDArray:
-    """Rows of a column (N, ...), by their numbers or by a mask; the same array where that is all."""
+def kept(values: NDArray, rows: NDArray | slice) -> NDArray:
+    """Rows of a column (N, ...), by numbers, a mask or a slice; the same array where that is all."""
+    if isinstance(rows, slice):
+        return values[rows]
     if rows.dtype == bool:
         if rows.all():
             return values
@@ -202,11 +194,11 @@ def kept(values: NDArray, rows: NDArray) -> NDArray:
     return by_rows(lambda part: values[part], rows)
 
 
-def drop_timestamp_outliers(file: RecordingFile) -> None:
-    """Drop samples whose stamps lie far from all others of their stream; a note gives the number."""
-    file.imus = [without_outlying(imu, file.notes) for imu in file.imus]
-    file.arms = [without_outlying(arm, file.notes) for arm in file.arms]
-    file.poses = [without_outlying(poses, file.notes) for poses in file.poses]
+def in_order(stream: Stream) -> Stream:
+    """The stream in the order of its stamps; itself where it is."""
+    stamp = stream.stamp_ns
+    is_sorted = bool((stamp[1:] >= stamp[:-1]).all())
+    return stream if is_sorted else rows_of(stream, np.argsort(stamp, kind="stable"))
 
 
 def without_outlying(stream: Stream, notes: list[str]) -> Stream:

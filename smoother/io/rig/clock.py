@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import os
 import warnings
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -19,15 +20,17 @@ from ...errors import RecordingError
 from ...recording import Recording
 from ...runtime.inputs import check_input
 from ...runtime.outputs import writing_folder
-from ..mcap.container import Container
 from ..mcap.messages import McapMessage, Topic
 from ..recording.write import write_recording
 from ..tables.columns import read_exact
 from ..wire.schemas import parsed
+from .images import decoded_messages
 from .panel import check_folder
 
 #: Blocks whose stamps lie farther from the even tick than this part of a block begin a new track.
 JUMP_PART = 0.5
+#: Stamp (s), samples (n, channels) and rate (Hz) of a message.
+Block = tuple[float, FloatArray, float]
 
 
 @dataclass(frozen=True)
@@ -71,11 +74,9 @@ def read_sound(
 def _full_scale(data: np.ndarray) -> FloatArray:
     """Samples (N, channels) of any PCM type as floats between -1 and 1."""
     values = data.reshape(len(data), -1).astype(np.float64)
-    if data.dtype == np.uint8:
-        return (values - 128.0) / 128.0
-    if np.issubdtype(data.dtype, np.integer):
-        return values / float(np.iinfo(data.dtype).max)
-    return np.nan_to_num(values)
+    if not np.issubdtype(data.dtype, np.integer):
+        return np.nan_to_num(values)
+    return (values - 128.0) / 128.0 if data.dtype == np.uint8 else values / float(np.iinfo(data.dtype).max)
 
 
 def _loudest(values: FloatArray) -> FloatArray:
@@ -83,17 +84,12 @@ def _loudest(values: FloatArray) -> FloatArray:
 
 
 def _from_mcap(path: Path, wanted: str | None, notes: list[str]) -> list[Track]:
-    container = Container(path)
-    blocks: dict[str, list[tuple[float, FloatArray, float]]] = {}
-    damaged = 0
-    for message in container.messages(_is_audio):
-        try:
-            blocks.setdefault(message.topic.name, []).append(_block(message))
-        except ValueError:
-            damaged += 1
-    notes += container.notes
-    if damaged:
-        notes.append(f"{path.name}: damaged messages of sound, left out: {damaged}.")
+    def is_audio(topic: Topic) -> bool:
+        return topic.encoding == "protobuf" and topic.schema == "foxglove.RawAudio"
+
+    blocks: dict[str, list[Block]] = {}
+    for topic, block in decoded_messages(path, is_audio, _block, "sound", notes):
+        blocks.setdefault(topic, []).append(block)
     chosen = [name for name in blocks if wanted is None or wanted in name]
     if len(chosen) != 1:
         has = ", ".join(sorted(blocks)) or "none"
@@ -106,12 +102,8 @@ def _from_mcap(path: Path, wanted: str | None, notes: list[str]) -> list[Track]:
     return _tracks([block for block in blocks[name] if len(block[1])], f"{path}, {name}")
 
 
-def _is_audio(topic: Topic) -> bool:
-    return topic.encoding == "protobuf" and topic.schema == "foxglove.RawAudio"
-
-
-def _block(message: McapMessage) -> tuple[float, FloatArray, float]:
-    """Stamp (s), samples (n, channels) and rate (Hz) of one message."""
+def _block(message: McapMessage) -> Iterator[tuple[str, Block]]:
+    """The topic and the block of one message."""
     audio = parsed("foxglove.RawAudio", message.data)
     if audio.format != "pcm-s16" or not audio.sample_rate or not audio.number_of_channels:
         raise RecordingError(f"{message.topic.name} is of format {audio.format!r}; record pcm-s16.")
@@ -119,12 +111,12 @@ def _block(message: McapMessage) -> tuple[float, FloatArray, float]:
     count = len(audio.data) // (2 * audio.number_of_channels)
     data = np.frombuffer(audio.data, "<i2", count * audio.number_of_channels)
     values = data.reshape(count, audio.number_of_channels) / 32767.0
-    return stamp or 1e-9 * message.log_ns, values, float(audio.sample_rate)
+    yield message.topic.name, (stamp or 1e-9 * message.log_ns, values, float(audio.sample_rate))
 
 
-def _tracks(blocks: list[tuple[float, FloatArray, float]], source: str) -> list[Track]:
+def _tracks(blocks: list[Block], source: str) -> list[Track]:
     """Blocks put together to runs whose stamps keep step; a run's stamps are averaged to one start."""
-    runs: list[list[tuple[float, FloatArray, float]]] = []
+    runs: list[list[Block]] = []
     count = 0
     for block in blocks:
         stamp, samples, rate = block
@@ -137,15 +129,14 @@ def _tracks(blocks: list[tuple[float, FloatArray, float]], source: str) -> list[
         count += len(samples)
     tracks: list[Track] = []
     for part in runs:
-        rate = part[0][2]
-        starts = np.cumsum([0, *(len(samples) for _, samples, _ in part[:-1])]) / rate
-        offset = np.array([stamp for stamp, _, _ in part]) - starts
+        stamps, parts, (rate, *_) = zip(*part, strict=True)
+        starts = np.cumsum([0, *map(len, parts[:-1])]) / rate
+        offset = np.array(stamps) - starts
         slope, level = 0.0, float(np.median(offset))
         if len(part) >= 20:  # the sound card's crystal against the recorder's clock
             slope, level = np.polyfit(starts, offset, 1)
             slope = slope if abs(slope) < 1e-3 else 0.0
-        samples = _loudest(np.concatenate([samples for _, samples, _ in part]))
-        tracks.append(Track(samples, rate / (1 + slope), float(level), source))
+        tracks.append(Track(_loudest(np.concatenate(parts)), rate / (1 + slope), float(level), source))
     if not tracks:
         raise RecordingError(f"{source} has no sound; record it again.")
     return tracks
@@ -168,21 +159,20 @@ def read_broadcast(path: str | os.PathLike[str], resolution_s: float) -> Recepti
         try:
             time = float(text)
         except ValueError:
-            time = float("nan")
+            time = np.nan
         if not name or not np.isfinite(time) or not of_round:
             raise RecordingError(f"{path}, row {row}: round, node and a time in seconds are needed.")
-        key = rounds.setdefault(of_round, len(rounds)), name
-        if key in rows:
+        first, _ = rows.setdefault((rounds.setdefault(of_round, len(rounds)), name), (row, time))
+        if first != row:
             raise RecordingError(
                 f"{path}, row {row}: {name} has a second time in round {of_round} (the first is in row"
-                f" {rows[key][0]}); keep the first reception of each round."
+                f" {first}); keep the first reception of each round."
             )
-        rows[key] = row, time
-    if len(nodes := {name for _, name in rows}) < 2:
-        raise RecordingError(f"{path} contains the times of {len(nodes)} node; two or more are needed.")
-    event, names = np.array([number for number, _ in rows], dtype=np.int64), [name for _, name in rows]
+    names = [name for _, name in rows]
+    if len(set(names)) < 2:
+        raise RecordingError(f"{path} contains the times of {len(set(names))} node; two or more are needed.")
+    event, times = np.array([number for number, _ in rows], np.int64), np.array([t for _, t in rows.values()])
     sigma = np.full(len(rows), resolution_s / np.sqrt(12))  # stamps are rounded to their step
-    times = np.array([time for _, time in rows.values()])
     return Receptions(event, names, times, sigma, f"broadcast {path.name}")
 
 

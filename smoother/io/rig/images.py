@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import os
-import struct
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import partial
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,31 +16,27 @@ from calib.intrinsics import Intrinsics
 
 from ...errors import RecordingError
 from ..mcap.container import Container
-from ..mcap.messages import SECOND_NS, Topic
+from ..mcap.messages import SECOND_NS, McapMessage, Topic
 from ..wire.cdr import values_of
+from ..wire.layout import BROKEN
 from ..wire.schemas import message_class, parsed
 
-IMAGES = {
-    "foxglove.RawImage",
-    "foxglove.CompressedImage",
-    "sensor_msgs/msg/Image",
-    "sensor_msgs/msg/CompressedImage",
-}
+CAMERA_CALIBRATION, RAW_IMAGE = "foxglove.CameraCalibration", "foxglove.RawImage"
+COMPRESSED_IMAGE, TRANSFORMS = "foxglove.CompressedImage", "foxglove.FrameTransforms"
+IMAGES = {RAW_IMAGE, COMPRESSED_IMAGE, "sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage"}
 #: Words in the names of topics of infrared images.
-INFRARED = ("infrared", "/ir", "_ir", "amplitude")
-LENSES = {"foxglove.CameraCalibration", "sensor_msgs/msg/CameraInfo"}
+_INFRARED = ("infrared", "/ir", "_ir", "amplitude")
+LENSES = {CAMERA_CALIBRATION, "sensor_msgs/msg/CameraInfo"}
 #: Encodings of uncompressed images: numpy's type and channels.
 _ENCODINGS = {
-    "mono8": ("u1", 1),
-    "8UC1": ("u1", 1),
-    "mono16": ("u2", 1),
-    "16UC1": ("u2", 1),
+    **dict.fromkeys(("mono8", "8UC1"), ("u1", 1)),
+    **dict.fromkeys(("mono16", "16UC1"), ("u2", 1)),
+    **dict.fromkeys(("rgb8", "bgr8"), ("u1", 3)),
+    **dict.fromkeys(("rgba8", "bgra8"), ("u1", 4)),
     "32FC1": ("f4", 1),
-    "rgb8": ("u1", 3),
-    "bgr8": ("u1", 3),
-    "rgba8": ("u1", 4),
-    "bgra8": ("u1", 4),
 }
+
+Decoded = TypeVar("Decoded")
 
 
 @dataclass(frozen=True)
@@ -58,11 +53,16 @@ class ImageMessage:
         """(height, width) or (height, width, 3 or 4) pixels; a colour image as its encoding orders it."""
         try:
             return self._unpack()
-        except (ValueError, KeyError, struct.error, IndexError) as error:
+        except (*BROKEN, KeyError) as error:
             raise RecordingError(
                 f"{self.topic}: the image at {self.stamp_ns / 1e9:.3f} s cannot be read ({error}); "
                 f"encodings read are {', '.join(_ENCODINGS)}, PNG and JPEG."
             ) from error
+
+
+def is_infrared(image: ImageMessage) -> bool:
+    """Whether a topic is named after infrared images."""
+    return any(word in image.topic.lower() for word in _INFRARED)
 
 
 @dataclass(frozen=True)
@@ -74,70 +74,74 @@ class LensMessage:
     intrinsics: Intrinsics  # As OpenCV has them
 
 
+def decoded_messages(
+    path: str | os.PathLike[str],
+    wanted: Callable[[Topic], bool],
+    decode: Callable[[McapMessage], Iterator[Decoded]],
+    what: str = "",
+    notes: list[str] | None = None,
+) -> Iterator[Decoded]:
+    """What messages of wanted topics decode to, in the file's order; damaged ones are left out."""
+    container, damaged = Container(path), 0
+    for message in container.messages(wanted):
+        try:
+            yield from decode(message)
+        except BROKEN:
+            damaged += 1  # the others may be intact
+    if notes is not None:
+        notes += container.notes
+        if damaged:
+            notes.append(f"{container.path.name}: damaged messages of {what}, left out: {damaged}.")
+
+
 def read_images(
     path: str | os.PathLike[str],
     wanted: Callable[[Topic], bool] = lambda topic: True,
     notes: list[str] | None = None,
 ) -> Iterator[ImageMessage | LensMessage]:
     """Yield images and lenses in the file's order; nothing is unpacked, memory stays flat."""
-    container, damaged = Container(path), 0
-
-    def taken(topic: Topic) -> bool:
-        return topic.schema in IMAGES | LENSES and wanted(topic)
-
-    for message in container.messages(taken):
-        try:
-            yield _decode(message.topic, message.data, message.log_ns)
-        except (ValueError, struct.error, IndexError):
-            damaged += 1  # the others may be intact
-    if notes is not None:
-        notes += container.notes
-        if damaged:
-            notes.append(f"{container.path.name}: damaged messages of images, left out: {damaged}.")
+    taken = IMAGES | LENSES
+    return decoded_messages(path, lambda t: t.schema in taken and wanted(t), _decode, "images", notes)
 
 
-def _decode(topic: Topic, data: bytes, log_ns: int) -> ImageMessage | LensMessage:
-    """A message of Foxglove's (protobuf) or of ROS' (cdr), which have the same fields in another order."""
-    kind = topic.schema.rpartition(".")[2].rpartition("/")[2]
+def _decode(message: McapMessage) -> Iterator[ImageMessage | LensMessage]:
+    """A message of Foxglove's (protobuf) or of ROS' (cdr), whose fields have the same names."""
+    topic, schema = message.topic, message.topic.schema
     if topic.encoding == "protobuf":
-        message = parsed(topic.schema, data)
-        frame_id, stamp, big = message.frame_id, message.timestamp.ToNanoseconds() or log_ns, False
-        if kind == "CameraCalibration":
-            size = (message.width, message.height)
-            return _lens(topic, frame_id, *size, message.distortion_model, message.D, message.K)
-        payload = message.data
-        if kind == "RawImage":
-            encoding, shape = message.encoding, (message.height, message.width, message.step)
+        its = partial(getattr, parsed(schema, message.data))
+        stamp, big = its("timestamp").ToNanoseconds(), False
     else:
-        its = values_of(data, topic.schema.replace("/msg/", "/"))
-        frame_id, stamp = its["frame_id"], int(its["sec"][0]) * SECOND_NS + int(its["nsec"][0]) or log_ns
-        if kind == "CameraInfo":
-            size = (int(its["width"][0]), int(its["height"][0]))
-            return _lens(topic, frame_id, *size, its["model"], its["D"], its["K"].tolist())
-        payload = its["data"].tobytes()
-        if kind == "Image":
-            encoding, big = its["encoding"], bool(its["big"][0])
-            shape = (int(its["height"][0]), int(its["width"][0]), int(its["step"][0]))
-    if kind == "CompressedImage":
-        return ImageMessage(topic.name, frame_id, stamp, "", partial(_uncompressed, payload))
-    unpack = partial(_raw, payload, encoding, *shape, big)
-    return ImageMessage(topic.name, frame_id, stamp, encoding, unpack)
+        its = values_of(message.data, schema.replace("/msg/", "/")).__getitem__
+        stamp = int(its("sec")[0]) * SECOND_NS + int(its("nsec")[0])
+        big = schema.endswith("/Image") and bool(its("big")[0])
+
+    def numbers(*names: str) -> tuple[int, ...]:
+        return tuple(int(np.ravel(its(name))[0]) for name in names)
+
+    named = topic.name, its("frame_id")
+    if schema in LENSES:
+        yield _lens(*named, numbers("width", "height"), its("distortion_model"), its("D"), its("K"))
+    elif schema.endswith("CompressedImage"):
+        yield ImageMessage(*named, stamp or message.log_ns, "", partial(_uncompressed, bytes(its("data"))))
+    else:
+        shape = numbers("height", "width", "step")
+        unpack = partial(_raw, bytes(its("data")), its("encoding"), *shape, big)
+        yield ImageMessage(*named, stamp or message.log_ns, its("encoding"), unpack)
 
 
 def _lens(
-    topic: Topic, frame_id: str, width: int, height: int, model: str, distortion: Any, K: Any
+    topic: str, frame_id: str, size: tuple[int, ...], model: str, distortion: Any, matrix: Any
 ) -> LensMessage:
     """Eight terms of the rational model are cut to five where the last three are zero."""
-    terms = [float(x) for x in distortion]
+    terms, K = ([float(x) for x in values] for values in (distortion, matrix))
     if model not in ("plumb_bob", "rational_polynomial", "") or any(terms[5:]):
         raise RecordingError(
-            f"{topic.name}: the distortion model {model or 'without a name'} with {len(terms)} terms is not "
+            f"{topic}: the distortion model {model or 'without a name'} with {len(terms)} terms is not "
             "read; give the lens with --intrinsics."
         )
     if len(K) < 9 or K[0] <= 0 or K[4] <= 0:
         raise ValueError("the camera is not calibrated")
-    lens = Intrinsics(width, height, K[0], K[4], K[2], K[5], tuple(terms[:5]))
-    return LensMessage(topic.name, frame_id, lens)
+    return LensMessage(topic, frame_id, Intrinsics(*size, K[0], K[4], K[2], K[5], tuple(terms[:5])))
 
 
 def _raw(data: bytes, encoding: str, height: int, width: int, step: int, big: bool) -> NDArray:
@@ -155,8 +159,6 @@ def _uncompressed(data: bytes) -> NDArray:
     return unpacked(data[max(start, 0) :])
 
 
-CAMERA_CALIBRATION, RAW_IMAGE = "foxglove.CameraCalibration", "foxglove.RawImage"
-COMPRESSED_IMAGE, TRANSFORMS = "foxglove.CompressedImage", "foxglove.FrameTransforms"
 _JPEG_QUALITY = 90
 
 

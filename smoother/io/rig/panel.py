@@ -6,9 +6,8 @@ A session holds images by pose, the lens, markers, and two IMUs.
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import suppress
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -23,9 +22,8 @@ from ...array_types import FloatArray
 from ...errors import RecordingError, UnoccludeError
 from ...recording import ImuStream
 from ...runtime.outputs import check_output, writing, writing_folder
-from ..mcap.container import Container
-from ..mcap.merge import Output, OutputStream
-from ..mcap.messages import SECOND_NS, Topic, nanoseconds, seconds
+from ..mcap.merge import Output
+from ..mcap.messages import SECOND_NS, McapMessage, Topic, nanoseconds
 from ..recording.choose import choose_imu
 from ..recording.clean import clean_imu
 from ..recording.read import open_recording
@@ -33,14 +31,14 @@ from ..recording.streams import ImuSamples
 from ..recording.write import imu_messages
 from ..tables.columns import IMU_COLUMNS
 from ..wire.cdr import markers_of
-from ..wire.layout import BROKEN
 from ..wire.schemas import message_class, parsed
 from .images import (
     CAMERA_CALIBRATION,
-    INFRARED,
     RAW_IMAGE,
     ImageMessage,
     LensMessage,
+    decoded_messages,
+    is_infrared,
     lens_message,
     raw_image,
     read_images,
@@ -52,6 +50,8 @@ PAIR_S = 0.02
 POSE_S = 1.0
 #: Markers within this time of a pose's images are averaged, s.
 ABOUT_S = 0.25
+#: Depth and infrared image of one exposure.
+Pair = tuple[ImageMessage, ImageMessage]
 _SCENE, _ARRAY = "foxglove.SceneUpdate", "visualization_msgs/MarkerArray"
 
 
@@ -65,18 +65,13 @@ def read_session(
     depth camera's lens, and what was dropped.
     """
     file = open_recording(path)
-    notes, stamped = list(file.notes), []
-    for name in (panel_topic, base_topic):
-        kept, dropped = clean_imu(choose_imu(file, name), str(path))
-        notes += dropped
-        stamped.append(kept)
+    cleaned = [clean_imu(choose_imu(file, name), str(path)) for name in (panel_topic, base_topic)]
+    stamped = [kept for kept, _ in cleaned]
+    notes = [*file.notes, *(note for _, dropped in cleaned for note in dropped)]
     if stamped[0].topic == stamped[1].topic:
         raise RecordingError(f"{path}: {stamped[0].topic} cannot be on the panel and on the camera.")
     origin = int(min(kept.stamp_ns[0] for kept in stamped))
-    streams = [
-        ImuStream(k.topic.rpartition("/")[2], seconds(k.stamp_ns, origin), k.acc, k.gyro, k.mag)
-        for k in stamped
-    ]
+    streams = [replace(kept.on_axis(origin), name=kept.topic.rpartition("/")[2]) for kept in stamped]
     pairs, lens = read_pairs(path, lens)
     times = [(depth.stamp_ns - origin) / 1e9 for depth, _ in pairs]
     return _views(pairs, times, path), times, streams, lens, notes
@@ -100,16 +95,16 @@ def read_panel_session(
     return views, given or _markers_at(Path(path), stamps), lens
 
 
-def _views(
-    pairs: list[tuple[ImageMessage, ImageMessage]], times_s: list[float], path: str | os.PathLike[str]
-) -> list[View]:
-    names = [f"{Path(path).name} at {t_s:.2f} s" for t_s in times_s]
-    return [view(d.pixels(), i.pixels(), name) for (d, i), name in zip(pairs, names, strict=True)]
+def _views(pairs: list[Pair], times_s: list[float], path: str | os.PathLike[str]) -> list[View]:
+    return [
+        view(depth.pixels(), infrared.pixels(), f"{Path(path).name} at {t_s:.2f} s")
+        for (depth, infrared), t_s in zip(pairs, times_s, strict=True)
+    ]
 
 
 def read_pairs(
     path: str | os.PathLike[str], lens: Intrinsics | None = None, notes: list[str] | None = None
-) -> tuple[list[tuple[ImageMessage, ImageMessage]], Intrinsics]:
+) -> tuple[list[Pair], Intrinsics]:
     """Depth and infrared images of one exposure each, one pair a pose, and the depth camera's lens."""
     depths: list[ImageMessage] = []
     infrareds: list[ImageMessage] = []
@@ -118,7 +113,7 @@ def read_pairs(
         topic = message.topic.lower()
         if isinstance(message, LensMessage):
             lenses.append(message)
-        elif any(word in topic for word in (*INFRARED, "intensity")):
+        elif is_infrared(message) or "intensity" in topic:
             infrareds.append(message)
         elif "depth" in topic or ("depth" in message.frame_id.lower() and message.encoding == "16UC1"):
             depths.append(message)
@@ -127,30 +122,34 @@ def read_pairs(
         raise RecordingError(
             f"{path} has no {lacks} images on a topic that is named so; record /../depth and /../infrared."
         )
-    stamps, pairs = np.array([image.stamp_ns for image in infrareds]), []
-    for depth in sorted(depths, key=lambda image: image.stamp_ns):
-        nearest = int(np.argmin(np.abs(stamps - depth.stamp_ns)))
-        if abs(stamps[nearest] - depth.stamp_ns) <= PAIR_S * 1e9:
-            pairs.append((depth, infrareds[nearest]))
-    if not pairs:
+    depths.sort(key=lambda image: image.stamp_ns)
+    stamps, times = (np.array([image.stamp_ns for image in of]) for of in (infrareds, depths))
+    near = np.abs(times[:, None] - stamps).argmin(axis=1)
+    paired = np.flatnonzero(np.abs(times - stamps[near]) <= PAIR_S * 1e9)
+    if not len(paired):
         raise RecordingError(
             f"{path}: depth and infrared images have no stamps in common; record them together."
         )
-    times = np.array([depth.stamp_ns for depth, _ in pairs]) / 1e9
-    poses = np.split(np.arange(len(pairs)), np.flatnonzero(np.diff(times) > POSE_S) + 1)
-    named = [each for each in lenses if each.frame_id == pairs[0][0].frame_id]
+    poses = np.split(paired, np.flatnonzero(np.diff(times[paired]) > POSE_S * 1e9) + 1)
+    pairs = [(depths[k], infrareds[near[k]]) for k in (pose[len(pose) // 2] for pose in poses)]
+    named = [each for each in lenses if each.frame_id == depths[paired[0]].frame_id]
     named += [each for each in lenses if "depth" in each.topic.lower()]
     if lens is None and not named:
         raise RecordingError(
             f"{path} has no lens (CameraCalibration, CameraInfo) of the depth camera; give --intrinsics."
         )
-    return [pairs[pose[len(pose) // 2]] for pose in poses], lens or named[0].intrinsics
+    return pairs, lens or named[0].intrinsics
 
 
 def _markers_at(path: Path, stamps: NDArray[np.int64]) -> list[dict[str, FloatArray]]:
     """Mean positions of the markers about every stamp."""
+
+    def wanted(topic: Topic) -> bool:
+        schema, name = topic.schema.replace("/msg/", "/"), topic.name.lower()
+        return schema in (_SCENE, _ARRAY) and ("marker" in name or "mocap" in name)
+
     tracks: list[dict[str, list[FloatArray]]] = [{} for _ in stamps]
-    found = list(_markers(path))
+    found = list(decoded_messages(path, wanted, _markers))
     if not found:
         raise RecordingError(
             f"{path} has no mocap markers (SceneUpdate or MarkerArray on a topic named marker or mocap);"
@@ -169,30 +168,23 @@ def _markers_at(path: Path, stamps: NDArray[np.int64]) -> list[dict[str, FloatAr
     return [{name: np.mean(each, axis=0) for name, each in track.items()} for track in tracks]
 
 
-def _markers(path: Path) -> Iterator[tuple[int, str, FloatArray]]:
-    """Stamp (ns), name and position (3,) m of every marker in the file."""
-
-    def wanted(topic: Topic) -> bool:
-        schema, name = topic.schema.replace("/msg/", "/"), topic.name.lower()
-        return schema in (_SCENE, _ARRAY) and ("marker" in name or "mocap" in name)
-
-    for message in Container(path).messages(wanted):
-        with suppress(*BROKEN):  # the other messages may be intact
-            if message.topic.schema == _SCENE:
-                for entity in parsed(_SCENE, message.data).entities:
-                    stamp = entity.timestamp.ToNanoseconds() or message.log_ns
-                    for number, sphere in enumerate(entity.spheres):
-                        name = entity.id if len(entity.spheres) == 1 else f"{entity.id}_{number + 1}"
-                        place = sphere.pose.position
-                        yield stamp, name, np.array([place.x, place.y, place.z])
-                continue
-            layout = markers_of(message.topic.schema_data)(message.data)
-            if layout.counts["markers"]:
-                block = np.frombuffer(message.data, np.uint8)[None]
-                stamp = int(layout.stamps(block, np.array([message.log_ns]))[0])
-                names, places = layout.many(block, "id")[0, :, 0], layout.many(block, "position")[0]
-                for number, place in zip(names.tolist(), places.astype(float), strict=True):
-                    yield stamp, str(number), place
+def _markers(message: McapMessage) -> Iterator[tuple[int, str, FloatArray]]:
+    """Stamp (ns), name and position (3,) m of every marker of a message."""
+    if message.topic.schema == _SCENE:
+        for entity in parsed(_SCENE, message.data).entities:
+            stamp = entity.timestamp.ToNanoseconds() or message.log_ns
+            for number, sphere in enumerate(entity.spheres, 1):
+                name = entity.id if len(entity.spheres) == 1 else f"{entity.id}_{number}"
+                place = sphere.pose.position
+                yield stamp, name, np.array([place.x, place.y, place.z])
+        return
+    layout = markers_of(message.topic.schema_data)(message.data)
+    if layout.counts["markers"]:
+        block = np.frombuffer(message.data, np.uint8)[None]
+        stamp = int(layout.stamps(block, np.array([message.log_ns]))[0])
+        names, places = layout.many(block, "id")[0, :, 0], layout.many(block, "position")[0]
+        for number, place in zip(names.tolist(), places.astype(float), strict=True):
+            yield stamp, str(number), place
 
 
 # ----------------------------------------------------------------------------------------- simulated sessions
@@ -274,28 +266,26 @@ def write_panel_recording(
     stamp = nanoseconds(np.array([shot.t_s for shot in shots]), 0)
     numbers = {key: float(lens[key]) for key in ("fx", "fy", "cx", "cy")}
     seen = Intrinsics(lens["width"], lens["height"], **numbers, distortion=tuple(lens["distortion"]))
+    of_lens = lens_message(CAMERA, seen, int(stamp[0]))
+    samples = [
+        ImuSamples(f"/imu/{i.name}", i.name, nanoseconds(i.t_s, 0), i.acc, i.gyro, i.mag) for i in imus
+    ]
     with writing(path, force) as temporary, Output(temporary) as output:
 
-        def stream(topic: str, schema: str, encode: Callable[[PanelShot, int], bytes]) -> OutputStream:
-            def rows(part: slice) -> list[bytes]:
-                return [encode(*each) for each in zip(shots[part], stamp[part].tolist(), strict=True)]
+        def depth(row: int) -> bytes:
+            return raw_image(CAMERA, "16UC1", shots[row].depth, stamp[row])
 
-            return OutputStream(output.channel(topic, schema), stamp, rows)
+        def infrared(row: int) -> bytes:
+            return raw_image(CAMERA, "mono16", shots[row].infrared, stamp[row])
 
-        samples = [
-            ImuSamples(f"/imu/{i.name}", i.name, nanoseconds(i.t_s, 0), i.acc, i.gyro, i.mag) for i in imus
-        ]
-        lens_channel = output.channel(LENS_TOPIC, CAMERA_CALIBRATION)
-        lens_data = [lens_message(CAMERA, seen, int(stamp[0]))]
+        lens_stream = output.each(LENS_TOPIC, CAMERA_CALIBRATION, stamp[:1], [of_lens].__getitem__)
         output.write(
             [
                 *(imu_messages(output, each) for each in samples),
-                stream(DEPTH_TOPIC, RAW_IMAGE, lambda shot, at: raw_image(CAMERA, "16UC1", shot.depth, at)),
-                stream(
-                    INFRARED_TOPIC, RAW_IMAGE, lambda shot, at: raw_image(CAMERA, "mono16", shot.infrared, at)
-                ),
-                OutputStream(lens_channel, stamp[:1], lens_data.__getitem__),
-                stream(MARKER_TOPIC, _SCENE, _scene),
+                output.each(DEPTH_TOPIC, RAW_IMAGE, stamp, depth),
+                output.each(INFRARED_TOPIC, RAW_IMAGE, stamp, infrared),
+                lens_stream,
+                output.each(MARKER_TOPIC, _SCENE, stamp, lambda row: _scene(shots[row], int(stamp[row]))),
             ]
         )
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import Protocol
 
@@ -19,19 +18,19 @@ from ...array_types import FloatArray
 from ...errors import RecordingError
 from ...recording import Recording
 from ...runtime.outputs import writing
-from ..mcap.container import Container
-from ..mcap.merge import Output, OutputStream
-from ..mcap.messages import Topic, nanoseconds
+from ..mcap.merge import Output
+from ..mcap.messages import McapMessage, nanoseconds
 from ..recording.write import as_file, recording_streams
 from ..wire.schemas import message_class, parsed
 from .images import (
     CAMERA_CALIBRATION,
     COMPRESSED_IMAGE,
-    INFRARED,
     RAW_IMAGE,
     TRANSFORMS,
     ImageMessage,
     LensMessage,
+    decoded_messages,
+    is_infrared,
     jpeg_image,
     lens_message,
     raw_image,
@@ -104,12 +103,10 @@ class Cameras:
 
     def _role(self, message: ImageMessage) -> str:
         """What a topic's images are, by their first one; "" for infrared and what was not asked for."""
-        is_depth = message.pixels().dtype != np.uint8
-        role = "depth" if is_depth else "colour"
+        role = "depth" if message.pixels().dtype != np.uint8 else "colour"
         wanted = self._wanted[role]
-        if wanted is not None:
-            return role if wanted in message.topic else ""
-        return "" if any(word in message.topic.lower() for word in INFRARED) else role
+        is_other = is_infrared(message) if wanted is None else wanted not in message.topic
+        return "" if is_other else role
 
     def camera(
         self, role: str, shape: tuple[int, ...], image: ImageMessage, reference: ImageMessage
@@ -129,32 +126,24 @@ class Cameras:
             )
         between = transform_between(self._transforms, reference.frame_id, image.frame_id)
         if between is None:
-            self._note(
-                f"no transform links {reference.frame_id} and {image.frame_id}: both are assumed at one place"
-            )
+            apart = f"no transform links {reference.frame_id} and {image.frame_id}"
+            if (note := f"{apart}: both are assumed at one place") not in self.found.notes:
+                self.found.notes.append(note)
         R, t = between or (np.eye(3), np.zeros(3))
         return PlacedCamera(own.resized(width, height), R @ self._R_C_K, t)
-
-    def _note(self, note: str) -> None:
-        if note not in self.found.notes:
-            self.found.notes.append(note)
 
 
 def _transforms(path: str | os.PathLike[str]) -> Transforms:
     """The tree of frames of a file (Foxglove's transforms), as last stated."""
 
-    def wanted(topic: Topic) -> bool:
-        return topic.schema in ("foxglove.FrameTransforms", "foxglove.FrameTransform")
+    def decode(message: McapMessage) -> Iterator[tuple[str, tuple[str, FloatArray, FloatArray]]]:
+        own = parsed(message.topic.schema, message.data)
+        for each in own.transforms if hasattr(own, "transforms") else [own]:
+            q, t = each.rotation, each.translation
+            R = Rotation.from_quat([q.x, q.y, q.z, q.w]).as_matrix()  # ValueError of zeros
+            yield each.child_frame_id, (each.parent_frame_id, R, np.array([t.x, t.y, t.z]))
 
-    found: Transforms = {}
-    for message in Container(path).messages(wanted):
-        with suppress(ValueError):  # damaged, or no rotation
-            own = parsed(message.topic.schema, message.data)
-            for each in own.transforms if hasattr(own, "transforms") else [own]:
-                q, t = each.rotation, each.translation
-                R = Rotation.from_quat([q.x, q.y, q.z, q.w]).as_matrix()
-                found[each.child_frame_id] = each.parent_frame_id, R, np.array([t.x, t.y, t.z])
-    return found
+    return dict(decoded_messages(path, lambda t: t.schema in (TRANSFORMS, TRANSFORMS[:-1]), decode))
 
 
 def transform_between(
@@ -216,21 +205,17 @@ def write_strap_recording(
         ("/tf", TRANSFORMS): bytes(frames.SerializeToString(deterministic=True)),
     }
 
-    def colour_images(rows: slice) -> list[bytes]:
-        pairs = zip(images[rows], stamp[rows].tolist(), strict=True)
-        return [jpeg_image(COLOUR, pair.grey, at) for pair, at in pairs]
-
-    def depth_images(rows: slice) -> list[bytes]:
-        pairs = zip(images[rows], later[rows].tolist(), strict=True)
-        return [raw_image(DEPTH, "16UC1", pair.depth_mm, at) for pair, at in pairs]
-
     with writing(path, force) as temporary, Output(temporary) as output:
         streams = recording_streams(output, as_file(recording))
         for (topic, schema), data in once.items():  # they apply from the first image on
-            channel = output.channel(topic, schema)
-            streams.append(OutputStream(channel, stamp[:1], [data].__getitem__))
-        channel = output.channel(f"/{COLOUR}/image", COMPRESSED_IMAGE)
-        streams.append(OutputStream(channel, stamp, colour_images))
-        channel = output.channel(f"/{DEPTH}/image", RAW_IMAGE)
-        streams.append(OutputStream(channel, later, depth_images))
+            streams.append(output.each(topic, schema, stamp[:1], [data].__getitem__))
+
+        def jpeg(row: int) -> bytes:
+            return jpeg_image(COLOUR, images[row].grey, stamp[row])
+
+        def depth_image(row: int) -> bytes:
+            return raw_image(DEPTH, "16UC1", images[row].depth_mm, later[row])
+
+        streams.append(output.each(f"/{COLOUR}/image", COMPRESSED_IMAGE, stamp, jpeg))
+        streams.append(output.each(f"/{DEPTH}/image", RAW_IMAGE, later, depth_image))
         output.write(streams)

@@ -28,7 +28,7 @@ _SAMPLES = {
     "geometry_msgs/PoseStamped": _HEADER + "position:d*3 quaternion:d*4",
     "sensor_msgs/Image": _HEADER + "height:I width:I encoding:s big:B step:I data:o",
     "sensor_msgs/CompressedImage": _HEADER + "s data:o",
-    "sensor_msgs/CameraInfo": _HEADER + "height:I width:I model:s D:d[] K:d*9",
+    "sensor_msgs/CameraInfo": _HEADER + "height:I width:I distortion_model:s D:d[] K:d*9",
 }
 _MARKER = _HEADER + "s id:i i action:i position:d*3 d*7 f*6 B 3d[] 4f[] "
 _PLAIN_MARKER, _TEXTURED_MARKER = _MARKER + "s s B", _MARKER + "s i*2 s s B[] 2f[] s s s B[] B"
