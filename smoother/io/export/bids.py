@@ -11,7 +11,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -209,7 +209,7 @@ def write_bids(
         (derivative, "derivative", "Arms recovered by unocclude"),
     ):
         root.joinpath(*names.parts, "motion").mkdir(parents=True, exist_ok=True)
-        about = {"Name": title, "BIDSVersion": BIDS_VERSION, "DatasetType": kind}
+        about: dict[str, Any] = {"Name": title, "BIDSVersion": BIDS_VERSION, "DatasetType": kind}
         made_by = {"GeneratedBy": [{"Name": "unocclude", "Version": version}]}
         if not (root / "dataset_description.json").exists():
             _json(root / "dataset_description.json", about | made_by)

@@ -156,9 +156,9 @@ class Container:
                     name = plain_name(stated.topic)
                     self._note(f"the record of channel {name} is missing before its messages")
             number = self._number[heads["channel"]]
-            columns = (heads[name].astype(np.int64) for name in ("sequence", "log", "publish"))
+            sequence, log, publish = (heads[name].astype(np.int64) for name in ("sequence", "log", "publish"))
             stop = at + HEAD.size + heads["length"].astype(np.int64)
-            chunk = Messages(number, *columns, data, at + MESSAGE.itemsize, stop)
+            chunk = Messages(number, sequence, log, publish, data, at + MESSAGE.itemsize, stop)
             if (dropped := number < 0).any():
                 log_ns = chunk.log_ns[dropped]
                 what = f"{len(log_ns)} messages of channels that no record describes were dropped"

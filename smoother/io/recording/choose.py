@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, TypedDict, Unpack
+from typing import TYPE_CHECKING, Any, TypedDict, Unpack
 
 import numpy as np
 
@@ -331,7 +331,7 @@ def _pair_by_motion(file: RecordingFile, pairs: Sequence[Pair]) -> tuple[Pair, s
     order = np.argsort(-scores)
     best, second = scores[order[0]], max(scores[order[1:]].max(initial=0.0), 0.0)
     if best < _ENOUGH or best - second < _LEAD:
-        kinds = {
+        kinds: dict[str, set[Any]] = {
             "--imu": {imu.topic for imu, _ in pairs},
             "--skeleton": {arm.topic for _, arm in pairs},
             "--side": {arm.side for _, arm in pairs},

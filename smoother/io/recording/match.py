@@ -55,7 +55,8 @@ def match_streams(
     """Match some IMUs of a file to some of its arms, by motion alone."""
     source = str(file.path)
     notes: list[str] = []
-    origin = min((int(each.stamp_ns[0]) for each in (*imus, *arms) if len(each.stamp_ns)), default=0)
+    stamps = [*(imu.stamp_ns for imu in imus), *(arm.stamp_ns for arm in arms)]
+    origin = min((int(each[0]) for each in stamps if len(each)), default=0)
     limbs: list[Limb] = []
     for arm in (arm for arm in arms if arm.tracked):
         frames, dropped = clean_arm(arm, source)

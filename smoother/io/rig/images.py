@@ -107,6 +107,7 @@ def read_images(
 def _decode(message: McapMessage) -> Iterator[ImageMessage | LensMessage]:
     """A message of Foxglove's (protobuf) or of ROS' (cdr), whose fields have the same names."""
     topic, schema = message.topic, message.topic.schema
+    its: Callable[[str], Any]
     if topic.encoding == "protobuf":
         its = partial(getattr, parsed(schema, message.data))
         stamp, big = its("timestamp").ToNanoseconds(), False
@@ -120,17 +121,18 @@ def _decode(message: McapMessage) -> Iterator[ImageMessage | LensMessage]:
 
     named = topic.name, its("frame_id")
     if schema in LENSES:
-        yield _lens(*named, numbers("width", "height"), its("distortion_model"), its("D"), its("K"))
+        width, height = numbers("width", "height")
+        yield _lens(*named, (width, height), its("distortion_model"), its("D"), its("K"))
     elif schema.endswith("CompressedImage"):
         yield ImageMessage(*named, stamp or message.log_ns, "", partial(_uncompressed, bytes(its("data"))))
     else:
-        shape = numbers("height", "width", "step")
-        unpack = partial(_raw, bytes(its("data")), its("encoding"), *shape, big)
+        height, width, step = numbers("height", "width", "step")
+        unpack = partial(_raw, bytes(its("data")), its("encoding"), height, width, step, big)
         yield ImageMessage(*named, stamp or message.log_ns, its("encoding"), unpack)
 
 
 def _lens(
-    topic: str, frame_id: str, size: tuple[int, ...], model: str, distortion: Any, matrix: Any
+    topic: str, frame_id: str, size: tuple[int, int], model: str, distortion: Any, matrix: Any
 ) -> LensMessage:
     """Eight terms of the rational model are cut to five where the last three are zero."""
     terms, K = ([float(x) for x in values] for values in (distortion, matrix))
