@@ -35,12 +35,10 @@ class CameraNoise(_Section):
 class ImuNoise(_Section):
     """The inertial sensor, errors of scale and mounting of a consumer device included."""
 
-    # The accelerometer's noise and walk: twice and three times as much leave 4 to 8 % more error in gaps of
-    # simulated arms and of BROAD's real IMU; half as much of both sensors loses BROAD's gaps of 3 s.
-    accelerometer_density: float = Field(default=0.003, gt=0, description="m/s^2/sqrt(Hz)")
+    accelerometer_density: float = Field(default=0.006, gt=0, description="m/s^2/sqrt(Hz)")
     gyroscope_density: float = Field(default=0.0008, gt=0, description="rad/s/sqrt(Hz)")
     accelerometer_share: float = Field(
-        default=0.002, ge=0, description="density a m/s^2 beyond gravity, sqrt(s)"
+        default=0.004, ge=0, description="density a m/s^2 beyond gravity, sqrt(s)"
     )
     gyroscope_share: float = Field(default=0.0012, ge=0, description="density a rad/s of turning, sqrt(s)")
     scale_sigma: float = Field(
@@ -50,7 +48,7 @@ class ImuNoise(_Section):
         default=0.3, gt=0, description="m/s^2, before the recording speaks"
     )
     gyroscope_bias_sigma: float = Field(default=0.05, gt=0, description="rad/s, before the recording speaks")
-    accelerometer_bias_walk: float = Field(default=0.003, gt=0, description="m/s^2/sqrt(s) inside a window")
+    accelerometer_bias_walk: float = Field(default=0.01, gt=0, description="m/s^2/sqrt(s) inside a window")
     gyroscope_bias_walk: float = Field(default=0.001, gt=0, description="rad/s/sqrt(s) inside a window")
 
 

@@ -22,7 +22,7 @@ from .shared import Gaussian, SharedLayout, axes_across
 #: How well gravity's direction is known from the initial values, rad.
 GRAVITY_SIGMA_RAD = 0.2
 #: Sensor noise that was measured counts for no less than this share of the configured one.
-LEAST_DENSITY_SHARE = 0.6
+LEAST_DENSITY_SHARE = 0.3
 #: Forearm and upper arm, joint to joint, as parts of the height (Drillis and Contini, Body Segment
 #: Parameters, 1966), how far a person's are from that as a part of themselves, and how far joints are from
 #: where networks see them, along the limb, m.
