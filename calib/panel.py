@@ -1,9 +1,9 @@
 """`calibrate panel`: camera to mocap from views of the marker panel (JA II-F.1, refined).
 
-Bright spots, which is which, regions without markers, a plane, the panel's axes as published, and least
-squares over all poses. Unknown are the camera in the mocap frame, every marker in the mocap frame, the plane
-of every pose in the camera frame, and, with several poses, a constant error of the camera's depth. Known are
-a marker where mocap has it; the marker's pixel, as a ray; that the marker is on the panel's plane; the plane
+Bright spots, which is which, regions without markers, a plane, the panel's axes as published, and one factor
+graph over all poses. Its variables: the camera in the mocap frame, every marker in the mocap frame, the plane
+of every pose in the camera frame, and, with several poses, a constant error of the camera's depth. Its
+factors: a marker where mocap has it; the marker's pixel, as a ray; the marker on the panel's plane; the plane
 as the depth has it, which shifts with the depth's error.
 """
 
@@ -12,13 +12,13 @@ from __future__ import annotations
 import os
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import combinations, permutations
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple, Self
 
 import numpy as np
 from pydantic import Field, model_validator
-from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
 from smoother.array_types import BoolArray, FloatArray
@@ -300,8 +300,6 @@ PRIOR_RESIDUALS = 12.0
 #: A depth error of one pose alone is believed from this many sigmas on if with it the misfit is below this.
 #: One marker that is off looks like a wrong depth too, but leaves residuals.
 CLEAR, EXPLAINED = 4.0, 3.0
-#: Beyond this condition of the scaled slopes something is free: the depth of all poses gives 1e3 to 1e4.
-LARGEST_CONDITION = 1e8
 
 
 @dataclass(frozen=True)
@@ -327,7 +325,7 @@ def raised(theta: FloatArray, height_m: float) -> FloatArray:
 
 @dataclass(frozen=True)
 class PanelSolution:
-    """The optimum over all poses."""
+    """The graph's answer."""
 
     camera_from_mocap: Frame  # p_K = R p_E + origin
     # (6, 6): Of a small rotation about {K}'s axes at the camera's place (rad) and a shift (m)
@@ -346,79 +344,105 @@ class PanelSolution:
 
 def solve(poses: list[PoseData]) -> PanelSolution:
     """Solve for camera from mocap."""
-    free = solution(poses, solve_offset=True)
+    free = graph_solution(poses, solve_offset=True)
     clear = abs(free.depth_offset_m) > CLEAR * free.depth_offset_sigma_m and free.misfit < EXPLAINED
-    answer = free if len(poses) > 1 or clear else solution(poses, solve_offset=False)
+    answer = free if len(poses) > 1 or clear else graph_solution(poses, solve_offset=False)
     return replace(answer, offset_apart_m=free.depth_offset_m, offset_apart_sigma_m=free.depth_offset_sigma_m)
 
 
-def solution(poses: list[PoseData], solve_offset: bool) -> PanelSolution:
-    """The optimum over all poses, with or without the depth's error.
+#: Variables of the graph; those of a pose follow: its four markers and its plane.
+_CAMERA, _OFFSET, _FIRST = 0, 1, 2
+#: A depth error that is not solved for is held at zero to this, m.
+HELD_M = 1e-7
 
-    Unknowns: a small turn and shift of the camera, the depth's error (0 without), every marker's and every
-    plane's departure. It starts with Kabsch on rays that meet the depth's plane.
+
+def graph_solution(poses: list[PoseData], solve_offset: bool) -> PanelSolution:
+    """The optimum of the graph of all poses, with or without the depth's error.
+
+    It starts with Kabsch on rays that meet the depth's plane.
     """
-    rays, markers = np.array([pose.rays for pose in poses]), np.array([pose.markers_E for pose in poses])
-    ray_sigma = np.array([pose.sigmas for pose in poses])[..., None]
-    marker_sigma, height = np.array([[pose.sigma_E_m, pose.height_m] for pose in poses]).T[..., None]
-    whiten = np.linalg.inv(np.linalg.cholesky([pose.plane.covariance for pose in poses]))
+    import gtsam
+
+    noise = gtsam.noiseModel
+    graph, start = gtsam.NonlinearFactorGraph(), gtsam.Values()
+    lens, huber = gtsam.Cal3_S2(1.0, 1.0, 0.0, 0.0, 0.0), noise.mEstimator.Huber.Create(HUBER)
     seen = np.concatenate([pose.points_K() for pose in poses])
-    first, count = kabsch(markers.reshape(-1, 3), seen), len(poses)
-
-    def transform(x: FloatArray) -> Frame:
-        turn = Rotation.from_rotvec(x[:3]).as_matrix()
-        return Frame(turn @ first.R, turn @ (first.origin + x[3:6]))
-
-    def off_plane(at: FloatArray, theta: FloatArray) -> FloatArray:
-        """Signed distances (poses, 4) of markers from the raised plane, away positive."""
-        away = (np.einsum("pki,pi->pk", at, theta) - 1) / np.linalg.norm(theta, axis=1)[:, None]
-        return np.asarray(away + height)
-
-    def misfits(x: FloatArray) -> FloatArray:
-        camera, moved = transform(x), x[7 : 7 + 12 * count].reshape(count, 4, 3)
-        at = (markers + moved) @ camera.R.T + camera.origin
-        shift = x[7 + 12 * count :].reshape(count, 3)  # of the planes as the depth has them
-        theta = shift + [pose.plane.at_offset(x[6] * solve_offset) for pose in poses]
-        rows = (
-            _huber((at[..., :2] / at[..., 2:] - rays) / ray_sigma),
-            _huber(moved / marker_sigma[..., None]),
-            off_plane(at, theta) / ON_PLANE_SIGMA_M,
-            np.einsum("pij,pj->pi", whiten, shift),
-            x[6] / OFFSET_SIGMA_M,
-        )
-        return np.concatenate([np.ravel(row) for row in rows])
-
-    scale = np.concatenate([np.full(7, 1e-3), np.full(15 * count, 1e-4)])
-    fit = least_squares(misfits, np.zeros(len(scale)), x_scale=scale, method="lm")
-    slopes = fit.jac * scale
-    if np.linalg.cond(slopes) > LARGEST_CONDITION:
+    first = kabsch(seen, np.concatenate([pose.markers_E for pose in poses]))
+    start.insert(_CAMERA, gtsam.Pose3(gtsam.Rot3(first.R), first.origin))
+    start.insert(_OFFSET, np.zeros(1))
+    known = noise.Isotropic.Sigma(1, OFFSET_SIGMA_M if solve_offset else HELD_M)
+    graph.add(gtsam.PriorFactorVector(_OFFSET, np.zeros(1), known))
+    for p, pose in enumerate(poses):
+        plane, markers = _FIRST + 5 * p, range(_FIRST + 5 * p + 1, _FIRST + 5 * p + 5)
+        start.insert(plane, pose.plane.theta)
+        spread = noise.Gaussian.Covariance(pose.plane.covariance)
+        graph.add(gtsam.CustomFactor(spread, [plane, _OFFSET], partial(_off_depth, pose.plane)))
+        mocap = noise.Robust.Create(huber, noise.Isotropic.Sigma(3, pose.sigma_E_m))
+        for key, at, ray, sigma in zip(markers, pose.markers_E, pose.rays, pose.sigmas, strict=True):
+            start.insert(key, at)
+            graph.add(gtsam.PriorFactorPoint3(key, at, mocap))
+            pixel = noise.Robust.Create(huber, noise.Isotropic.Sigma(2, float(sigma)))
+            graph.add(gtsam.GenericProjectionFactorCal3_S2(ray, pixel, _CAMERA, key, lens))
+            flat, keys = noise.Isotropic.Sigma(1, ON_PLANE_SIGMA_M), [_CAMERA, key, plane]
+            graph.add(gtsam.CustomFactor(flat, keys, partial(_off_plane, pose.height_m)))
+    settings = gtsam.LevenbergMarquardtParams()
+    settings.setRelativeErrorTol(1e-12)
+    settings.setAbsoluteErrorTol(1e-12)
+    try:
+        values = gtsam.LevenbergMarquardtOptimizer(graph, start, settings).optimize()
+        marginals = gtsam.Marginals(graph, values)
+        covariance = np.array(marginals.marginalCovariance(_CAMERA))
+        offset_variance = marginals.marginalCovariance(_OFFSET)[0, 0] if solve_offset else np.inf
+    except RuntimeError as error:
         raise CalibrationError(
             "the panel's poses contradict each other or do not determine the transform; check that images and"
             " markers of a pose were taken at the same moment"
-        )
-    misfit, expected = 2 * float(fit.cost), 6 * count
-    spread = (PRIOR_RESIDUALS + misfit) / (PRIOR_RESIDUALS + expected)
-    covariance = np.linalg.inv(slopes.T @ slopes) * scale[:, None] * scale * spread
-    camera, offset = transform(fit.x), float(fit.x[6]) * solve_offset
-    at = markers @ camera.R.T + camera.origin
+        ) from error
+    inverse = values.atPose3(_CAMERA).inverse()
+    transform = Frame(inverse.rotation().matrix(), np.array(inverse.translation()))
+    offset = float(values.atVector(_OFFSET)[0]) if solve_offset else 0.0
+    theta = np.array([pose.plane.at_offset(offset) for pose in poses])
+    at = np.array([pose.markers_E for pose in poses]) @ transform.R.T + transform.origin
+    away = (np.einsum("pki,pi->pk", at, theta) - 1) / np.linalg.norm(theta, axis=1)[:, None]
+    rays = np.array([pose.rays for pose in poses])
+    misfit, count = 2 * graph.error(values), 6 * len(poses)
+    scale = (PRIOR_RESIDUALS + misfit) / (PRIOR_RESIDUALS + count)
     return PanelSolution(
-        camera_from_mocap=camera,
-        covariance=covariance[:6, :6],
+        camera_from_mocap=transform,
+        covariance=covariance * scale,
         depth_offset_m=offset,
-        depth_offset_sigma_m=float(np.sqrt(covariance[6, 6])) if solve_offset else np.inf,
+        depth_offset_sigma_m=float(np.sqrt(offset_variance * scale)),
+        misfit=misfit / count,
+        residuals=count,
         ray_residuals=np.linalg.norm(at[..., :2] / at[..., 2:] - rays, axis=2),
-        marker_residuals_m=np.linalg.norm(at - np.array([pose.points_K(offset) for pose in poses]), axis=2),
-        plane_residuals_m=off_plane(at, np.array([pose.plane.at_offset(offset) for pose in poses])),
-        misfit=misfit / expected,
-        residuals=expected,
+        marker_residuals_m=np.linalg.norm(at - np.array([each.points_K(offset) for each in poses]), axis=2),
+        plane_residuals_m=away + np.array([[pose.height_m] for pose in poses]),
     )
 
 
-def _huber(vectors: FloatArray) -> FloatArray:
-    """Vectors (..., k) of misfits in sigmas, shortened so that their squares are Huber's loss."""
-    size = np.linalg.norm(vectors, axis=-1, keepdims=True)
-    far = np.maximum(size, HUBER)
-    return np.asarray(vectors * np.sqrt(2 * HUBER * far - HUBER**2) / far)
+def _off_depth(plane: Plane, this: Any, values: Any, jacobians: Any) -> FloatArray:
+    """A pose's plane from what the depth has it as once its constant error is taken off."""
+    own, of_offset = this.keys()
+    offset = float(values.atVector(of_offset)[0])
+    if jacobians is not None:
+        jacobians[0] = np.eye(3)
+        jacobians[1] = -(plane.offset_rate + 2 * offset * plane.offset_curve)[:, None]
+    return np.asarray(values.atVector(own) - plane.at_offset(offset))
+
+
+def _off_plane(height_m: float, this: Any, values: Any, jacobians: Any) -> FloatArray:
+    """Signed distance of a marker from the pose's plane, less its height, m."""
+    of_camera, of_marker, of_plane = this.keys()
+    theta = values.atVector(of_plane)
+    d_camera, d_marker = np.zeros((3, 6), order="F"), np.zeros((3, 3), order="F")
+    at = values.atPose3(of_camera).transformTo(values.atPoint3(of_marker), d_camera, d_marker)
+    size = float(np.linalg.norm(theta))
+    away, normal = (float(theta @ at) - 1) / size, theta / size
+    if jacobians is not None:
+        jacobians[0] = (normal @ d_camera)[None]
+        jacobians[1] = (normal @ d_marker)[None]
+        jacobians[2] = ((at - away * normal) / size)[None]
+    return np.array([away + height_m])  # the normal theta points away from the camera
 
 
 #: Noise of a mocap marker where nothing else is said, m per axis.
@@ -445,7 +469,7 @@ class SeenPanel:
 class PanelCalibration:
     """Camera to mocap with the data it is based on."""
 
-    solution: PanelSolution
+    solution: PanelSolution  # The graph's answer
     published: Frame | None  # Camera from mocap as published (JA eq 4 and 5), the poses' mean
     seen: tuple[SeenPanel, ...]  # By pose, the panel in the view
     markers_E: tuple[FloatArray, ...]  # (4, 3) m: by pose, the panel's mocap markers

@@ -1,4 +1,4 @@
-"""The panel's optimum: sigma over draws, the depth's error, wrong spots and markers."""
+"""The panel: its graph against formulas and a dense solution, sigma over draws, what is decided."""
 
 from __future__ import annotations
 
@@ -7,10 +7,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from panel_scene import LENS, PANEL, blobs_of, held, seen_plane
+from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
-from calib.panel import PoseData, solve
+from calib import panel
+from calib.panel import (
+    PanelSolution,
+    PoseData,
+    solve,
+)
 from calib.plane import Frame
+from smoother.array_types import FloatArray
 from smoother.errors import CalibrationError
 
 TRUTH = Frame(
@@ -36,6 +43,78 @@ def solved_pose(seed: int, number: int, offset_m: float = 0.0, height_m: float =
     )
 
 
+class Dense:
+    """The same problem without GTSAM: (6 turn and shift about the truth, offset, 15 a pose)."""
+
+    def __init__(self, poses: list[PoseData], with_offset: bool) -> None:
+        self.poses, self.with_offset = poses, with_offset
+        size = 7 + 15 * len(poses)
+        scale = np.concatenate([np.full(6, 1e-3), [1e-3], np.full(size - 7, 1e-4)])
+        fit = least_squares(
+            self.residuals, np.zeros(size), x_scale=scale, jac="3-point", xtol=1e-15, ftol=1e-15
+        )
+        self.x, self.misfit = fit.x, float(2 * fit.cost)
+        self.covariance = np.linalg.inv(fit.jac.T @ fit.jac)
+        self.R = Rotation.from_rotvec(fit.x[:3]).as_matrix() @ TRUTH.R
+        self.t = Rotation.from_rotvec(fit.x[:3]).as_matrix() @ TRUTH.origin + fit.x[3:6]
+
+    def residuals(self, x: FloatArray) -> FloatArray:
+        turn = Rotation.from_rotvec(x[:3]).as_matrix()
+        R, t, offset = turn @ TRUTH.R, turn @ TRUTH.origin + x[3:6], x[6] if self.with_offset else 0.0
+        rows = [x[6:7] / 0.01]
+        for p, each in enumerate(self.poses):
+            part = x[7 + 15 * p : 22 + 15 * p]
+            theta, markers = each.plane.theta + part[:3], each.markers_E + part[3:].reshape(4, 3)
+            at = markers @ R.T + t
+            rows.append(((at[:, :2] / at[:, 2:] - each.rays) / each.sigmas[:, None]).ravel())
+            rows.append(part[3:] / each.sigma_E_m)
+            rows.append(((at @ theta - 1) / np.linalg.norm(theta) + each.height_m) / 0.0002)
+            root = np.linalg.cholesky(np.linalg.inv(each.plane.covariance)).T
+            rows.append(root @ (theta - each.plane.at_offset(offset)))
+        return np.concatenate(rows)
+
+
+def agrees(found: PanelSolution, dense: Dense, poses: list[PoseData]) -> None:
+    """Answer, covariance about the camera's own axes, misfit."""
+    sigma = np.sqrt(np.diag(dense.covariance))
+    turn = Rotation.from_matrix(found.camera_from_mocap.R @ dense.R.T).as_rotvec()
+    shift = found.camera_from_mocap.origin - dense.t
+    assert (np.abs(np.concatenate([turn, shift])) < 0.02 * sigma[:6]).all()
+    count = 6 * len(poses)
+    assert found.residuals == count
+    assert found.misfit * count == pytest.approx(dense.misfit, rel=1e-3)
+    scale = (12.0 + dense.misfit) / (12.0 + count)
+    expected = dense.covariance[:6, :6] * scale
+    size = np.sqrt(np.diag(expected))
+    np.testing.assert_allclose(
+        found.covariance / size[:, None] / size, expected / size[:, None] / size, atol=0.02
+    )
+    if dense.with_offset:
+        assert found.depth_offset_m == pytest.approx(dense.x[6], abs=0.02 * sigma[6])
+        assert found.depth_offset_sigma_m == pytest.approx(sigma[6] * np.sqrt(scale), rel=0.01)
+
+
+def test_several_poses_are_the_dense_solution() -> None:
+    poses = [solved_pose(1, number, height_m=0.007) for number in range(3)]
+    found = solve(poses)
+    agrees(found, Dense(poses, True), poses)
+    assert found.offset_apart_m == found.depth_offset_m
+    assert found.offset_apart_sigma_m == found.depth_offset_sigma_m
+
+
+def test_one_pose_is_the_dense_solution() -> None:
+    poses = [solved_pose(1, 0, height_m=0.007)]
+    found, free = solve(poses), panel.graph_solution(poses, solve_offset=True)
+    agrees(found, Dense(poses, False), poses)
+    agrees(free, Dense(poses, True), poses)
+    assert found.depth_offset_m == 0.0 and found.depth_offset_sigma_m == np.inf
+    assert (found.offset_apart_m, found.offset_apart_sigma_m) == (
+        free.depth_offset_m,
+        free.depth_offset_sigma_m,
+    )
+    assert free.offset_apart_m == 0.0 and free.offset_apart_sigma_m == np.inf
+
+
 def test_poses_that_determine_nothing() -> None:
     """All markers in one point: the turn about it is free."""
     one = solved_pose(1, 0)
@@ -47,7 +126,7 @@ def test_poses_that_determine_nothing() -> None:
 def test_errors_are_as_large_as_sigma_says():
     squared, offsets = [], []
     for seed in range(25):
-        found = solve([solved_pose(seed, number, 0.005, 0.007) for number in range(2)])
+        found = solve([solved_pose(seed, number, 0.005) for number in range(2)])
         turn = Rotation.from_matrix(found.camera_from_mocap.R @ TRUTH.R.T).as_rotvec()
         shift = found.camera_from_mocap.origin - TRUTH.origin - np.cross(turn, TRUTH.origin)
         error = np.concatenate([turn, shift])
@@ -58,9 +137,7 @@ def test_errors_are_as_large_as_sigma_says():
 
 
 def test_one_pose_tells_a_large_depth_error_and_believes_a_small_one():
-    held_back = solve([solved_pose(1, 0, 0.0)])
-    assert held_back.depth_offset_m == 0.0 and not np.isfinite(held_back.depth_offset_sigma_m)
-    assert np.isfinite(held_back.offset_apart_sigma_m)
+    assert not np.isfinite(solve([solved_pose(1, 0, 0.0)]).depth_offset_sigma_m)
     found = solve([solved_pose(1, 0, 0.015)])
     assert found.depth_offset_m == pytest.approx(0.015, abs=4 * found.depth_offset_sigma_m)
 

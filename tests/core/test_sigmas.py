@@ -47,7 +47,7 @@ def squares(scene: Scene) -> dict[str, FloatArray]:
         "gaps": errors.squared_sigmas[recovery.occluded],
         "orientation": errors.turn_squared_sigmas,
         "velocity": speed.ravel(),
-        **errors.joint_squared_sigmas,
+        **{name: each.squared_sigmas for name, each in errors.joints.items()},
     }
     return {name: squared / 3 for name, squared in values.items()}
 
