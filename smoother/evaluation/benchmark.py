@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -17,27 +17,31 @@ from ..errors import RecordingError, UnoccludeError
 from ..recording import Recording
 from ..runtime.pool import Pool
 from ..table import Table, cell_text, centimetres, tabulated
-from .datasets import DATASETS, VERSION, BenchmarkTrial
-from .gaps import GapCopy, GapGroup, GapTable, HiddenGap, counted, hide, place_gaps, pooled, try_methods
+from .datasets import CALIBRATION, DATASETS, VERSION, BenchmarkTrial
+from .gaps import (
+    GapCopy,
+    GapGroup,
+    GapTable,
+    HiddenGap,
+    by_length,
+    counted,
+    hide,
+    place_gaps,
+    pooled,
+    try_methods,
+)
 from .methods import GRAPH, make_methods
 
 #: The methods are as they come: their settings by default, on one process.
 _CONFIG = {"windows": {"processes": 1}}
 #: Frames that the pool counts: a trial is always worth a process.
 _MANY_FRAMES = 1_000_000
-CSV_COLUMNS = (
-    *("dataset", "split", "trial", "length_s", "method", "start_s", "end_s", "samples", "rms_m", "max_m"),
-    *("sigma_max_m", "failure"),
-)
+#: What `gaps.csv` has of each gap.
+_OF_GAP = ("length_s", "method", "start_s", "end_s", "samples", "rms_m", "max_m", "sigma_max_m", "failure")
 #: The gaps by data set and split.
 Tables = Mapping[tuple[str, str], GapTable]
-
-
-class BenchmarkTask(NamedTuple):
-    """One copy of one trial, with gaps of one length or of several."""
-
-    trial: BenchmarkTrial
-    lengths_s: tuple[float, ...]
+#: One copy of one trial, with gaps of one length or of several, s.
+_Task = tuple[BenchmarkTrial, tuple[float, ...]]
 
 
 def find_trials(
@@ -73,25 +77,25 @@ def run_benchmark(
 ) -> Tables:
     """Hide, recover and score; seed 0 is the published benchmark, 0 processes are one per core."""
     tasks = [
-        BenchmarkTask(trial, lengths_s)
+        (trial, lengths_s)
         for trial in trials
         for data in [DATASETS[trial.dataset]]
         for lengths_s in ([data.lengths_s] if data.together else [(each,) for each in data.lengths_s])
     ]
     answers: dict[tuple[str, str], list[GapTable]] = {}
+    groups: dict[tuple[str, str], list[BenchmarkTrial]] = {}
+    scored = {(trial.dataset, trial.calibrated_on) for trial in trials}
+    for key in {trial.dataset for trial in trials}:
+        for trial in DATASETS[key].find(folder / key):
+            if trial.split == CALIBRATION and (group := (key, trial.calibrated_on)) in scored:
+                groups.setdefault(group, []).append(trial)
     with Pool(processes, _MANY_FRAMES) as pool:
         progress(0.0, "calibrating")
-        # by data set and group, from the recordings that are not scored
-        groups = {
-            (trial.dataset, trial.calibrated_on): own
-            for trial in trials
-            if (own := DATASETS[trial.dataset].calibrations(folder / trial.dataset).get(trial.calibrated_on))
-        }
         made = zip(groups, pool.map(_calibration, groups.values()), strict=True)
         job = partial(_tried, methods=tuple(methods), seed=seed, calibrations=dict(made))
-        for number, (task, answer) in enumerate(zip(tasks, pool.map(job, tasks), strict=True)):
-            progress(number / len(tasks), task.trial.key)
-            answers.setdefault((task.trial.dataset, task.trial.split), []).append(answer)
+        for number, ((trial, _), answer) in enumerate(zip(tasks, pool.map(job, tasks), strict=True)):
+            progress(number / len(tasks), trial.key)
+            answers.setdefault((trial.dataset, trial.split), []).append(answer)
     progress(1.0, "done")
     return {key: pooled(tables) for key, tables in answers.items()}
 
@@ -107,38 +111,40 @@ def _calibration(group: list[BenchmarkTrial]) -> ArmCalibration | None:
 
 
 def _tried(
-    task: BenchmarkTask,
+    task: _Task,
     methods: tuple[str, ...],
     seed: int,
     calibrations: Mapping[tuple[str, str], ArmCalibration | None],
 ) -> GapTable:
     """One task by all methods."""
-    trial = task.trial
+    trial, lengths_s = task
     try:
         recording = replace(DATASETS[trial.dataset].open(trial), name=trial.name)
-        gaps = placed_gaps(task, recording, seed)
+        gaps = placed_gaps(trial, lengths_s, recording, seed)
     except UnoccludeError as error:
         return GapTable((), (f"{trial.key} could not be opened: {error}",))
     lengths = {gap: length_s for length_s, gap in gaps}
     notes = []
-    if missing := [f"{length_s:g}" for length_s in task.lengths_s if length_s not in lengths.values()]:
+    if missing := [f"{length_s:g}" for length_s in lengths_s if length_s not in lengths.values()]:
         notes = [f"{trial.key} shows no arm for long enough to hide it for {' and '.join(missing)} s."]
     if not gaps:
         return GapTable((), tuple(notes))
     calibration = calibrations.get((trial.dataset, trial.calibrated_on))
     made = make_methods([GRAPH, *methods], calibration, Config.model_validate(_CONFIG))
-    found = try_methods(GapCopy(task.lengths_s[0], 0, list(lengths)), recording, made, one_noise=True)
+    found = try_methods(GapCopy(lengths_s[0], 0, list(lengths)), recording, made, one_noise=True)
     rows = [replace(row, length_s=lengths[row.gap]) for row in found.rows if row.method in methods]
     return GapTable(tuple(rows), (*notes, *(f"{trial.key}: {note}" for note in found.notes)))
 
 
-def placed_gaps(task: BenchmarkTask, recording: Recording, seed: int) -> list[tuple[float, HiddenGap]]:
+def placed_gaps(
+    trial: BenchmarkTrial, lengths_s: Sequence[float], recording: Recording, seed: int
+) -> list[tuple[float, HiddenGap]]:
     """The gaps of a copy with their lengths, s, in order of time."""
     placed: list[tuple[float, HiddenGap]] = []
-    for length_s in sorted(task.lengths_s, reverse=True):
-        rng = np.random.default_rng([task.trial.seed(seed), round(1000 * length_s)])
+    for length_s in sorted(lengths_s, reverse=True):
+        rng = np.random.default_rng([trial.seed(seed), round(1000 * length_s)])
         seen = replace(hide(recording, [gap for _, gap in placed]), truth=recording.truth)
-        gaps = place_gaps(seen, length_s, rng, count=DATASETS[task.trial.dataset].gaps)
+        gaps = place_gaps(seen, length_s, rng, count=DATASETS[trial.dataset].gaps)
         placed += [(length_s, gap) for gap in gaps]
     return sorted(placed, key=lambda each: each[1].start_s)
 
@@ -166,22 +172,20 @@ def plain(tables: Tables, seed: int, version: str, data: str) -> dict[str, Any]:
 
     datasets = []
     for (dataset, split), table in tables.items():
-        lengths = []
-        for length in sorted(table.lengths):
-            methods = {name: group.to_dict() for name, group in table.lengths[length].items()}
-            metric = {name: {k: v for k, v in of.items() if k[-3:] != "_cm"} for name, of in methods.items()}
-            lengths.append({"length_s": length, "methods": metric})
+        lengths = dict(sorted(table.lengths.items()))
         rows = []
         for name in dict.fromkeys(row.method for row in table.rows):
-            groups = {f"{length:g}": table.lengths[length][name] for length in sorted(table.lengths)}
+            groups = {f"{length:g}": methods[name] for length, methods in lengths.items()}
             whole = GapGroup([row for group in groups.values() for row in group.rows])
-            medians = {length: group.spread["median_m"] for length, group in groups.items()}
-            rms_m = {length: group.figures.position_rms_m for length, group in groups.items()}
-            each: dict[str, Any] = {"method": name, "median_m": medians, "rms_m": rms_m}
-            each |= {"inside_95": whole.figures.coverage_95, "gaps": len(whole.rows), "failed": whole.failed}
-            rows.append(each)
-        about = {"dataset": dataset, "split": split, "trials": len({row.recording for row in table.rows})}
-        datasets.append(about | {"lengths": lengths, "methods": sorted(rows, key=rank)})
+            each: dict[str, Any] = {"method": name}
+            each |= {"median_m": {length: group.spread["median_m"] for length, group in groups.items()}}
+            each |= {"rms_m": {length: group.figures.position_rms_m for length, group in groups.items()}}
+            rows.append(each | {"inside_95": whole.figures.coverage_95} | whole.counts)
+        trials = len({row.recording for row in table.rows})
+        about = {"dataset": dataset, "split": split, "trials": trials, "methods": sorted(rows, key=rank)}
+        datasets.append(
+            about | {"lengths": by_length(lengths, GapGroup.to_dict), "methods": sorted(rows, key=rank)}
+        )
     notes = list(dict.fromkeys(note for table in tables.values() for note in table.notes))
     head = {"benchmark": VERSION, "version": version, "seed": seed, "data_sha256": data}
     return head | {"datasets": datasets, "notes": notes}
@@ -207,13 +211,10 @@ def summary(figures: Mapping[str, Any]) -> Table:
     )
 
 
-def gap_rows(tables: Tables) -> Iterator[Sequence[str]]:
+def gap_rows(tables: Tables) -> Iterator[Sequence[object]]:
     """One row per gap, as in `gaps.csv`; the header first."""
-    yield CSV_COLUMNS
+    yield "dataset", "split", "trial", *_OF_GAP
     for (dataset, split), table in tables.items():
         for row in table.rows:
-            numbers = (row.figures.position_rms_m, row.figures.position_max_m, row.errors.sigma_max_m)
-            cells = [dataset, split, row.recording, f"{row.length_s:g}", row.method]
-            cells += [repr(float(row.gap.start_s)), repr(float(row.gap.end_s)), str(row.figures.samples)]
-            cells += ["" if value is None else repr(float(value)) for value in numbers]
-            yield [*cells, row.failure or ""]
+            figures = row.to_dict() | {"length_s": f"{row.length_s:g}"}
+            yield dataset, split, row.recording, *(figures[name] for name in _OF_GAP)

@@ -267,9 +267,9 @@ class GapGroup:
     rows: Sequence[GapRow]
 
     @property
-    def failed(self) -> int:
-        """Gaps without an answer."""
-        return sum(bool(row.failure) for row in self.rows)
+    def counts(self) -> dict[str, int]:
+        """How many gaps, and how many of them have no answer."""
+        return {"gaps": len(self.rows), "failed": sum(bool(row.failure) for row in self.rows)}
 
     @cached_property
     def figures(self) -> Figures:
@@ -296,9 +296,20 @@ class GapGroup:
             **{f"{name}_m": value for name, value in distances.items()},
             **{f"{name}_cm": value and 100.0 * value for name, value in distances.items()},
             **{name: figures[name] for name in names},
-            "gaps": len(self.rows),
-            "failed": self.failed,
+            **self.counts,
         }
+
+
+#: By gap length (s) and method, all gaps of that length.
+Lengths = Mapping[float, Mapping[str, GapGroup]]
+
+
+def by_length(lengths: Lengths, what: Callable[[GapGroup], object]) -> list[dict[str, object]]:
+    """Something of every group, as files hold it."""
+    return [
+        {"length_s": at, "methods": {name: what(each) for name, each in methods.items()}}
+        for at, methods in lengths.items()
+    ]
 
 
 @dataclass(frozen=True)
@@ -309,8 +320,8 @@ class GapTable:
     notes: tuple[str, ...] = ()  # What a reader must know, one sentence each
 
     @cached_property
-    def lengths(self) -> dict[float, dict[str, GapGroup]]:
-        """By gap length (s), by method, all gaps of that length; in order of appearance."""
+    def lengths(self) -> Lengths:
+        """The gaps by length and method, in order of appearance."""
         found: dict[float, dict[str, list[GapRow]]] = {}
         for row in self.rows:
             found.setdefault(float(row.length_s), {}).setdefault(row.method, []).append(row)
@@ -331,21 +342,12 @@ class GapTable:
 
     def to_dict(self) -> dict[str, Any]:
         """Plain values, as `--json` writes them; `spread` has the quartiles over the gaps of a length."""
-
-        def by_length(
-            lengths: Iterable[float], what: Callable[[GapGroup], object]
-        ) -> list[dict[str, object]]:
-            return [
-                {"length_s": at, "methods": {name: what(each) for name, each in self.lengths[at].items()}}
-                for at in lengths
-            ]
-
         return {
             "lengths": by_length(self.lengths, GapGroup.to_dict),
             "rows": [row.to_dict() for row in self.rows],
             "notes": list(self.notes),
             "sigma_factors": [row.to_dict() for row in self.sigma_factors()],
-            "spread": by_length(sorted(self.lengths), lambda group: group.spread),
+            "spread": by_length(dict(sorted(self.lengths.items())), lambda group: group.spread),
         }
 
     def table(self, whose: str = "") -> Table:
@@ -353,8 +355,7 @@ class GapTable:
         against = self.reference
         against = "truth" if against == "truth" else f"camera's hidden samples of the {against}"
         rows = [
-            {"length_s": length, "method": name, "failed": group.failed, "gaps": len(group.rows)}
-            | vars(group.figures)
+            {"length_s": length, "method": name} | group.counts | vars(group.figures)
             for length, methods in self.lengths.items()
             for name, group in methods.items()
         ]

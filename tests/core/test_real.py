@@ -49,7 +49,7 @@ def test_errors_and_covariance_in_hidden_gaps(table: GapTable) -> None:
     assert list(table.lengths) == list(LIMITS)
     for length, limit in LIMITS.items():
         found = table.lengths[length]["graph"]
-        assert found.failed == 0
+        assert found.counts["failed"] == 0
         assert len(found.rows) >= 4
         assert found.figures.position_rms_m < limit, f"gaps of {length} s"
         assert 0.02 < found.figures.nees < 8.0

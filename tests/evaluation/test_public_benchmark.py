@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 from smoother.cli.run import run
 from smoother.errors import UnoccludeError
 from smoother.evaluation.benchmark import find_trials
-from smoother.evaluation.datasets import DATASETS, BenchmarkTrial
+from smoother.evaluation.datasets import CALIBRATION, DATASETS, BenchmarkTrial
 from smoother.simulation import ArmSimulation, simulate_arm
 
 #: From a Kinect's axes (y up) to BROAD's (z up).
@@ -111,8 +111,8 @@ def test_trials_and_splits(data: Path, tmp_path: Path):
         ("a1_s5_t2", "test", "subject 5"),
         ("S50A02T01", "test", ""),
     ]
-    calibrations = DATASETS["utd_mhad"].calibrations(tmp_path / "utd_mhad")
-    assert [t.name for t in calibrations.pop("subject 5")] == ["a1_s5_t1"] and not calibrations
+    own = DATASETS["utd_mhad"].find(tmp_path / "utd_mhad")
+    assert [(t.name, t.calibrated_on) for t in own if t.split == CALIBRATION] == [("a1_s5_t1", "subject 5")]
 
 
 @pytest.mark.slow
