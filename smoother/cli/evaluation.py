@@ -19,8 +19,8 @@ from .load import (
     ArmInput,
     ConfigInput,
     ResultInput,
-    baseline_settings,
     camera_frame_of,
+    filter_of,
     refuse_several,
     refuse_twice,
 )
@@ -177,7 +177,7 @@ def compare(
     from ..evaluation.compare import compare
 
     names = [*o.listed(methods, METHODS, "method"), *(LIVE_METHODS if live else ())]
-    baselines = baseline_settings(names, orientation)
+    chosen_filter = filter_of(names, orientation)
     if truth is None and (markers is not None or align):
         raise typer.BadParameter("--markers and --align are for a truth named with --truth")
     config = settings.read()
@@ -195,7 +195,7 @@ def compare(
         recording, given = arms[place]
         blind, clock = replace(recording, truth=None), source.clock(recording)
         first, second = (part_of(progress, half, 2) for half in (0, 1))
-        running = make_methods([GRAPH, *names], given, config, baselines, first, clock, latency)
+        running = make_methods([GRAPH, *names], given, config, chosen_filter, first, clock, latency)
         graph = running[GRAPH](blind)
         own, alignment = truth_for(recording, graph, truth, markers, source.calibration_file, align)
         chosen = {name: running[name] for name in names}
@@ -294,7 +294,7 @@ def gaps(
 
     lengths_s = parse_lengths(lengths)
     names = [*o.listed(methods, METHODS, "method"), *(LIVE_METHODS if live else ())]
-    baselines = baseline_settings(names, orientation)
+    chosen_filter = filter_of(names, orientation)
     if keep_in is not None and GRAPH not in names:
         raise typer.BadParameter(f"--keep-in keeps what {GRAPH} needs; add it to --methods")
     refuse_twice(recording_files)
@@ -317,7 +317,7 @@ def gaps(
     def hide_and_recover(place: int, progress: Progress) -> GapTable:
         recording, known = arms[place]
         clock = source.clock(recording)
-        running = make_methods(names, known, inner, baselines, clock=clock, latency_s=latency)
+        running = make_methods(names, known, inner, chosen_filter, clock=clock, latency_s=latency)
         how = {"seed": seed, "repetitions": repetitions, "gaps_per_run": gaps_per_run}
         return evaluate_gaps(recording, lengths_s, running, progress=progress, processes=side_by_side, **how)
 

@@ -20,7 +20,6 @@ from .output import say
 if TYPE_CHECKING:
     from ..calibration import ArmCalibration
     from ..config import Config
-    from ..evaluation.methods import BaselineSettings
     from ..io.recording.choose import FileReading, Selection
     from ..measurements.clock import Clock
     from ..measurements.remedy import Remedy
@@ -54,10 +53,9 @@ def load_arms(
     return arms
 
 
-def baseline_settings(names: Sequence[str], orientation: str | None) -> BaselineSettings:
-    """Check what was set for the baselines among the chosen methods."""
+def filter_of(names: Sequence[str], orientation: str | None) -> str:
+    """The orientation filter of the baselines among the chosen methods."""
     from ..baselines.registry import BASELINES, DEFAULT_ORIENTATION, LIVE_BASELINES
-    from ..evaluation.methods import BaselineSettings
 
     known = BASELINES | LIVE_BASELINES
     if orientation is not None and not any(known[name].needs_orientation for name in names if name in known):
@@ -65,7 +63,7 @@ def baseline_settings(names: Sequence[str], orientation: str | None) -> Baseline
             "--orientation belongs to the methods that need a filter's orientation, such as rts; no such"
             f" method was chosen, but {', '.join(names)}"
         )
-    return BaselineSettings(orientation or DEFAULT_ORIENTATION)
+    return orientation or DEFAULT_ORIENTATION
 
 
 def refuse_twice(paths: Iterable[Path], option: str = "") -> None:

@@ -13,13 +13,12 @@ from ..errors import UnoccludeError
 from ..evaluation.methods import GRAPH, METHODS, make_methods
 from ..table import tabulated
 from . import options as o
-from .load import PersonConfigInput, TrialInput, baseline_settings
+from .load import PersonConfigInput, TrialInput, filter_of
 from .output import Out, end_strictly, is_imported, progress_bar, say, say_more, show
 
 if TYPE_CHECKING:
     from ..calibration import ArmCalibration
     from ..config import Config
-    from ..evaluation.methods import BaselineSettings
     from ..measurements.clock import Clock
     from ..recording import Recording
     from ..result import Recoveries, Recovery
@@ -61,7 +60,7 @@ def smooth(
     several = "--method takes one method; `unocclude compare` runs several"
     not_a_length = "--max-sigma-m is a length above zero, in m"
     o.refuse({several: len(names) > 1, not_a_length: max_sigma_m is not None and not max_sigma_m > 0})
-    baselines = baseline_settings(names, orientation)
+    chosen_filter = filter_of(names, orientation)
     motions = drawn_motions(draws, seed, names[0])
     config = settings.read()
     with source.in_session(recording_file, config) as known:
@@ -71,7 +70,7 @@ def smooth(
         given = [with_strap(known, recording) if solve_lever_arms else known for recording, known in arms]
         with progress_bar("recovering") as progress:
             recoveries = recover_arms(
-                recordings, names[0], given, clocks, config, baselines, progress, motions, seed or 0
+                recordings, names[0], given, clocks, config, chosen_filter, progress, motions, seed or 0
             )
         results = []
         for recovery in recoveries:
@@ -210,7 +209,7 @@ def recover_arms(
     calibrations: Sequence[ArmCalibration | None],
     clocks: Sequence[Clock | None],
     config: Config,
-    settings: BaselineSettings,
+    orientation: str,
     progress: Progress,
     draws: int = 0,
     seed: int = 0,
@@ -226,7 +225,7 @@ def recover_arms(
 
     def recovered(recording: Recording, given: ArmCalibration | None, clock: Clock | None) -> Any:
         try:
-            return make_methods([name], given, config, settings, progress, clock)[name](recording)
+            return make_methods([name], given, config, orientation, progress, clock)[name](recording)
         except UnoccludeError as error:
             return error
 

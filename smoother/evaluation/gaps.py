@@ -159,7 +159,7 @@ def score_gap(
         samples = sample_errors(recovery.rows(rows), truth)
         name, since_s, scored = "truth", t_s[rows] - gap.start_s, samples.scored
         reference, difference = samples.reference.position, samples.difference_m
-        turns = {key: getattr(samples, key) for key in ("turn_rad", "angle_deg", "turn_squared_sigmas")}
+        turns = {key: getattr(samples, key) for key in ("turn_rad", "turn_squared_sigmas")}
         stated, noise = recovery.pose_covariance[rows, :3, :3], np.zeros((3, 3))
     else:
         inside = gap.contains(arm.t_s)

@@ -6,7 +6,7 @@ The live smoother is played a recording on a simulated clock; its answers are a 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
@@ -40,14 +40,6 @@ LIVE_SMOOTHER = {"live-now": "now", "live-settled": "settled"}
 LIVE_METHODS = (*LIVE_SMOOTHER, *LIVE_BASELINES)
 
 
-@dataclass(frozen=True)
-class BaselineSettings:
-    """What the command line sets for the baselines."""
-
-    orientation: str = DEFAULT_ORIENTATION  # The filter of those that need one
-    options: Mapping[str, Any] = field(default_factory=dict)  # By name
-
-
 class Shared(Generic[T]):
     """What is made of a recording, made once and kept until another recording comes; failures too."""
 
@@ -77,16 +69,19 @@ def make_methods(
     names: Sequence[str],
     calibration: ArmCalibration | None,
     config: Config,
-    settings: BaselineSettings | None = None,
+    orientation: str = DEFAULT_ORIENTATION,
     progress: Progress | None = None,
     clock: Clock | None = None,
     latency_s: float = 0.1,
 ) -> dict[str, Method]:
-    """The chosen methods by name; the baselines start from what the graph estimates, which they share."""
+    """The chosen methods by name; the baselines start from what the graph estimates, which they share.
+
+    `orientation` is the filter of the baselines that need one.
+    """
     from ..smoothing import smooth
 
     solve = partial(smooth, calibration=calibration, config=config, clock=clock)
-    graph, settings = Shared(solve, progress=progress), settings or BaselineSettings()
+    graph = Shared(solve, progress=progress)
     played = Shared(partial(play, graph=graph, calibration=calibration, config=config, latency_s=latency_s))
 
     def method(name: str) -> Method:
@@ -94,11 +89,8 @@ def make_methods(
             return graph
         if name in LIVE_SMOOTHER:
             return partial(by_live, LIVE_SMOOTHER[name], played, graph)
-        known = (BASELINES | LIVE_BASELINES)[name].options
-        options = {key: value for key, value in settings.options.items() if key in known}
-        if name in LIVE_BASELINES:
-            options["latency_s"] = latency_s
-        return partial(_by_baseline, name, graph, settings.orientation, options)
+        options = {"latency_s": latency_s} if name in LIVE_BASELINES else {}
+        return partial(_by_baseline, name, graph, orientation, options)
 
     return {name: method(name) for name in names}
 
@@ -111,6 +103,8 @@ def _by_baseline(
 
 #: Answers are asked for at this rate, Hz, and interpolated to the IMU's times.
 RATE_HZ = 30.0
+#: Delay of the settled answer, s.
+LAG_S = 0.2
 #: A self-calibration in the background takes this many steps until its answer is there.
 STEPS_OF_CALIBRATION = 15
 #: Between answers farther apart than this there is none, s.
@@ -123,7 +117,6 @@ def play(
     calibration: ArmCalibration | None,
     config: Config,
     latency_s: float = 0.1,
-    lag_s: float = 0.2,
 ) -> LiveAnswers:
     """What the live smoother answers to a recording that arrives step by step."""
     from ..live.calibrations import InlineCalibrator
@@ -132,7 +125,7 @@ def play(
     answers: LiveAnswers = {"now": [], "settled": []}
     calibrator = InlineCalibrator(STEPS_OF_CALIBRATION)
     given = (recording.gravity_hint, recording.camera_frame, calibrator)
-    with LiveSmoother(recording.side, calibration, config, lag_s, *given) as live:
+    with LiveSmoother(recording.side, calibration, config, LAG_S, *given) as live:
         for now_s, imu, frames in arrivals(recording, graph(recording).clock_offset_s, latency_s):
             live.add_imu(imu)
             for frame in frames:

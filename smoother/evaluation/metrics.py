@@ -23,18 +23,6 @@ from ..rotation import Rotation, Slerp
 CHI2_95_3 = 7.814727903251179
 
 
-def orientation_error_deg(
-    answer: FloatArray,  # (n, 4)
-    reference: FloatArray,  # (n, 4)
-) -> FloatArray:
-    """Degrees of rotation between two orientations, 0 to 180."""
-    a, b = unit(answer), unit(reference)
-    real = np.abs(np.einsum("ni,ni->n", a, b))  # the sign of a quaternion means nothing: eq 15
-    # imaginary part of conj(a) * b
-    imaginary = a[:, :1] * b[:, 1:] - b[:, :1] * a[:, 1:] - np.cross(a[:, 1:], b[:, 1:])
-    return np.degrees(2.0 * np.arctan2(np.linalg.norm(imaginary, axis=1), real))
-
-
 def rotation_error(
     answer: FloatArray,  # (n, 4)
     reference: FloatArray,  # (n, 4)
@@ -129,18 +117,14 @@ class Errors:
     squared_sigmas: FloatArray  # (n,): squared position error in sigmas
     scored: BoolArray  # (n,): the reference has a position that is to be scored
     turn_rad: FloatArray  # (n, 3) rad: rotation vector from reference to answer, in {K}
-    angle_deg: FloatArray  # (n,): orientation error, as an angle of rotation
     turn_squared_sigmas: FloatArray  # (n,): squared orientation error in sigmas
 
     @classmethod
     def of_positions(cls, difference_m: FloatArray, squared: FloatArray, **more: Any) -> Self:
         """Errors of a point that has no orientation."""
-        nothing = np.full(len(squared), np.nan)
-        turns = {"turn_rad": np.full((len(squared), 3), np.nan), "angle_deg": nothing}
-        scored = np.zeros(len(squared), bool)
-        return cls(
-            difference_m, squared, **{"scored": scored, "turn_squared_sigmas": nothing, **turns, **more}
-        )
+        nothing = np.full((len(squared), 3), np.nan)
+        usual = {"scored": np.zeros(len(squared), bool), "turn_rad": nothing}
+        return cls(difference_m, squared, **{**usual, "turn_squared_sigmas": nothing[:, 0], **more})
 
     @staticmethod
     def pooled(parts: Sequence[Errors]) -> Errors:
@@ -154,6 +138,11 @@ class Errors:
     def distance_m(self) -> FloatArray:
         """(n,) m: position error."""
         return np.asarray(np.linalg.norm(self.difference_m, axis=1))
+
+    @property
+    def angle_deg(self) -> FloatArray:
+        """(n,): orientation error, as an angle of rotation."""
+        return np.degrees(np.linalg.norm(self.turn_rad, axis=1))
 
     def figures(self, chosen: BoolArray | slice = slice(None)) -> Figures:
         """The figures of these samples, or of some."""

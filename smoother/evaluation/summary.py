@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -17,6 +18,7 @@ from ..error_radius import error_radius, pooled_radius
 from ..measurements.visibility import Gap
 from ..recording import JOINTS
 from ..result import Estimates, Recovery
+from ..rotation import Rotation
 from ..table import Table, fixed, percent, tabulated
 from .metrics import rms, squared_sigmas
 
@@ -115,7 +117,9 @@ def cameras(recovery: Recovery) -> Table:
             "place in the first one's frame, cm": lambda each: (
                 each.p_K_C_m and ", ".join(f"{100 * item:.0f}" for item in each.p_K_C_m)
             ),
-            "turned by, degrees": lambda each: fixed(_turned_deg(each.R_K_C), 0),
+            "turned by, degrees": lambda each: (
+                each.R_K_C and fixed(math.degrees(Rotation.from_matrix(each.R_K_C).magnitude()), 0)
+            ),
             "sigma, cm per axis": "sigma_m",
             "sigma, degrees per axis": lambda each: fixed(each.sigma_deg),
             "first clock less its own, ms": lambda each: fixed(each.offset_s and 1000 * each.offset_s, 1),
@@ -126,13 +130,6 @@ def cameras(recovery: Recovery) -> Table:
             "remark": lambda each: f"left out: {each.reason}" if each.reason else "is used",
         },
     )
-
-
-def _turned_deg(R_K_C: Sequence[Sequence[float]] | None) -> float | None:
-    if R_K_C is None:
-        return None
-    cosine = 0.5 * (float(np.trace(np.array(R_K_C))) - 1.0)
-    return float(np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0))))
 
 
 def certainty_figures(recovery: Recovery, only: BoolArray | None = None) -> dict[str, dict[str, Any]]:

@@ -15,7 +15,7 @@ from ..io.tables.table import read_table, shown
 from ..recording import Truth
 from ..result import Recovery
 from ..runtime.inputs import check_input
-from .metrics import best_correlation, orientation_error_deg, truth_at
+from .metrics import best_correlation, truth_at
 from .mocap.clock import STEP_S, turns_rad, way_m
 from .words import said
 
@@ -176,14 +176,16 @@ def _axes_notes(recovery: Recovery, at: Truth, chosen: BoolArray) -> list[str]:
     chosen = chosen & np.isfinite(at.quaternion).all(axis=1) & np.isfinite(recovery.quaternion).all(axis=1)
     if not chosen.any():
         return []
-    mine, other = recovery.quaternion[chosen], at.quaternion[chosen]
-    angle_deg = float(np.median(orientation_error_deg(mine, other)))
+    mine = Rotation.from_quat(recovery.quaternion[chosen], scalar_first=True)
+    # the columns may contain qx, qy, qz, qw under the names qw, qx, qy, qz
+    turn, rolled = (
+        mine.inv() * Rotation.from_quat(at.quaternion[chosen], scalar_first=k) for k in (True, False)
+    )
+    angle_deg = float(np.median(np.degrees(turn.magnitude())))
     if not angle_deg > OTHER_AXES_DEG:
         return []
-    # the columns contain qx, qy, qz, qw under the names qw, qx, qy, qz
-    if np.median(orientation_error_deg(mine, np.roll(other, 1, axis=1))) < RIGHT_ORDER_DEG:
+    if np.median(np.degrees(rolled.magnitude())) < RIGHT_ORDER_DEG:
         return [_said("other_order", angle_deg=angle_deg)]
-    turn = Rotation.from_quat(mine, scalar_first=True).inv() * Rotation.from_quat(other, scalar_first=True)
     apart = np.degrees((turn.mean().inv() * turn).magnitude())
     steady = "by a constant turn" if np.median(apart) < RIGHT_ORDER_DEG else "all the time"
     return [_said("other_axes", angle_deg=angle_deg, steady=steady)]

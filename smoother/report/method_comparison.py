@@ -8,15 +8,15 @@ from typing import Any
 
 import numpy as np
 import plotly.graph_objects as go
-from plotly.subplots import make_subplots
 
+from ..array_types import FloatArray
 from ..evaluation.compare import Comparison
 from ..evaluation.gaps import GapTable
 from ..measurements.visibility import Gap
 from ..recording import Recording
 from ..table import tabulated
 from .sheet import Page, PageSection, capitalised, caption, label, notes, rendered
-from .style import CAMERA, SHADE, TRUTH, axis_names, curve, dots, dress, interval_bars
+from .style import CAMERA, TRUTH, axis_names, curve, dots, dress, interval_bars, over_time
 
 #: Colour and plotly dash of each method; strong methods in strong colours.
 STYLES: dict[str, tuple[str, str]] = {
@@ -105,25 +105,21 @@ def in_gap(comparison: Comparison, recording: Recording, gap: Gap) -> go.Figure:
     camera = recording.arm.joint(joint)[tracked]
     answered = reversed(comparison.validated.items())
     paths = {name: each.path[shown] for name, each in answered if each.point == comparison.point}
-    plot = make_subplots(rows=4, cols=1, shared_xaxes=True, vertical_spacing=0.035)
-    for axis, title in enumerate(
-        [*(f"{name}, m" for name in axis_names(recording.camera_frame)), "error, cm"]
-    ):
-        traces = []
-        if axis < 3:
-            traces.append(dots(at[tracked], camera[:, axis], "camera", CAMERA, 4))
-        for method, path in paths.items():  # the best on top of the others
-            value = path[:, axis] if axis < 3 else 100 * np.linalg.norm(path - true, axis=1)
-            traces.append(go.Scatter(x=t, y=value, name=method, mode="lines", line=line_of(method)))
-        if axis < 3:
-            traces.append(curve(t, true[:, axis], "truth", TRUTH, 1.6, "dash"))
-        for trace in traces:
-            trace.update(legendgroup=trace.name, showlegend=axis == 0)
-            plot.add_trace(trace, row=axis + 1, col=1)
-        plot.update_yaxes(title_text=title, row=axis + 1, col=1)
-    plot.update_yaxes(rangemode="tozero", row=4, col=1).update_xaxes(title_text="time, s", row=4, col=1)
-    plot.add_vrect(gap.start_s, gap.end_s, fillcolor=SHADE, line_width=0, layer="below", row="all", col=1)
-    dress(plot, 820, head=90)
+
+    def lines(values: dict[str, FloatArray]) -> list[go.Scatter]:  # the best on top of the others
+        drawn = {name: {"name": name, "mode": "lines", "line": line_of(name)} for name in values}
+        return [go.Scatter(x=t, y=value, **drawn[name]) for name, value in values.items()]
+
+    rows = []
+    for axis, title in enumerate(axis_names(recording.camera_frame)):
+        seen = dots(at[tracked], camera[:, axis], "camera", CAMERA, 4)
+        known = curve(t, true[:, axis], "truth", TRUTH, 1.6, "dash")
+        answers = lines({name: path[:, axis] for name, path in paths.items()})
+        rows.append((f"{title}, m", [seen, *answers, known]))
+    errors = {name: 100 * np.linalg.norm(path - true, axis=1) for name, path in paths.items()}
+    rows.append(("error, cm", lines(errors)))
+    plot = over_time(replace(comparison.graph, gaps=(gap,)), rows, 170, head=90)
+    plot.update_yaxes(rangemode="tozero", row=4, col=1)
     return plot.update_layout(legend={"traceorder": "reversed"}, modebar={"orientation": "v"})
 
 

@@ -210,9 +210,9 @@ _BADGES = {
 }
 
 
-def badge(word: str, sign: str = "! ", kind: str = "care") -> Html:
+def badge(word: str) -> Html:
     """A word in the colour of its meaning, with a sign for those who do not see colours."""
-    sign, kind = _BADGES.get(word, (sign, kind))
+    sign, kind = _BADGES.get(word, ("! ", "care"))
     return Html('<span class="word {}">{}{}</span>').format(kind, sign, word)
 
 

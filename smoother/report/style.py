@@ -152,24 +152,16 @@ def seen_and_recovered(
     t: ArrayLike,  # (n,)
     values: FloatArray,  # (n,)
     occluded: BoolArray,  # bool (n,)
-    width: float = 1.8,
-    prefix: str = "",
-    *,
-    trusted: BoolArray | None = None,  # bool (n,)
+    trusted: BoolArray,  # bool (n,)
 ) -> list[go.Scatter]:
     """The lines of a value: where the camera saw the arm, where it was recovered, where it is not trusted."""
-    wrong = []
-    if trusted is not None and not trusted.all():
-        values, distrusted = split_line(values, ~trusted)
-        wrong = [curve(t, distrusted, f"{prefix}not to be trusted", UNTRUSTED, width, "dot")]
-        if not trusted.any():
-            return wrong
+    values, distrusted = split_line(values, ~trusted)
+    wrong = [curve(t, distrusted, "not to be trusted", UNTRUSTED, 1.8, "dot")]
+    if not trusted.any():
+        return wrong
     visible, hidden = split_line(values, occluded)
-    return [
-        curve(t, visible, f"{prefix}seen", VISIBLE, width),
-        curve(t, hidden, f"{prefix}recovered", OCCLUDED, width),
-        *wrong,
-    ]
+    lines = [curve(t, visible, "seen", VISIBLE, 1.8), curve(t, hidden, "recovered", OCCLUDED, 1.8)]
+    return lines if trusted.all() else [*lines, *wrong]
 
 
 def over_time(

@@ -64,7 +64,7 @@ def coordinates(recovery: Recovery, shown: list[Point], frame: CameraFrame | Non
             mine = [_around(t, value - half, value + half)]
             if len(point.camera):
                 mine.append(dots(point.camera_t_s, point.camera[:, axis], "camera", CAMERA, 3))
-            mine += seen_and_recovered(t, value, occluded, trusted=trusted)
+            mine += seen_and_recovered(t, value, occluded, trusted)
             if len(point.truth):
                 at = decimate(np.zeros(len(point.truth), bool))
                 mine.append(reference_line(point.truth_t_s[at], point.truth[at, axis]))
@@ -108,7 +108,7 @@ def angles(recovery: Recovery, table: AngleTable, truth: Truth | None = None) ->
                 _around(t, np.maximum(value - half, low - 400), np.minimum(value + half, high + 400))
             )
         whole = np.where(breaks, np.nan, value)
-        traces += seen_and_recovered(t, whole, recovery.occluded[index], trusted=trusted)
+        traces += seen_and_recovered(t, whole, recovery.occluded[index], trusted)
         if truth is not None and np.isfinite(reference.get(angle.name, np.nan)).any():
             at = decimate(np.zeros(len(truth), bool))
             true, _ = _unwrapped(reference[angle.name][at])

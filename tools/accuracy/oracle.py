@@ -30,7 +30,7 @@ from smoother.array_types import FloatArray
 from smoother.calibration import ArmCalibration
 from smoother.evaluation.datasets import open_utd, utd_files
 from smoother.evaluation.gaps import hide, place_gaps
-from smoother.evaluation.metrics import CHI2_95_3, orientation_error_deg, rotation_error, squared_sigmas
+from smoother.evaluation.metrics import CHI2_95_3, rotation_error, squared_sigmas
 from smoother.evaluation.validate import sample_errors
 from smoother.io import import_broad
 from smoother.linalg import interpolate, runs
@@ -117,7 +117,7 @@ def pose_errors(answer: Any, motion: Any, t_s: FloatArray) -> FloatArray:
     off, quaternion = answer.position - true, Rotation.from_matrix(R).as_quat(scalar_first=True)
     covariance, turn = answer.pose_covariance, rotation_error(answer.quaternion, quaternion)
     squares = squared_sigmas(off, covariance[:, :3, :3]), squared_sigmas(turn, covariance[:, 3:, 3:])
-    degrees = orientation_error_deg(answer.quaternion, quaternion)
+    degrees = np.degrees(np.linalg.norm(turn, axis=1))
     return np.column_stack([np.linalg.norm(off, axis=1), squares[0], degrees, squares[1]])
 
 
