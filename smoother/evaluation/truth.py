@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -11,7 +10,9 @@ from scipy.spatial.transform import Rotation
 
 from ..array_types import BoolArray, FloatArray
 from ..errors import RecordingError
-from ..io.tables.table import read_table, shown
+from ..io import open_recording
+from ..io.recording.choose import choose_truth
+from ..io.tables.recording_toml import read_pose_table
 from ..recording import Truth
 from ..result import Recovery
 from ..runtime.inputs import check_input
@@ -22,12 +23,13 @@ from .words import said
 _said = partial(said, "reference")
 #: What a truth may be read from.
 FORMATS = (".mcap", ".csv")
-_COLUMNS = ("t_s", "x", "y", "z")
-_ORIENTATION = ("qw", "qx", "qy", "qz")
 
 
 def read_truth(path: Path | str, recovery: Recovery) -> Truth:
-    """Read the pose of the forearm IMU in the camera frame, on the IMU's clock."""
+    """Read the pose of the forearm IMU in the camera frame, on the IMU's clock.
+
+    Times of a table count from the recovery's origin, or are those of its clock.
+    """
     path = Path(path)
     if path.suffix.lower() not in FORMATS:
         raise RecordingError(
@@ -37,64 +39,19 @@ def read_truth(path: Path | str, recovery: Recovery) -> Truth:
     check_input(path, RecordingError)
     if not path.is_file():
         raise RecordingError(f"{path}: there is no such file")
-    if path.suffix.lower() == ".csv":
-        return on_clock_of(recovery, read_truth_csv(path))
-    return read_truth_mcap(path, recovery)
-
-
-def read_truth_csv(path: Path) -> Truth:
-    """Read a truth from a CSV file, its times as written."""
-    check_input(path, RecordingError)
-    table = read_table(path, f"a truth with the columns {', '.join(_COLUMNS)}", strict=True)
-    names = [name.strip() for name in table.names]
-    columns = {name: names.index(name) if name in names else None for name in _COLUMNS + _ORIENTATION}
-    if missing := [name for name in _COLUMNS if columns[name] is None]:
-        raise RecordingError(
-            f"{path}: the column {', '.join(missing)} is missing; the file has"
-            f" {shown(', '.join(names)) or 'no header'}"
-        )
-    nothing = np.full(len(table), np.nan)
-    found = [nothing if at is None else table.numbers(at) for at in columns.values()]
-    values = np.stack(found, axis=1)[np.isfinite(found[0])]
-    if not len(values):
-        raise RecordingError(f"{path}: no row has a time")
-    values = values[np.argsort(values[:, 0], kind="stable")]
-    return Truth(values[:, 0], values[:, 1:4], values[:, 4:8], np.ones(len(values), dtype=bool))
-
-
-def on_clock_of(recovery: Recovery, truth: Truth) -> Truth:
-    """Count a plain file's times from the recovery's origin, unless they count from there already."""
-    shifted, own = truth.t_s - recovery.origin_ns * 1e-9, recovery.t_s
-    overlap = len(shifted) and len(own) and shifted[0] <= own[-1] and own[0] <= shifted[-1]
-    return replace(truth, t_s=shifted) if recovery.origin_ns and overlap else truth
-
-
-def read_truth_mcap(path: Path, recovery: Recovery) -> Truth:
-    """Read the truth of an MCAP file: the topic `/truth`, else its only topic of poses."""
-    from ..io import open_recording
-    from ..io.recording.names import is_of_other_arm
-
-    all_poses = open_recording(path).poses
-    poses = [one for one in all_poses if not is_of_other_arm(one.topic, recovery.side, recovery.body)]
-    if all_poses and not poses:
-        topics = ", ".join(one.topic for one in all_poses)
-        raise RecordingError(
-            f"{path}: no truth is named as that of the {recovery.arm_label}; it has {topics}"
-        )
-    named = [stream for stream in poses if stream.topic.rstrip("/").endswith("truth")] or poses
-    if not named:
-        raise RecordingError(f"{path}: the file has no pose (PoseInFrame or PoseStamped) to take as truth")
-    if len(named) > 1:
-        topics = ", ".join(stream.topic for stream in named)
-        raise RecordingError(
-            f"{path}: several topics could be the truth ({topics}); keep one, or call it /truth"
-        )
-    stream = named[0]
-    t_s: FloatArray = (stream.stamp_ns - recovery.origin_ns) / 1e9
-    score = np.ones(len(t_s), dtype=bool) if stream.score is None else stream.score
-    order = np.argsort(t_s, kind="stable")
-    joints = {name: value[order] for name, value in stream.joints.items()}
-    return Truth(t_s[order], stream.position[order], stream.quaternion[order], score[order], joints)
+    is_table = path.suffix.lower() == ".csv"
+    own = None if is_table else choose_truth(open_recording(path), recovery.side, recovery.body)
+    poses, why = own or (read_pose_table(path), [])
+    if poses is None:
+        why = why or [f"There are no poses (PoseInFrame, PoseStamped) of the {recovery.arm_label}."]
+        raise RecordingError(f"{path} has no truth. {' '.join(why)} Keep one, or call it /truth.")
+    order = np.argsort(poses.stamp_ns, kind="stable")
+    t_s: FloatArray = (poses.stamp_ns[order] - recovery.origin_ns) / 1e9
+    if is_table and len(recovery) and (t_s[0] > recovery.t_s[-1] or recovery.t_s[0] > t_s[-1]):
+        t_s = poses.stamp_ns[order] / 1e9
+    score = np.ones(len(t_s), dtype=bool) if poses.score is None else poses.score[order]
+    joints = {name: value[order] for name, value in poses.joints.items()}
+    return Truth(t_s, poses.position[order], poses.quaternion[order], score, joints)
 
 
 #: No arm is this far from where the camera saw it: the truth is in another unit, m (median).

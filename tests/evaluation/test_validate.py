@@ -188,8 +188,12 @@ def test_unix_times_and_relative_times(tmp_path, exact):
 @pytest.mark.parametrize(
     ("name", "text", "sentence"),
     [
-        ("a.csv", "", "is empty, but should be a truth with the columns t_s, x, y, z"),
-        ("a.csv", "time,x,y,z\n0,1,2,3\n", "column t_s is missing; the file has time, x, y, z"),
+        ("a.csv", "", "is empty, but should be a table of t_s, x, y, z"),
+        (
+            "a.csv",
+            "time,x,y,z\n0,1,2,3\n",
+            "has no column 't_s' (needed here); its columns are time, x, y, z",
+        ),
         ("a.csv", "t_s,x,y,z\n0,1,2,3\n0.1,1,two,3\n", "line 3: 'two' in column y is not a number"),
         ("a.csv", "t_s,x,y,z\n", "has a header and has no rows"),
         ("a.txt", "", "a truth is read from .c3d or .trc"),

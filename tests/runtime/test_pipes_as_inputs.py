@@ -19,7 +19,6 @@ from smoother.cli import run as cli_run
 from smoother.cli.config import read_config
 from smoother.errors import UnoccludeError
 from smoother.evaluation.mocap.markers import read_marker_map
-from smoother.evaluation.truth import read_truth_csv
 from smoother.io import describe, open_recording, read_recording, read_recovery
 from smoother.io.datasets import import_utd_mhad
 from smoother.io.files import ImuFiles, import_files
@@ -29,6 +28,7 @@ from smoother.io.rig.clock import read_broadcast, read_sound
 from smoother.io.rig.images import read_images
 from smoother.io.tables.columns import read_exact as read_strict
 from smoother.io.tables.markers import read_c3d, read_markers, read_positions, read_trc
+from smoother.io.tables.recording_toml import read_pose_table
 from smoother.io.tables.table import read_head, read_table
 from smoother.study.inputs import file_hash, find_entries
 
@@ -60,7 +60,7 @@ READERS: dict[str, Callable[[Path], object]] = {
     "a.csv": lambda path: read_strict(path, ["t_s"]),
     "b.csv": read_table,
     "c.csv": read_head,
-    "d.csv": read_truth_csv,
+    "d.csv": read_pose_table,
     "e.csv": read_positions,
     "f.csv": lambda path: read_broadcast(path, 1e-6),
     "g.csv": lambda path: import_files([path], [ImuFiles((path,))]),
