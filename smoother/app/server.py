@@ -9,14 +9,13 @@ import os
 import secrets
 import shutil
 import threading
-from collections.abc import AsyncIterator, Callable
+from collections.abc import AsyncIterator, Awaitable, Callable
 from contextlib import asynccontextmanager, nullcontext, suppress
 from pathlib import Path
 from typing import Any
 
 import anyio
 from starlette.applications import Starlette
-from starlette.middleware import Middleware
 from starlette.requests import ClientDisconnect, Request
 from starlette.responses import FileResponse, JSONResponse, Response
 from starlette.routing import Mount, Route
@@ -41,7 +40,7 @@ from .folder import (
     write_json,
     write_kept,
 )
-from .guard import REPORTS, Guard
+from .guard import REPORTS, guard
 from .jobs import JobDesk, refuse_busy
 
 WEB = Path(__file__).parent / "web"
@@ -83,11 +82,12 @@ def make_app(folder: AppFolder, desk: JobDesk, token: str, port: int) -> Starlet
     ]
     app = Starlette(
         routes=[
-            Route(f"{one}/files/{{name}}", _answered(_upload), methods=["PUT"]),
-            *(Route(path, _answered(_asking(answer)), methods=[how]) for how, path, answer in answers),
+            Route(f"{one}/files/{{name}}", _upload, methods=["PUT"]),
+            *(Route(path, _asking(answer), methods=[how]) for how, path, answer in answers),
             Mount("/", StaticFiles(directory=WEB, html=True)),
         ],
-        middleware=[Middleware(Guard, token=token, port=port)],
+        middleware=[guard(token, port)],
+        exception_handlers={UnoccludeError: _said, OSError: _said},
         lifespan=lifespan,
     )
     app.state.folder, app.state.desk, app.state.changing = folder, desk, threading.Lock()
@@ -115,10 +115,10 @@ class _Asked:
         return self.folder.comparison(self.id)
 
 
-def _asking(answer: Callable[[_Asked], Any]) -> Callable[[Request], Any]:
+def _asking(answer: Callable[[_Asked], Any]) -> Callable[[Request], Awaitable[Response]]:
     """A function of what is asked, as a handler that runs in a thread; one change is made at a time."""
 
-    async def handle(request: Request) -> Any:
+    async def handle(request: Request) -> Response:
         asked = _Asked(request, await _body(request) if request.method in ("POST", "PATCH") else {})
         changing = nullcontext() if request.method == "GET" else request.app.state.changing
 
@@ -126,28 +126,21 @@ def _asking(answer: Callable[[_Asked], Any]) -> Callable[[Request], Any]:
             with changing:
                 return answer(asked)
 
-        return await anyio.to_thread.run_sync(work)
+        result = await anyio.to_thread.run_sync(work)
+        return result if isinstance(result, Response) else JSONResponse(result or {})
 
     return handle
 
 
-def _answered(handler: Callable[[Request], Any]) -> Callable[[Request], Any]:
-    """A handler whose errors become one sentence."""
-
-    async def answer(request: Request) -> Response:
-        try:
-            result = await handler(request)
-            return result if isinstance(result, Response) else JSONResponse(result or {})
-        except UnoccludeError as error:
-            sentence, status = str(error), error.status if isinstance(error, AppError) else 400
-        except OSError as error:
-            full = error.errno in (errno.ENOSPC, errno.EDQUOT)
-            name = f"{Path(os.fsdecode(error.filename)).name}: " if error.filename else ""
-            sentence = name + (NO_SPACE if full else f"{error.strerror or error}")
-            status = 507 if full else 500
-        return JSONResponse({"error": sentence}, status)
-
-    return answer
+def _said(_: Request, error: Exception) -> Response:
+    """An error as one sentence."""
+    sentence, status = str(error), error.status if isinstance(error, AppError) else 400
+    if isinstance(error, OSError):
+        full = error.errno in (errno.ENOSPC, errno.EDQUOT)
+        name = f"{Path(os.fsdecode(error.filename)).name}: " if error.filename else ""
+        sentence = name + (NO_SPACE if full else f"{error.strerror or error}")
+        status = 507 if full else 500
+    return JSONResponse({"error": sentence}, status)
 
 
 async def _body(request: Request) -> dict[str, Any]:
@@ -186,7 +179,7 @@ def _remove(asked: _Asked) -> Any:
     return {"moved_to": str(asked.folder.remove(asked.id))}
 
 
-async def _upload(request: Request) -> Any:
+async def _upload(request: Request) -> Response:
     """Write a dropped file to the disk as it comes; it is there whole or not at all."""
     asked = _Asked(request, {})
     place, name = asked.place, file_name(asked.name)
@@ -215,7 +208,7 @@ async def _upload(request: Request) -> Any:
     finally:
         with suppress(OSError):
             beside.unlink()
-    return {"name": name}
+    return JSONResponse({"name": name})
 
 
 def _drop_file(asked: _Asked) -> Any:

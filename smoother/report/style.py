@@ -203,24 +203,14 @@ def _shade(figure: go.Figure, recovery: Recovery) -> None:
     if partly_untrusted(recovery):
         red += untrusted_times(recovery)
     plain = {"type": "path", "xref": "x", "yref": "paper", "layer": "below", "line": {"width": 0}}
+    plain |= {"fillrule": "nonzero"}
     shapes = []
     good = [(start, end) for start, end, trusted in gaps if trusted]
-    for each, colour in ((good, SHADE), (_joined(red), SHADE_UNTRUSTED)):
-        # as one shape: hundreds of them are slow to draw
+    for each, colour in ((good, SHADE), (red, SHADE_UNTRUSTED)):
+        # as one shape: hundreds of them are slow to draw; what overlaps is filled once
         path = " ".join(f"M {start:.4f},0 V 1 H {end:.4f} V 0 Z" for start, end in each)
         shapes += [{**plain, "path": path, "fillcolor": colour}] if path else []
     figure.update_layout(shapes=shapes, meta={"time": True})
-
-
-def _joined(times: Sequence[tuple[float, float]]) -> list[tuple[float, float]]:
-    """Times in order, those that overlap as one."""
-    joined: list[tuple[float, float]] = []
-    for start, end in sorted(times):
-        if joined and start <= joined[-1][1]:
-            joined[-1] = (joined[-1][0], max(joined[-1][1], end))
-        else:
-            joined.append((start, end))
-    return joined
 
 
 def interval_bars(value: Sequence[float], low: Sequence[float], high: Sequence[float]) -> dict[str, Any]:

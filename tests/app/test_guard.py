@@ -42,7 +42,7 @@ def test_the_first_visit_leaves_a_cookie(stranger: TestClient):
     answer = stranger.get(f"/?token={TOKEN}")
     assert answer.status_code == 200
     cookie = answer.headers["set-cookie"]
-    assert "HttpOnly" in cookie and "SameSite=Strict" in cookie and str(PORT) in cookie
+    assert "HttpOnly" in cookie and "SameSite=strict" in cookie and str(PORT) in cookie
     assert stranger.get("/api/state").status_code == 200
     stranger.cookies.clear()
     stranger.cookies.set(f"unocclude-{PORT}", "wrong")
