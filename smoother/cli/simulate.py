@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import typer
 
 from ..errors import UnoccludeError
-from ..table import Table
+from ..table import Table, tabulated
 from . import options as o
 from .output import Out, progress_bar, say, say_command, show, write_text
 
@@ -135,8 +135,11 @@ def arm(
 
     Example: unocclude simulate arm -o sim.mcap --preset realistic --set repetitions=3 --seed 7
     """
-    from ..io import write_recording
+    from calib.file import CalibrationFile, calibration_text
+
+    from ..io import describe, write_recording
     from ..simulation import ArmSimulation, MocapSimulation, capture, simulate_arm, simulate_both_arms
+    from .recordings import topic_table
 
     config, mocap_config = configured(settings, ArmSimulation, MocapSimulation, preset=preset)
     two, rgb = arms == "both", config.rgb != "none"
@@ -158,7 +161,7 @@ def arm(
         markers = [output.with_name(output.stem + end) for end in (".c3d", ".trc", "_markers.toml")]
         out.check([output, calibration_out, *markers])
     both: Sequence[SimulatedArm] = simulate_both_arms(config, seed) if two else [simulate_arm(config, seed)]
-    simulated, recording, captured = both[0], both[0].recording, None
+    simulated, captured = both[0], None
     if mocap:
         try:
             captured = capture(simulated, mocap_config, seed)
@@ -166,31 +169,21 @@ def arm(
             raise typer.BadParameter(str(error)) from error
     write_recording([one.recording for one in both], output, force=out.force)
     figures = {"seed": seed, "preset": preset, "config": config.model_dump(mode="json")}
-    rows: list[tuple[str, object]] = [
-        ("length, s", f"{recording.imu.t_s[-1] - recording.imu.t_s[0]:.1f}"),
-        ("IMU samples", len(recording.imu)),
-        ("camera frames", len(recording.arm)),
-    ]
-    for camera in recording.cameras:
-        angle = simulated.parameters["cameras"][camera.name]["angle_deg"]
-        rows.append((f"frames of {camera.name}, at {angle:g} degrees", len(camera.arm)))
+    calibration = CalibrationFile()
     for one in both:
-        which = f", {one.recording.side} arm" if two else ""
-        rows.append((f"occluded frames{which}", int(one.occluded.sum())))
-    extrinsics = None
+        calibration = calibration.with_arm(one.calibration)
     if captured is not None and calibration_out is not None:
         write_mocap(captured, markers, calibration_out, out.force)
-        extrinsics = captured.extrinsics
-        found = {"offset_s": captured.offset_s, "skew_ppm": captured.skew_ppm} | extrinsics
+        found = {"offset_s": captured.offset_s, "skew_ppm": captured.skew_ppm} | captured.extrinsics
         figures["mocap"] = mocap_config.model_dump(mode="json") | found
-        rows.append(("mocap frames, 15 markers", len(captured.position)))
+        calibration = calibration.with_table("camera_from_mocap", captured.extrinsics)
     if calibration_out is not None:
-        write_calibration([one.calibration for one in both], extrinsics, calibration_out, out.force)
+        write_text(calibration_out, calibration_text(calibration, calibration_out), out.force)
     figures["parameters"] = simulated.parameters
     if two:
         figures["arms"] = [{"side": one.recording.side, "parameters": one.parameters} for one in both]
     out.json(figures)
-    show(Table(recording.name, ("what", "value"), rows))
+    show(topic_table(describe(output)))
     out.end(output, calibration_out, *markers)
 
 
@@ -212,20 +205,6 @@ def write_mocap(capture: MarkerCapture, files: list[Path], calibration: Path, fo
     head = _MAP_HEAD.format(name=c3d.name, map=markers.name, calibration=calibration.name)
     tables = {"markers": capture.marker_map, "imu_plate": capture.plate}
     write_text(markers, f"{head}\n{to_toml(tables)}", force)
-
-
-def write_calibration(
-    calibrations: list[Any], extrinsics: dict[str, Any] | None, path: Path, force: bool
-) -> None:
-    """Write the true calibration of the arms, and the mocap's place."""
-    from calib.file import CalibrationFile, calibration_text
-
-    file = CalibrationFile()
-    for calibration in calibrations:
-        file = file.with_arm(calibration)
-    if extrinsics is not None:
-        file = file.with_table("camera_from_mocap", extrinsics)
-    write_text(path, calibration_text(file, path), force)
 
 
 #: Settings of an arm that each person draws for themselves, or that a crowd has no use for.
@@ -313,13 +292,7 @@ def _strap(config: StrapImages, seed: int, output: Path, force: bool) -> Made:
     write_strap_recording(output, recording, images, times, (COLOUR, DEPTH), DEPTH_LATER_S, force=force)
     radius_m, behind_m = strap_radius_m(simulated), measures["strap_to_wrist_m"]
     from_elbow_m, along = float(measures["forearm_m"] - behind_m), float(1 - behind_m / measures["forearm_m"])
-    rows = [
-        ("images, colour and depth", len(images)),
-        ("forearm's core to the IMU, mm", f"{1e3 * radius_m:.1f}"),
-        ("elbow to the strap, mm", f"{1e3 * from_elbow_m:.1f}"),
-        ("the same in parts of the forearm", f"{along:.2f}"),
-    ]
-    show(Table(output.name, ("what", "value"), rows))
+    say(f"{output}: {len(images)} images, colour and depth")
     truth = {"strap": {"radius_m": radius_m, "from_elbow_m": from_elbow_m, "along": along}}
     words = ("import", "strap", output, "-o", "with_strap.mcap", "--radius-m", f"{radius_m:.3f}")
     return truth, {"images": len(images)}, words
@@ -428,11 +401,9 @@ def panel(
         write_panel_recording(mcap, shots, imus, lens, force=out.force)
     tables = {"intrinsics.toml": lens, "panel.toml": {"panel": definition}, "truth.toml": truth}
     write_panel_folder(output, shots, imus, config.hold_s / 2, tables, force=out.force)
-    poses = [
-        (name, f"{one['distance_m']:.2f}", f"{one['tilt_deg']:.0f}") for name, one in truth["pose"].items()
-    ]
+    poses = [{"pose": name, **one} for name, one in truth["pose"].items()]
     out.json({"seed": seed, "config": config.model_dump(mode="json"), "truth": truth})
-    show(Table(str(output), ("pose", "distance, m", "tilt, deg"), poses))
+    show(tabulated(str(output), poses, "pose distance_m tilt_deg"))
     out.end(output, mcap)
 
 
