@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import struct
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -21,72 +20,30 @@ from .intrinsics import Intrinsics
 #: A larger image is none of a camera; 111 bytes of PNG may state a thousand times as much.
 MOST_PIXELS = 1 << 26
 _PNG, _JPEG = b"\x89PNG\r\n\x1a\n", b"\xff\xd8"
-#: JPEG's markers of frames: they contain height and width.
-_FRAMES = {*range(0xC0, 0xD0)} - {0xC4, 0xC8, 0xCC}
 
 
 def unpacked(
     packed: bytes,
     others: bool = False,
 ) -> NDArray:  # (height, width) or (height, width, channels)
-    """The pixels of an image, by OpenCV."""
+    """The pixels of a PNG or a JPEG, by OpenCV; of `others` that it knows, too."""
     # What OpenCV itself holds for too large; it looks at it once, when it unpacks its first image.
     os.environ.setdefault("OPENCV_IO_MAX_IMAGE_PIXELS", str(MOST_PIXELS))
     import cv2
 
-    stated_size(packed, others)
-    _check_chunks(packed)
+    if not (others or packed.startswith((_PNG, _JPEG))):
+        raise ValueError("neither PNG nor JPEG")
+    place = len(_PNG)  # OpenCV takes memory for as much as a PNG's chunks state
+    while packed.startswith(_PNG) and place < len(packed):
+        if len(packed) < (place := place + 12 + int.from_bytes(packed[place : place + 4], "big")):
+            raise ValueError("the image breaks off")
     try:
         image = cv2.imdecode(np.frombuffer(packed, np.uint8), cv2.IMREAD_UNCHANGED) if packed else None
-    except cv2.error as error:  # formats whose size is not looked at before
+    except cv2.error as error:
         raise ValueError(f"it is damaged, or larger than {MOST_PIXELS} pixels") from error
     if image is None:
         raise ValueError("it is damaged")
     return np.asarray(image)
-
-
-def stated_size(packed: bytes, others: bool = False) -> tuple[int, int]:
-    """Width and height of a PNG or a JPEG."""
-    try:
-        if packed[: len(_PNG)] == _PNG:
-            width, height = struct.unpack_from(">II", packed, 16)
-        elif packed[: len(_JPEG)] == _JPEG:
-            width, height = _jpeg_size(packed)
-        else:
-            if others:
-                return 0, 0
-            raise ValueError("neither PNG nor JPEG")
-    except (struct.error, IndexError) as error:
-        raise ValueError("the image breaks off") from error
-    if width * height > MOST_PIXELS:
-        raise ValueError(f"it states {width} x {height} pixels, which no camera has")
-    return width, height
-
-
-def _jpeg_size(packed: bytes) -> tuple[int, int]:
-    place = len(_JPEG)
-    while True:
-        while packed[place] == 0xFF:
-            place += 1
-        marker = packed[place]
-        if marker in _FRAMES:
-            height, width = struct.unpack_from(">HH", packed, place + 4)
-            return width, height
-        if not marker:
-            raise ValueError("the image is damaged")
-        place += 1 + struct.unpack_from(">H", packed, place + 1)[0]
-
-
-def _check_chunks(packed: bytes) -> None:
-    """Refuse a PNG whose chunks reach beyond its end: OpenCV takes memory for as much as they state."""
-    place = len(_PNG)
-    while packed[: len(_PNG)] == _PNG and place + 8 <= len(packed):
-        length, kind = struct.unpack_from(">I4s", packed, place)
-        place += 12 + length
-        if place > len(packed):
-            raise ValueError("the image breaks off")
-        if kind == b"IEND":
-            return
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,7 @@ import pytest
 from made_recordings import make
 
 from calib.file import read_calibration
-from calib.images import stated_size
+from calib.images import unpacked
 from smoother.errors import CalibrationError, RecordingError
 from smoother.io import read_recording
 from smoother.io.recording.clean import clean_arm, clean_imu, unusable_samples
@@ -163,12 +163,13 @@ def png(width: int, height: int) -> bytes:
     )
 
 
-def test_an_image_states_its_size():
+def test_an_image_that_is_too_large_or_broken():
     import cv2
 
-    assert stated_size(png(640, 576)) == (640, 576)
-    _, jpeg = cv2.imencode(".jpg", np.zeros((48, 64, 3), np.uint8))
-    assert stated_size(jpeg.tobytes()) == (64, 48)
-    for data in (png(60_000, 60_000), b"GIF89a", b"", png(1, 1)[:20], jpeg.tobytes()[:40]):
-        with pytest.raises(ValueError):
-            stated_size(data)
+    pixels = np.arange(48 * 64, dtype=np.uint8).reshape(48, 64)
+    whole, jpeg = (cv2.imencode(end, pixels)[1].tobytes() for end in (".png", ".jpg"))
+    np.testing.assert_array_equal(unpacked(whole), pixels)
+    assert unpacked(jpeg).shape == (48, 64)
+    for data in (png(60_000, 60_000), b"GIF89a", b"", whole[:20], jpeg[:40]):
+        with pytest.raises(ValueError, match="breaks off|damaged|neither"):
+            unpacked(data)
