@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from smoother.cameras.joining import placed_camera
-from smoother.cameras.rig import RigCamera
 from smoother.errors import CalibrationError
 from smoother.recording import FIRST_CAMERA, CameraPose, Recording
 
@@ -25,28 +24,21 @@ FAR = "record a minute in which both cameras see the arm reach far to all sides"
 ROUNDING = 1e-4
 
 
-@dataclass(frozen=True)
-class CameraSetUp:
-    """The further cameras of a set-up."""
+def calibrate_cameras(recordings: Sequence[Recording]) -> Answer:
+    """Place the further cameras of a set-up by the joints that they and the first one see.
 
-    recordings: tuple[str, ...]  # Their names
-    cameras: dict[str, RigCamera]  # As all recordings together place them, by name
-    # Each camera's offset to the first one's clock, one number per recording that it is used in
-    clocks_s: dict[str, tuple[float, ...]]
-    left_out: tuple[str, ...] = ()  # A sentence for each camera that a recording shows to be wrong
-
-
-def calibrate_cameras(recordings: Sequence[Recording]) -> CameraSetUp:
-    """Place the further cameras of a set-up by the joints that they and the first one see."""
+    Clocks are of a recording: they are shown, and not kept in the file.
+    """
+    names = [recording.name for recording in recordings]
     if not any(recording.cameras for recording in recordings):
-        all_names = ", ".join(recording.name for recording in recordings)
-        raise CalibrationError(f"{all_names}: there is only one camera, so there is no pose to find.")
-    cameras: dict[str, RigCamera] = {}
-    clocks: dict[str, tuple[float, ...]] = {}
+        raise CalibrationError(f"{', '.join(names)}: there is only one camera, so there is no pose to find.")
+    poses: dict[str, CameraPose] = {}
+    offsets: dict[str, list[float]] = {}  # to the first one's clock, of each recording that it is used in
+    fits: dict[str, dict[str, float]] = {}
     left_out: list[str] = []
     for recording in recordings:
         for camera in recording.cameras:
-            known = cameras[camera.name].pose if camera.name in cameras else camera.pose
+            known = poses.get(camera.name, camera.pose)
             row = placed_camera(replace(camera, pose=known), recording.arm)
             if row.reason or row.pose is None:
                 left_out.append(f"{recording.name}: {camera.name} was left out: {row.reason}")
@@ -54,60 +46,37 @@ def calibrate_cameras(recordings: Sequence[Recording]) -> CameraSetUp:
             if known is not None and row.note:
                 left_out.append(f"{recording.name}: {camera.name} {row.note}")
                 continue
-            if camera.name in cameras and known is not None:
-                row = replace(row, pose=replace(row.pose, sigma_m=min(row.pose.sigma_m, known.sigma_m)))
-            cameras[camera.name] = row
-            clocks[camera.name] = (*clocks.get(camera.name, ()), row.clock.offset_s)
-    if not cameras:
+            before_m = poses[camera.name].sigma_m if camera.name in poses else np.inf
+            poses[camera.name] = replace(row.pose, sigma_m=min(row.pose.sigma_m, before_m))
+            offsets.setdefault(camera.name, []).append(row.clock.offset_s)
+            fits[camera.name] = {"misfit_m": row.misfit_m, "together_s": row.together_s}
+    if not poses:
         raise CalibrationError(f"No camera could be placed. {' '.join(left_out)}")
-    names = tuple(recording.name for recording in recordings)
-    return CameraSetUp(names, cameras, clocks, tuple(left_out))
-
-
-def cameras_answer(set_up: CameraSetUp) -> Answer:
-    """The set-up in the form that every calibration answers in; clocks are of a recording and not kept."""
-    table: dict[str, Any] = {}
-    is_good = True
-    sentences = []
-    for name, row in set_up.cameras.items():
-        pose = row.pose
-        assert pose is not None
-        sigma_deg = float(np.degrees(pose.sigma_rad))
-        table[name] = {
-            "R_K_C": [[float(x) for x in each] for each in pose.R_K_C],
-            "p_K_C_m": [float(x) for x in pose.p_K_C_m],
-            "sigma_deg": sigma_deg,
-            "sigma_m": float(pose.sigma_m),
-        }
-        is_good &= sigma_deg < GOOD_DEG and pose.sigma_m < GOOD_M
+    table, sentences, checks = {}, [], [Check(text) for text in left_out]
+    for name, pose in poses.items():
+        sigma_deg, sigma_m = float(np.degrees(pose.sigma_rad)), float(pose.sigma_m)
+        checks += [
+            Check(f"{name}: sigma of the turn", sigma_deg, GOOD_DEG, "degrees", FAR),
+            Check(f"{name}: sigma of the place", sigma_m, GOOD_M, "m", FAR),
+        ]
+        place = {"R_K_C": pose.R_K_C.tolist(), "p_K_C_m": pose.p_K_C_m.tolist()}
+        table[name] = place | {"sigma_deg": sigma_deg, "sigma_m": sigma_m}
         cosine = 0.5 * (float(np.trace(pose.R_K_C)) - 1.0)
         sentences.append(
             f"{name} is {np.linalg.norm(pose.p_K_C_m):.2f} m from {FIRST_CAMERA}, turned by"
             f" {np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0))):.0f} degrees; sigma {sigma_deg:.2f} degrees"
-            f" and {100 * pose.sigma_m:.1f} cm per axis where the arm is"
+            f" and {100 * sigma_m:.1f} cm per axis where the arm is"
         )
-    grade = "not good enough" if set_up.left_out else "good" if is_good else "usable"
+    is_good = all(check.is_good for check in checks)
     figures = {
-        "recordings": list(set_up.recordings),
+        "recordings": names,
         "cameras": {
-            name: each
-            | {
-                "offset_s": list(set_up.clocks_s[name]),
-                "misfit_m": set_up.cameras[name].misfit_m,
-                "together_s": set_up.cameras[name].together_s,
-            }
-            for name, each in table.items()
+            name: each | {"offset_s": offsets[name]} | fits[name] for name, each in table.items()
         },
-        "left_out": list(set_up.left_out),
+        "left_out": left_out,
     }
-    checks = [Check(text) for text in set_up.left_out]
-    for name, each in table.items():
-        checks += [
-            Check(f"{name}: sigma of the turn", each["sigma_deg"], GOOD_DEG, "degrees", FAR),
-            Check(f"{name}: sigma of the place", each["sigma_m"], GOOD_M, "m", FAR),
-        ]
-    file = CalibrationFile().with_table(TABLE, table)
-    return Answer(grade, "; ".join(sentences), checks, file, figures)
+    grade = "not good enough" if left_out else "good" if is_good else "usable"
+    return Answer(grade, "; ".join(sentences), checks, CalibrationFile().with_table(TABLE, table), figures)
 
 
 def camera_poses(file: CalibrationFile) -> dict[str, CameraPose]:

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations, pairwise
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from pydantic import ConfigDict, Field
@@ -18,7 +18,7 @@ from smoother.array_types import BoolArray, FloatArray, IntArray
 from smoother.calibration import ArmCalibration
 from smoother.config import Config
 from smoother.errors import CalibrationError
-from smoother.linalg import robust_sigma, scaled_inverse
+from smoother.linalg import scaled_inverse
 from smoother.measurements.clock import LARGEST_OFFSET_S, Clock
 from smoother.measurements.outliers import reject_by_camera
 from smoother.measurements.segment import Segment, split_into_segments
@@ -164,9 +164,11 @@ FEW_TIMES = 5
 NO_WEIGHT = 1e-12
 
 
-def solve_clocks(receptions: Sequence[Receptions], links: Sequence[ClockLink] = ()) -> ClockNetwork:
+def solve_clocks(
+    receptions: Sequence[Receptions], links: Sequence[ClockLink] = (), skew_sigma: float = SKEW_SIGMA
+) -> ClockNetwork:
     """Offsets and skews of all clocks from what was heard together and from measured links."""
-    system = _System(receptions, links) if receptions or links else None
+    system = _System(receptions, links, skew_sigma) if receptions or links else None
     if system is None or not len(system.t):
         raise CalibrationError("no event was received by two clocks, so nothing links them; broadcast again")
     # the start is robust: its residuals say first what to trust
@@ -195,7 +197,9 @@ class _System:
     alpha and beta of the reference nodes are zero. A link is an event of two rows that is never rejected.
     """
 
-    def __init__(self, receptions: Sequence[Receptions], links: Sequence[ClockLink]) -> None:
+    def __init__(
+        self, receptions: Sequence[Receptions], links: Sequence[ClockLink], skew_sigma: float
+    ) -> None:
         root = np.sqrt(0.5)
         self.sources = [*receptions]
         for link in links:
@@ -225,7 +229,7 @@ class _System:
         self.references = np.unique(self.group, return_index=True)[1]
         free = np.setdiff1d(np.arange(n), self.references)
         self.columns = np.concatenate([free, n + free])
-        self.prior, self.pull = np.diag(np.repeat([0.0, SKEW_SIGMA**-2], n)), np.zeros(2 * n)
+        self.prior, self.pull = np.diag(np.repeat([0.0, skew_sigma**-2], n)), np.zeros(2 * n)
         for link in links:  # its skew
             pick = np.zeros(2 * n)
             pick[[n + self.nodes.index(name) for name in (link.to_clock, link.from_clock)]] = 1.0, -1.0
@@ -385,17 +389,15 @@ COARSE_S = 0.75 * LARGEST_OFFSET_S
 EXCERPT_S, MOST_EXCERPTS, FEWEST_FRAMES = 20.0, 24, 60
 #: What no excerpt is better than, s: frames are stamped that well at most.
 FLOOR_S = 0.0005
-#: With a longer recording the skew is looked for, s.
-MOTION_SPAN_S = 60.0
+#: With a longer recording the skew is looked for, s; in a shorter one it is held at zero, to this.
+MOTION_SPAN_S, NO_SKEW = 60.0, 1e-9
 
 
-@dataclass(frozen=True)
-class MotionClock:
+class MotionClock(NamedTuple):
     """The clock of a recording from motion, without equipment."""
 
     link: ClockLink  # Camera to IMU; t_imu = t_camera + offset
     used: BoolArray  # bool (k,): excerpts that agree
-    calibration: ArmCalibration  # How the IMU sits, as found on the way
 
 
 def clock_from_motion(
@@ -407,8 +409,8 @@ def clock_from_motion(
     """Offset and skew of the IMU's clock against the camera's from what both saw of the motion.
 
     The smoother's own self-calibration finds each excerpt's offset (the residuals of the camera's joints
-    along their velocity); how the IMU sits is found once, from four excerpts. Sigma of the line through
-    the offsets is by their scatter, where that is more than each of them claims.
+    along their velocity); how the IMU sits is found once, from four excerpts. The excerpts are then events
+    that both clocks met.
     """
     from smoother.selfcal.pairing import coarse_offset
     from smoother.selfcal.rounds import self_calibrate
@@ -441,36 +443,21 @@ def clock_from_motion(
         raise CalibrationError(
             f"{recording.name}: the clock could not be found in any excerpt; move more and faster"
         )
-    t, offset, sigma = np.array(met).T
-    link, used = _line(t, offset, sigma, names, f"motion {recording.name}")
-    return MotionClock(link, used, arm)
+    return MotionClock(*_line(*np.array(met).T, names, f"motion {recording.name}"))
 
 
 def _line(
     t: FloatArray, offset: FloatArray, sigma: FloatArray, names: tuple[str, str], source: str
 ) -> tuple[ClockLink, BoolArray]:
-    """A robust line through the excerpts' offsets (k,) s, and which of them it is fitted to."""
-    weight = sigma**-2
+    """The link through the excerpts' offsets (k,) s, events that both clocks met, and which of them agree."""
     has_skew = len(t) >= 3 and np.ptp(t) >= MOTION_SPAN_S
-    prior = np.diag([0.0, SKEW_SIGMA**-2])
-    for _ in range(30):
-        centre = float(np.average(t, weights=weight))
-        basis = np.stack([np.ones_like(t), (t - centre) * has_skew], axis=1)
-        normal = basis.T @ (weight[:, None] * basis)
-        level, skew = np.linalg.solve(normal + prior, basis.T @ (weight * offset))
-        left = offset - basis @ [level, skew]
-        middling = float(robust_sigma(left)) if len(t) >= 4 else 0.0
-        spread = np.hypot(sigma, np.sqrt(max(middling**2 - float(np.median(sigma)) ** 2, 0.0)))
-        weight = spread**-2 / (1 + (left / (2 * spread)) ** 2)
-    used = np.abs(left) < OUTLIER * spread
-    used |= 2 * used.sum() <= len(used)  # no more agree than contradict: their scatter is their noise
-    weight = np.where(used, spread**-2, 0.0)
-    freedom = max(int(used.sum()) - 1 - has_skew, 0)
-    scatter = (PRIOR_SAMPLES + float(np.sum(weight * left**2))) / (PRIOR_SAMPLES + freedom)
-    inverse = np.linalg.inv(basis.T @ (weight[:, None] * basis) / max(scatter, 1.0) + prior)
-    sigma_s, skew_sigma = np.sqrt(np.diag(inverse)).tolist()
-    found = (float(level), sigma_s, 1e6 * float(skew), 1e6 * skew_sigma, centre)
-    return ClockLink(*names, *found, source=source), used
+    event, node = np.tile(np.arange(len(t)), 2), [name for name in names for _ in t]
+    times, noise = np.concatenate([t, t + offset]), np.tile(np.sqrt(0.5) * sigma, 2)
+    heard = Receptions(event, node, times, noise, source)
+    network = solve_clocks([heard], skew_sigma=SKEW_SIGMA if has_skew else NO_SKEW)
+    link = replace(network.between(*names), source=source)
+    link = link if has_skew else replace(link, skew_ppm=0.0, skew_sigma_ppm=1e6 * SKEW_SIGMA)
+    return link, network.leftovers[0].used.reshape(2, -1).all(axis=0)
 
 
 def _excerpts(segments: list[Segment]) -> list[Segment]:

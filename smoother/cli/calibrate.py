@@ -258,9 +258,9 @@ def cameras(
 
     Example: unocclude calibrate cameras session.mcap -o cal.toml
     """
-    from calib.camera_poses import calibrate_cameras, cameras_answer
+    from calib.camera_poses import calibrate_cameras
 
     held(output)
     recordings = [load_arm(path, **which.chosen)[0] for path in files]
     notes = [note for recording in recordings for note in recording.notes]
-    out.finish(output, cameras_answer(calibrate_cameras(recordings)), "Poses of the cameras", notes)
+    out.finish(output, calibrate_cameras(recordings), "Poses of the cameras", notes)

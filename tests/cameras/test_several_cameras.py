@@ -8,7 +8,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from calib.camera_poses import calibrate_cameras, camera_poses, cameras_answer, with_camera_poses
+from calib.camera_poses import calibrate_cameras, camera_poses, with_camera_poses
 from calib.file import CalibrationFile
 from smoother.baselines.scene import of_best_camera
 from smoother.cameras import join_cameras
@@ -158,9 +158,9 @@ def test_frames_of_two_cameras_share_nodes_and_none_is_lost() -> None:
 def test_a_set_up_is_calibrated_kept_and_used_as_a_prior() -> None:
     set_up = calibrate_cameras([made().recording, made(921).recording])
     # two set-ups: the second recording's camera stands elsewhere, and is named
-    assert "was moved since" in " ".join(set_up.left_out)
-    assert cameras_answer(set_up).grade == "not good enough"
-    answer = cameras_answer(calibrate_cameras([made().recording]))
+    assert "was moved since" in " ".join(set_up.figures["left_out"])
+    assert set_up.grade == "not good enough"
+    answer = calibrate_cameras([made().recording])
     poses = camera_poses(answer.table)
     recording = with_camera_poses(made().recording, poses)
     np.testing.assert_allclose(
