@@ -70,9 +70,7 @@ def calibrate_cameras(recordings: Sequence[Recording]) -> Answer:
     is_good = all(check.is_good for check in checks)
     figures = {
         "recordings": names,
-        "cameras": {
-            name: each | {"offset_s": offsets[name]} | fits[name] for name, each in table.items()
-        },
+        "cameras": {name: each | {"offset_s": offsets[name]} | fits[name] for name, each in table.items()},
         "left_out": left_out,
     }
     grade = "not good enough" if left_out else "good" if is_good else "usable"

@@ -7,7 +7,7 @@ from the line between elbow and wrist to the IMU.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass, field, replace
 from typing import Any
@@ -227,25 +227,25 @@ def not_determined(
     evidence: Evidence,
     known: ArmCalibration,
     joint_bias_m: float = 0.0,
-) -> list[str]:
+) -> Iterator[str]:
     """What the motion left open, one sentence each, the causes first."""
-    what, said = "sensor" if is_point(evidence) else "forearm", []
+    what = "sensor" if is_point(evidence) else "forearm"
     if evidence.visible_s < LITTLE_VISIBLE_S:
-        said.append(f"the {what} was visible for {evidence.visible_s:.0f} s only")
+        yield f"the {what} was visible for {evidence.visible_s:.0f} s only"
     if evidence.turning_rad_s < LITTLE_TURNING_RAD_S:
         rate = np.degrees(evidence.turning_rad_s)
-        said.append(f"the {what} hardly moved while it was visible ({rate:.0f} degrees/s on average)")
+        yield f"the {what} hardly moved while it was visible ({rate:.0f} degrees/s on average)"
     if is_point(evidence):
-        return said
+        return
+    levers, frames = calibration.lever_arms, evidence.frames
     mounted = {joint for each in calibration.mountings.values() for joint in each.lever_arms}
     for joint in ("elbow", "wrist", "hand"):
-        if joint not in mounted | set(calibration.lever_arms):
-            seen = evidence.frames.get(joint, 0)
-            how = "was never tracked" if seen == 0 else f"was tracked in {seen} frames only"
-            said.append(f"the {joint} {how}: its lever arm is not determined")
-    found = {joint: lever for joint, lever in calibration.lever_arms.items() if joint not in known.lever_arms}
+        if joint not in mounted | set(levers):
+            seen = frames.get(joint, 0)
+            yield f"the {joint} was tracked in {seen} frames only: its lever arm is not determined"
+    found = {joint: lever for joint, lever in levers.items() if joint not in known.lever_arms}
     if joint_bias_m > JOINT_BIAS_M and found:
-        said.append(
+        yield (
             f"the camera places joints some {1e3 * joint_bias_m:.0f} mm off (per axis), always in the same"
             " way: this limits the accuracy of lever arms and lengths"
         )
@@ -253,40 +253,26 @@ def not_determined(
         own = beyond(lever.sigma_m, joint_bias_m) > LEVER_SIGMA_M
         open_axes = [f"{axis} to {1e3 * lever.sigma_m[k]:.0f} mm" for k, axis in enumerate("xyz") if own[k]]
         if open_axes:
-            said.append(f"the {joint} is known only roughly in the IMU's axes: {', '.join(open_axes)}")
+            yield f"the {joint} is known only roughly in the IMU's axes: {', '.join(open_axes)}"
     if known.R_F_A is None and frame is None:
-        said.append("the forearm's axes in the IMU (R_F_A) need both elbow and wrist")
+        yield "the forearm's axes in the IMU (R_F_A) need both elbow and wrist"
     elif known.R_F_A is None and frame is not None:
         if frame.direction_sigma_rad > DIRECTION_SIGMA_RAD:
-            said.append(f"the forearm's direction in the IMU is {known_to(frame.direction_sigma_rad)}")
-        if not np.isfinite(frame.roll_sigma_rad):
-            said.append(
-                f"the IMU was found {1e3 * frame.distance_m:.0f} mm from the line between elbow and wrist,"
-                " too near to tell on which side of the forearm it sits: roll is not known"
+            yield f"the forearm's direction in the IMU is {known_to(frame.direction_sigma_rad)}"
+        if frame.roll_sigma_rad > ROLL_SIGMA_RAD:
+            yield (
+                f"roll is {known_to(frame.roll_sigma_rad)}: the forearm turned by"
+                f" {np.degrees(np.nan_to_num(evidence.axial_rad)):.0f} degrees about its own axis, and the IMU was found"
+                f" {1e3 * frame.distance_m:.0f} mm from the line between elbow and wrist"
             )
-        elif frame.roll_sigma_rad > ROLL_SIGMA_RAD:
-            cause, levers = "", calibration.lever_arms
-            worst_m = max(float(np.max(levers[joint].sigma_m)) for joint in ("elbow", "wrist"))
-            if evidence.axial_rad < LITTLE_AXIAL_RAD:
-                turned = np.degrees(evidence.axial_rad)
-                cause = f"the forearm hardly turned about its own axis ({turned:.0f} degrees): "
-            elif joint_bias_m > JOINT_BIAS_M and joint_bias_m**2 > 0.5 * worst_m**2:
-                cause = "with the camera's constant errors "
-            said.append(f"{cause}roll is {known_to(frame.roll_sigma_rad)}")
         if frame.R_F_A is None:
-            said.append(
-                "how the IMU is turned on the forearm: R_F_A is left open; recovering does not need it"
-            )
-    together, upper_arm = evidence.frames.get("upper_arm", 0), calibration.upper_arm
-    if known.upper_arm is not None:
-        return said
-    if together == 0:
-        said.append("shoulder and elbow were never seen together: the upper arm's length is not known")
-    elif together < FEW_FRAMES:
-        said.append(f"shoulder and elbow were seen together in {together} frames only")
-    elif upper_arm is not None and beyond(np.array(upper_arm.sigma_m), joint_bias_m) > UPPER_ARM_SIGMA_M:
-        said.append(f"the upper arm's length is known to {1e3 * upper_arm.sigma_m:.0f} mm only")
-    return said
+            yield "how the IMU is turned on the forearm: R_F_A is left open; recovering does not need it"
+    together, upper_arm = frames.get("upper_arm", 0), calibration.upper_arm
+    if known.upper_arm is None and together < FEW_FRAMES:
+        yield f"shoulder and elbow were seen together in {together} frames only: the upper arm needs more"
+    elif known.upper_arm is None and upper_arm is not None:
+        if beyond(np.array(upper_arm.sigma_m), joint_bias_m) > UPPER_ARM_SIGMA_M:
+            yield f"the upper arm's length is known to {1e3 * upper_arm.sigma_m:.0f} mm only"
 
 
 def is_point(evidence: Evidence) -> bool:
@@ -307,18 +293,16 @@ def known_to(sigma_rad: float) -> str:
     return f"known to {degrees:.0f} degrees only" if degrees < UNKNOWN_DEG else "not known"
 
 
-def clocks_not_determined(offsets: Sequence[ClockOffset]) -> list[str]:
+def clocks_not_determined(offsets: Sequence[ClockOffset]) -> Iterator[str]:
     """Recordings whose clock offset stayed open, one sentence each."""
-    sentences = []
     for each in offsets:
         if not np.isfinite(each.offset_s):
-            sentences.append(f"{each.recording}: IMU and visible forearm never overlap; it was not used")
+            yield f"{each.recording}: IMU and visible forearm never overlap; it was not used"
         elif each.sigma_s > CLOCK_SIGMA_S:
-            sentences.append(
+            yield (
                 f"{each.recording}: the clock offset is known to {1e3 * each.sigma_s:.0f} ms only; "
                 "the arm moved too little or too slowly"
             )
-    return sentences
 
 
 @dataclass(frozen=True)
