@@ -443,12 +443,13 @@ def clock_from_motion(
         raise CalibrationError(
             f"{recording.name}: the clock could not be found in any excerpt; move more and faster"
         )
-    return MotionClock(*_line(*np.array(met).T, names, f"motion {recording.name}"))
+    t, offset, sigma = np.array(met).T
+    return _line(t, offset, sigma, names, f"motion {recording.name}")
 
 
 def _line(
     t: FloatArray, offset: FloatArray, sigma: FloatArray, names: tuple[str, str], source: str
-) -> tuple[ClockLink, BoolArray]:
+) -> MotionClock:
     """The link through the excerpts' offsets (k,) s, events that both clocks met, and which of them agree."""
     has_skew = len(t) >= 3 and np.ptp(t) >= MOTION_SPAN_S
     event, node = np.tile(np.arange(len(t)), 2), [name for name in names for _ in t]
@@ -457,7 +458,7 @@ def _line(
     network = solve_clocks([heard], skew_sigma=SKEW_SIGMA if has_skew else NO_SKEW)
     link = replace(network.between(*names), source=source)
     link = link if has_skew else replace(link, skew_ppm=0.0, skew_sigma_ppm=1e6 * SKEW_SIGMA)
-    return link, network.leftovers[0].used.reshape(2, -1).all(axis=0)
+    return MotionClock(link, np.asarray(network.leftovers[0].used.reshape(2, -1).all(axis=0)))
 
 
 def _excerpts(segments: list[Segment]) -> list[Segment]:

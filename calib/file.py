@@ -94,18 +94,13 @@ def checked(model: type[Model], values: object, where: str) -> Model:
         raise CalibrationError(f"{key}: {said}.") from error
 
 
-def _section(side: str, table: object, source: str) -> _ArmSection:
-    """The table of a side, checked."""
+def _arm_of(side: str, table: object, source: str) -> ArmCalibration:
+    """The calibration that the table of a side contains."""
     if side not in SIDES:
         raise CalibrationError(f"{source}: arm.{side} is not one of {', '.join(SIDES)}.")
     if not isinstance(table, dict):
         raise CalibrationError(f"{source}: arm.{side} must be a table, [arm.{side}].")
-    return checked(_ArmSection, table, f"{source}: arm.{side}")
-
-
-def _arm_of(side: str, table: object, source: str) -> ArmCalibration:
-    """The calibration that the table of a side contains."""
-    section = _section(side, table, source)
+    section = checked(_ArmSection, table, f"{source}: arm.{side}")
     upper_m, sigma_m, q = section.upper_arm_m, section.upper_arm_sigma_m, section.R_F_A
     acc_bias, gyro_bias = section.accelerometer_bias, section.gyroscope_bias
     return ArmCalibration(
@@ -115,7 +110,7 @@ def _arm_of(side: str, table: object, source: str) -> ArmCalibration:
             for joint, lever in section.lever_arm.items()
         },
         None if upper_m is None or sigma_m is None else Length(upper_m, sigma_m),
-        None if q is None else Rotation.from_quat(np.roll(q, -1)).as_matrix(),
+        None if q is None else Rotation.from_quat(q, scalar_first=True).as_matrix(),
         accelerometer_bias=None if acc_bias is None else np.array(acc_bias),
         gyroscope_bias=None if gyro_bias is None else np.array(gyro_bias),
     )
@@ -129,7 +124,7 @@ def _table_of(arm: ArmCalibration) -> dict[str, Any]:
     table = {
         "upper_arm_m": upper_arm and float(upper_arm.value_m),
         "upper_arm_sigma_m": upper_arm and float(upper_arm.sigma_m),
-        "R_F_A": None if R is None else np.roll(Rotation.from_matrix(R).as_quat(canonical=True), 1),
+        "R_F_A": None if R is None else Rotation.from_matrix(R).as_quat(canonical=True, scalar_first=True),
         "accelerometer_bias": arm.accelerometer_bias,
         "gyroscope_bias": arm.gyroscope_bias,
     }
@@ -330,7 +325,7 @@ def calibration_text(calibration: CalibrationFile, path: Path, held: str = "") -
         raise CalibrationError(f"Calibration {path}: an extra table cannot be named {name}.")
     sections = {side: _table_of(arm) for side, arm in calibration.arms.items()}
     for side, section in sections.items():
-        _section(side, section, f"Calibration {path}")
+        _arm_of(side, section, f"Calibration {path}")
     for name, table in (({"arm": sections} if sections else {}) | calibration.tables).items():
         document[name] = _merged(document.get(name), table, MERGED.get(name, 0))
     return to_toml(document, held)
@@ -382,6 +377,14 @@ def sigma_factors_of(calibration: CalibrationFile) -> SigmaFactors | None:
         raise CalibrationError(f"{calibration.source}: {TABLE}.gaps contains a length_s twice.")
     ordered = sorted(table.gaps, key=lambda gap: gap.length_s)
     return SigmaFactors(tuple(SigmaFactor(gap.length_s, gap.factor, gap.count) for gap in ordered))
+
+
+def known_arm(calibration: CalibrationFile, side: str) -> ArmCalibration | None:
+    """What a file knows of an arm, sigma's factors in gaps included; None where it has neither."""
+    factors = sigma_factors_of(calibration)
+    if calibration.arms:
+        return replace(calibration.arm(side), sigma_factors=factors)
+    return None if factors is None else ArmCalibration(side, sigma_factors=factors)
 
 
 def with_sigma_table(

@@ -260,19 +260,20 @@ def not_determined(
         if frame.direction_sigma_rad > DIRECTION_SIGMA_RAD:
             yield f"the forearm's direction in the IMU is {known_to(frame.direction_sigma_rad)}"
         if frame.roll_sigma_rad > ROLL_SIGMA_RAD:
+            turned = np.degrees(np.nan_to_num(evidence.axial_rad))
             yield (
-                f"roll is {known_to(frame.roll_sigma_rad)}: the forearm turned by"
-                f" {np.degrees(np.nan_to_num(evidence.axial_rad)):.0f} degrees about its own axis, and the IMU was found"
-                f" {1e3 * frame.distance_m:.0f} mm from the line between elbow and wrist"
+                f"roll is {known_to(frame.roll_sigma_rad)}: the forearm turned by {turned:.0f} degrees about"
+                f" its own axis, and the IMU was found {1e3 * frame.distance_m:.0f} mm from the line between"
+                " elbow and wrist"
             )
         if frame.R_F_A is None:
             yield "how the IMU is turned on the forearm: R_F_A is left open; recovering does not need it"
     together, upper_arm = frames.get("upper_arm", 0), calibration.upper_arm
+    rough_m = np.hypot(UPPER_ARM_SIGMA_M, np.nan_to_num(joint_bias_m))  # beside the camera's constant errors
     if known.upper_arm is None and together < FEW_FRAMES:
         yield f"shoulder and elbow were seen together in {together} frames only: the upper arm needs more"
-    elif known.upper_arm is None and upper_arm is not None:
-        if beyond(np.array(upper_arm.sigma_m), joint_bias_m) > UPPER_ARM_SIGMA_M:
-            yield f"the upper arm's length is known to {1e3 * upper_arm.sigma_m:.0f} mm only"
+    elif known.upper_arm is None and upper_arm is not None and upper_arm.sigma_m > rough_m:
+        yield f"the upper arm's length is known to {1e3 * upper_arm.sigma_m:.0f} mm only"
 
 
 def is_point(evidence: Evidence) -> bool:

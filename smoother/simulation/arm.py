@@ -26,7 +26,6 @@ from .inertial import (
     draw_upper_mount,
     ideal_imu,
     measure,
-    measure_worn,
 )
 from .motion import (
     ArmMotion,
@@ -138,14 +137,20 @@ def record_arm(
     further: dict[str, ImuStream] = {}
     mountings: dict[str, SegmentMounting] = {}
 
+    def worn(name: str, prefix: str, imu_pose: Pose, rng: np.random.Generator) -> ImuStream:
+        """A further IMU's samples on its own clock; what was drawn has names that begin with the prefix."""
+        exact = ideal_imu(imu_pose, performance.duration_s, config.imu_rate_hz, stage.gravity)
+        measured, drawn = measure(exact, config, rng)
+        ahead_s = getattr(config, f"{prefix}_clock_s")
+        rate = 1.0 + 1e-6 * getattr(config, f"{prefix}_clock_ppm", 0.0)
+        parameters.update({f"{prefix}_imu_{key}": value for key, value in drawn.items()})
+        parameters[f"{prefix}_clock_s"] = ahead_s
+        return replace(measured, name=name, t_s=ahead_s + rate * measured.t_s)
+
     def wear(segment: str, bone: Pose, mount: Mount, wobble: FloatArray, rng: np.random.Generator) -> None:
-        worn = SegmentImuMotion(bone, mount, make_interp_spline(performance.t_s, wobble, k=5))
+        own = SegmentImuMotion(bone, mount, make_interp_spline(performance.t_s, wobble, k=5))
         name, prefix = f"/imu/{segment}_{config.side}", SEGMENTS[segment].prefix
-        further[segment], drawn = measure_worn(
-            name, prefix, worn.imu_pose, performance.duration_s, stage.gravity, config, rng
-        )
-        motions[segment] = worn
-        parameters.update(drawn)
+        motions[segment], further[segment] = own, worn(name, prefix, own.imu_pose, rng)
 
     if "upper-arm" in config.imus:
         upper_wobble = draw_wobble(performance, config.upper_wobble_deg, upper_wobble_rng)
@@ -180,16 +185,7 @@ def record_arm(
     trunk_motion, trunk = None, None
     if "trunk" in config.imus:
         trunk_motion = TrunkImuMotion(stage.R_K_T, stage.origin_K, turn, draw_trunk_axes(trunk_rng))
-        trunk_imu, trunk_parameters = measure_worn(
-            "/imu/trunk",
-            "trunk",
-            trunk_motion.imu_pose,
-            performance.duration_s,
-            stage.gravity,
-            config,
-            trunk_rng,
-        )
-        parameters |= trunk_parameters
+        trunk_imu = worn("/imu/trunk", "trunk", trunk_motion.imu_pose, trunk_rng)
         other = film(times, {"shoulder": motion.other_arm(times)["shoulder"]})
         add_noise(other, config, trunk_rng)
         trunk = TrunkSensors(trunk_imu, deliver(other, "simulated", config, same_stamps)[0])

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from ..array_types import FloatArray
 from ..recording import ImuStream
-from .config import ArmSimulation, SensorErrors
+from .config import SensorErrors
 from .motion import BodyMeasures, TrunkTurn
 
 #: Orientations (N, 3, 3) from the IMU's axes and positions (N, 3) m at times (N,).
@@ -146,23 +146,6 @@ class SegmentImuMotion:
         beneath = place * [0.0, 1.0, 0.0]
         in_segment = beneath + tissue @ (place - beneath)
         return R_K_S @ tissue @ axes, origin + np.einsum("nij,nj->ni", R_K_S, in_segment)
-
-
-def measure_worn(
-    name: str,
-    prefix: str,
-    imu_pose: Pose,
-    duration_s: float,
-    gravity: FloatArray,
-    config: ArmSimulation,
-    rng: np.random.Generator,
-) -> tuple[ImuStream, dict[str, Any]]:
-    """A further IMU's samples on its own clock, and what was drawn, by names that begin with the prefix."""
-    measured, drawn = measure(ideal_imu(imu_pose, duration_s, config.imu_rate_hz, gravity), config, rng)
-    ahead_s, gains_ppm = getattr(config, f"{prefix}_clock_s"), getattr(config, f"{prefix}_clock_ppm", 0.0)
-    parameters: dict[str, Any] = {f"{prefix}_imu_{key}": value for key, value in drawn.items()}
-    t_s = ahead_s + (1.0 + 1e-6 * gains_ppm) * measured.t_s
-    return replace(measured, name=name, t_s=t_s), parameters | {f"{prefix}_clock_s": ahead_s}
 
 
 #: Where it sits, on the breastbone, m in {T}.

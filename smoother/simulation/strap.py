@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,8 +15,8 @@ from ..array_types import BoolArray, FloatArray
 from ..linalg import unit
 from .arm import SimulatedArm
 
-#: Brightness of skin, strap, marker, clothes and wall.
-SKIN, STRAP, MARKER, CLOTHES, WALL = 170.0, 25.0, 255.0, 80.0, 110.0
+#: Brightness of skin, strap and wall.
+SKIN, STRAP, WALL = 170.0, 25.0, 110.0
 WALL_M = 4.0
 #: Light falls from the camera and a little from above; the rest is ambient.
 AMBIENT = 0.45
@@ -30,19 +31,17 @@ class Arm:
     radius: float = 0.035  # m: of the arm
     strap: float | None = 0.2  # m: distance of the strap's middle from the elbow along the arm
     strap_width: float = 0.03  # m: along the arm
-    marker: float | None = None  # m: distance of a reflective ball from the strap's middle towards the elbow
-    # (3,) m: Centre and half axes of an ellipsoid that may stand before the arm
-    trunk: tuple[FloatArray, FloatArray] | None = None
+
+    @property
+    def y(self) -> FloatArray:
+        """Unit vector (3,) from elbow to wrist."""
+        return unit(self.wrist - self.elbow)
 
     @property
     def strap_core(self) -> FloatArray:
         """(3,) the arm's core under the strap, m in {K}."""
         assert self.strap is not None
-        return np.asarray(self.elbow + self.strap * self._y)
-
-    @property
-    def _y(self) -> FloatArray:
-        return unit(self.wrist - self.elbow)
+        return np.asarray(self.elbow + self.strap * self.y)
 
 
 #: Errors of the images of a good camera in a lit room: sigma of a pixel's brightness, of a depth at 2 m (it
@@ -50,20 +49,23 @@ class Arm:
 BRIGHTNESS, DEPTH_M, BLUR_PX, STRAP_HOLES = 4.0, 0.003, 0.7, 0.7
 #: Distance along rays, inf where nothing is met, brightness, and where there is no depth, (n,) each.
 Met = tuple[FloatArray, FloatArray, BoolArray]
+#: What rays (n, 3) from a point meet of something.
+Surface = Callable[[FloatArray, FloatArray], Met]
 
 
 def render(
-    arm: Arm, camera: PlacedCamera, rng: np.random.Generator | None = None
+    arm: Arm, camera: PlacedCamera, rng: np.random.Generator | None = None, *others: Surface
 ) -> tuple[NDArray[np.uint8], FloatArray]:  # grey (height, width), z (height, width) m
-    """Images of the arm; depth fails on most of a black strap, and on a reflective marker and its rim."""
+    """Images of the arm and what else is there; depth fails on most of a black strap, and beside glare."""
     import cv2
 
     column, row = np.meshgrid(np.arange(camera.lens.width), np.arange(camera.lens.height))
     origin, rays = camera.origin, camera.rays(np.stack([column.ravel(), row.ravel()], axis=1).astype(float))
     grey, z = np.full(len(rays), WALL), np.full(len(rays), WALL_M)
     no_depth = np.zeros(len(rays), dtype=bool)
-    for surface in (_trunk, _capsule, _ball):
-        reach, shade, blind = surface(arm, origin, rays)
+    surfaces: list[Surface] = [partial(_capsule, arm), *others]
+    for surface in surfaces:
+        reach, shade, blind = surface(origin, rays)
         closer = reach < z
         z[closer], grey[closer], no_depth[closer] = reach[closer], shade[closer], blind[closer]
     shape = (camera.lens.height, camera.lens.width)
@@ -80,16 +82,16 @@ def render(
 
 def _capsule(arm: Arm, origin: FloatArray, rays: FloatArray) -> Met:
     """Depth, brightness and blindness of the arm along rays (n, 3): a cylinder with round ends."""
-    y, length = arm._y, float(np.linalg.norm(arm.wrist - arm.elbow))
+    y, length = arm.y, float(np.linalg.norm(arm.wrist - arm.elbow))
     start = origin - arm.elbow
     flat, base = rays - (rays @ y)[:, None] * y, start - (start @ y) * y
     a, b = (flat**2).sum(axis=1), flat @ base
-    reach = _first(a, b, float(base @ base) - arm.radius**2)
+    reach = first_met(a, b, float(base @ base) - arm.radius**2)
     along = start @ y + reach * (rays @ y)
     reach = np.where((along >= 0) & (along <= length), reach, np.inf)
     for end in (arm.elbow, arm.wrist):
         off = origin - end
-        cap = _first((rays**2).sum(axis=1), rays @ off, float(off @ off) - arm.radius**2)
+        cap = first_met((rays**2).sum(axis=1), rays @ off, float(off @ off) - arm.radius**2)
         reach = np.minimum(reach, cap)
     met = np.isfinite(reach)
     points = origin + np.where(met, reach, 0.0)[:, None] * rays
@@ -104,34 +106,7 @@ def _capsule(arm: Arm, origin: FloatArray, rays: FloatArray) -> Met:
     return reach, colour * (AMBIENT + (1 - AMBIENT) * np.clip(light, 0, 1)), blind & met
 
 
-def _ball(arm: Arm, origin: FloatArray, rays: FloatArray) -> Met:
-    """A reflective marker of 14 mm on the arm's near side."""
-    if arm.marker is None or arm.strap is None:
-        return _nothing(rays)
-    core = arm.strap_core - arm.marker * arm._y
-    into = core - origin
-    into = into - (into @ arm._y) * arm._y
-    off = origin - (core - (arm.radius + 0.007) * unit(into))
-    reach = _first((rays**2).sum(axis=1), rays @ off, float(off @ off) - 0.007**2)
-    return reach, np.full(len(rays), MARKER), np.isfinite(reach)
-
-
-def _nothing(rays: FloatArray) -> Met:
-    return np.full(len(rays), np.inf), np.zeros(len(rays)), np.zeros(len(rays), dtype=bool)
-
-
-def _trunk(arm: Arm, origin: FloatArray, rays: FloatArray) -> Met:
-    if arm.trunk is None:
-        return _nothing(rays)
-    centre, half = arm.trunk
-    ray, off = rays / half, (origin - centre) / half
-    reach = _first((ray**2).sum(axis=1), ray @ off, float(off @ off) - 1.0)
-    # folds of the clothes: bands that a search for dark places may take for a strap
-    height = (origin + np.where(np.isfinite(reach), reach, 0)[:, None] * rays)[:, 1]
-    return reach, CLOTHES * (1 + 0.3 * np.sin(2 * np.pi * height / 0.06)), np.zeros(len(rays), dtype=bool)
-
-
-def _first(a: FloatArray, b: FloatArray, c: float) -> FloatArray:
+def first_met(a: FloatArray, b: FloatArray, c: float) -> FloatArray:
     """Smaller root of a t^2 + 2 b t + c = 0; inf where there is none before the camera."""
     square = b**2 - a * c
     with np.errstate(invalid="ignore", divide="ignore"):

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from calib.file import CalibrationFile, sigma_factors_of
+from calib.file import CalibrationFile, known_arm
 from calib.sensor import SensorCalibration, sensor_of
 
 from ..body import FOREARM
@@ -41,16 +41,13 @@ class SessionCalibration:
         """Of a file, for a session; nothing without one."""
         if file is None:
             return cls()
-        factors, sensors, notes = sigma_factors_of(file), {}, []
-        arm = replace(file.arm(info.side), sigma_factors=factors) if file.arms else None
-        if arm is None and factors is not None:
-            arm = ArmCalibration(info.side, sigma_factors=factors)
+        sensors, notes = {}, []
         for segment, name in info.imus.items():
             topic = imu_topic(name, info.side, segment)
             if (sensor := sensor_of(file, topic)) is not None:
                 sensors[segment] = sensor
                 notes.append(f"{topic}: {', '.join(sensor.named)} corrected ({file.source})")
-        return cls(arm, sensors, tuple(notes))
+        return cls(known_arm(file, info.side), sensors, tuple(notes))
 
     def corrected(self, imu: ImuStream, segment: str) -> ImuStream:
         """Samples as the sensor should have given them."""

@@ -172,7 +172,7 @@ POINT = Evidence(20.0, {"strap": 500, "elbow": 0, "upper_arm": 0}, 2.0, float("n
             an_arm(0.012),
             {"axial_rad": np.radians(20)},
             (
-                f"{ROLL}: the forearm turned by 20 degrees about its own axis, and the IMU was found 35 mm from",
+                f"{ROLL}: the forearm turned by 20 degrees about its own axis, and the IMU was",
                 "the wrist is known only roughly in the IMU's axes: x to 12 mm, y to 12 mm, z to 12 mm",
                 "R_F_A is left open",
             ),
@@ -182,7 +182,7 @@ POINT = Evidence(20.0, {"strap": 500, "elbow": 0, "upper_arm": 0}, 2.0, float("n
         (
             an_arm(distance_m=0.006),
             {},
-            ("roll is not known", "found 6 mm from the line between elbow and wrist"),
+            ("roll is not known", "found 6 mm from the line"),
         ),
         (ONE_ROUGH_AXIS, {}, ("the elbow is known only roughly in the IMU's axes: z to 20 mm",)),
         (

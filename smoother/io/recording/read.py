@@ -335,24 +335,21 @@ def read_arms(
     if calibration_file is None:
         return [(remedy.applied(one), None) for one in _read(path, reading, alone=alone)]
     from calib.camera_poses import camera_poses, with_camera_poses
-    from calib.file import read_calibration, sigma_factors_of
+    from calib.file import known_arm, read_calibration
     from calib.sensor import corrected
     from calib.world import with_gravity
 
     calibration = read_calibration(calibration_file)
     sides = [name for name in calibration.arms if name != "any"]
-    factors, poses = sigma_factors_of(calibration), camera_poses(calibration)
+    poses = camera_poses(calibration)
     arms: list[tuple[Recording, ArmCalibration | None]] = []
     recordings = _read(path, reading, prefer_side=sides[0] if len(sides) == 1 else None, alone=alone)
     for recording in recordings:
         recording = with_gravity(corrected(remedy.applied(recording), calibration), calibration)
-        recording = with_camera_poses(recording, poses)
-        # sensors, clocks, frames alone: the arm is found from the motion
-        given = ArmCalibration(recording.side, sigma_factors=factors) if factors else None
-        if calibration.arms and (len(recordings) == 1 or {recording.side, "any"} & set(calibration.arms)):
-            given = replace(calibration.arm(recording.side), sigma_factors=factors)
-        elif calibration.arms:
+        recording, own = with_camera_poses(recording, poses), calibration
+        if calibration.arms and len(recordings) > 1 and not {recording.side, "any"} & set(calibration.arms):
             note = f"{calibration_file} has no {recording.side} arm: this one is found from the motion."
-            recording = replace(recording, notes=(*recording.notes, note))
+            recording, own = replace(recording, notes=(*recording.notes, note)), replace(calibration, arms={})
+        given = known_arm(own, recording.side)  # none of sensors, clocks, frames alone
         arms.append((recording, given))
     return arms
