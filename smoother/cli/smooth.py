@@ -11,7 +11,6 @@ import typer
 
 from ..errors import UnoccludeError
 from ..evaluation.methods import GRAPH, METHODS, make_methods
-from ..table import tabulated
 from . import options as o
 from .load import PersonConfigInput, TrialInput, filter_of
 from .output import Out, end_strictly, is_imported, progress_bar, say, say_more, show
@@ -118,11 +117,11 @@ def print_recovery(recording: Recording, recovery: Recovery, verbose: bool = Fal
     """
     from calib.motion import found_in
 
-    from ..evaluation.summary import cameras, gap_summaries
+    from ..evaluation.summary import cameras, gap_summaries, gap_table
     from ..io.mcap.messages import damage
     from ..result.untrusted import untrusted_sentences
 
-    gaps = list(enumerate(gap_summaries(recovery), start=1))
+    gaps = gap_summaries(recovery)
     duration_s = float(recovery.t_s[-1] - recovery.t_s[0]) if len(recovery) else 0.0
     estimates = recovery.estimates
     if estimates.verdict:
@@ -138,22 +137,10 @@ def print_recovery(recording: Recording, recovery: Recovery, verbose: bool = Fal
     show(cameras(recovery))
     most = MOST_ROWS if verbose else FEW_GAPS
     # of many the doubtful and the least certain; in the order of time
-    shown = sorted(gaps, key=lambda gap: (gap[1].trusted is not False, -(gap[1].error_95_m or math.inf)))
-    rows = [
-        {
-            "gap": number,
-            "start_s": gap.start_s,
-            "length_s": gap.length_s,
-            "trusted": gap.trusted,
-            "position_m": gap.error_95_m,
-            "elbow_deg": gap.sigma_max_flexion_deg and SIGMAS_95 * gap.sigma_max_flexion_deg,
-            "seen_from": "one side" if gap.one_sided else "both sides",
-        }
-        for number, gap in sorted(shown[:most], key=lambda gap: gap[0])
-    ]
-    which = "Gaps" if len(rows) == len(gaps) else f"The {len(rows)} least certain of {len(gaps)} gaps"
-    keys = "gap start_s length_s trusted position_m elbow_deg seen_from"
-    show(tabulated(f"{which}: errors that 95 of 100 stay below", rows, keys))
+    shown = sorted(gaps, key=lambda gap: (gap.trusted is not False, -(gap.error_95_m or math.inf)))
+    few_gaps = sorted(shown[:most], key=lambda gap: gap.number)
+    which = "Gaps" if len(gaps) <= most else f"The {most} least certain of {len(gaps)} gaps"
+    show(gap_table(f"{which}: errors that 95 of 100 stay below", few_gaps))
     found = found_in(recovery, recording)
     if verbose:
         from calib.protocol import tables_of
@@ -185,8 +172,6 @@ def print_recovery(recording: Recording, recovery: Recovery, verbose: bool = Fal
 MOST_ROWS, FEW_GAPS = 25, 4
 #: And this many remarks, the gravest first.
 MOST_REMARKS, FEW_REMARKS = 25, 5
-#: A normal error is smaller than this many sigmas in 95 of 100 cases.
-SIGMAS_95 = 1.96
 
 
 def drawn_motions(draws: int | None, seed: int | None, method: str) -> int:

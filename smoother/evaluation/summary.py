@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -41,6 +41,7 @@ class GapSummary(Gap):
     answered: float = 0.0  # Part of the samples in it that have an answer, 0 to 1
     trusted: bool | None = None  # Whether its answer is to be trusted; None where not judged
     reasons: tuple[str, ...] = ()  # Why it is not
+    number: int = 0  # Of the recovery's gaps, from 1
 
     @property
     def one_sided(self) -> bool:
@@ -76,9 +77,33 @@ def gap_summaries(recovery: Recovery) -> list[GapSummary]:
                 answered=float(inside.answered.mean()) if len(inside) else 0.0,
                 trusted=judged[number].trusted if judged else None,
                 reasons=judged[number].reasons if judged else (),
+                number=number + 1,
             )
         )
     return summaries
+
+
+#: A gap in which 95 of 100 errors need not lie below this needs care, m.
+WIDE_M = 0.10
+
+
+def gap_table(title: str, gaps: Sequence[GapSummary], true: Mapping[float, float | None] = {}) -> Table:
+    """Gaps, one per row, with what 95 of 100 errors stay below; `true` has those of a reference by start."""
+    rows = []
+    for gap in gaps:
+        row = vars(gap) | {"seen_from": "one side only" if gap.one_sided else "both sides"}
+        row |= {"true_m": true.get(gap.start_s), "remark": ""}
+        row["elbow_deg"] = gap.sigma_max_flexion_deg and 1.96 * gap.sigma_max_flexion_deg
+        if gap.trusted is False:  # what is stated is withdrawn
+            row |= dict.fromkeys(("error_95_m", "orientation_95_deg", "elbow_deg"))
+            row |= {"trusted": "not to be trusted", "remark": "; ".join(gap.reasons)}
+        elif gap.one_sided or gap.is_wider_than(WIDE_M):
+            row["remark"] = "take with care"
+        rows.append(row | {"length_s": gap.length_s})
+    against = "true_m=against_the_reference_m " if any(row["true_m"] for row in rows) else ""
+    keys = f"number=gap start_s length_s trusted error_95_m=position_m {against}"
+    keys += "orientation_95_deg=orientation_deg elbow_deg seen_from answered=answered_share remark"
+    return tabulated(title, rows, keys)
 
 
 def recovery_figures(recovery: Recovery) -> dict[str, object]:

@@ -11,11 +11,12 @@ from dataclasses import replace
 import numpy as np
 
 from calib.motion import found_in
+from calib.protocol import tables_of
 
 from ..angles import joint_angles
 from ..evaluation.advice import advice
 from ..evaluation.measure_agreement import agreement_table, pair_table
-from ..evaluation.summary import cameras
+from ..evaluation.summary import cameras, gap_summaries, gap_table
 from ..evaluation.validate import Validation
 from ..recording import CameraFrame, Recording, Truth
 from ..result import Recovery, arm_tags
@@ -155,7 +156,9 @@ class _ArmReport:
         is_trusted = recovery.estimates.trusted is not False
         if len(recovery) and is_trusted:
             yield PageSection("For the next recording", sentences=advice(recovery, estimates))
-        yield rendered(tables.gaps(recovery, self.validation), nothing="There is no gap.")
+        errors = () if self.validation is None else self.validation.gaps
+        true = {gap.start_s: figures.position_p95_m for gap, figures in errors}
+        yield rendered(gap_table("Gaps", gap_summaries(recovery), true), nothing="There is no gap.")
         if self.validation is not None:
             yield from self._against_reference(self.validation)
         if len(recovery):
@@ -164,9 +167,8 @@ class _ArmReport:
             yield rendered(tables.consistent(recovery, self.truth))
         if len(recovery) and recovery.residuals is not None:
             yield rendered(tables.rejections(recovery), nothing="Nothing: all tracked samples were used.")
-        yield rendered(tables.calibration(recovery), nothing="None was given or needed.")
         if estimates is not None:
-            yield rendered(tables.camera(estimates))
+            yield from map(rendered, tables_of(estimates.figures))
             yield PageSection("What the recording did not determine", sentences=estimates.not_determined)
         yield rendered(cameras(recovery))
         yield rendered(tables.overview(recovery))

@@ -8,7 +8,7 @@ from functools import partial
 import numpy as np
 
 from ..evaluation.metrics import Figures
-from ..evaluation.summary import GapSummary, camera_consistency, certainty_figures, gap_summaries
+from ..evaluation.summary import WIDE_M, GapSummary, camera_consistency, certainty_figures, gap_summaries
 from ..evaluation.validate import Validation
 from ..evaluation.words import listed, said
 from ..linalg import median_rate_hz
@@ -18,8 +18,6 @@ from ..result import Recovery
 from ..result.untrusted import MOST_NAMED, partly_untrusted, untrusted_sentences
 from .sheet import ALARM, CARE, GOOD
 
-#: A gap in which 95 of 100 errors need not lie below this needs care, m.
-WIDE_M = 0.10
 #: Time outside the gaps without any result that is reported, s.
 UNANSWERED_S = 1.0
 #: Below this share of camera samples inside their 95 % region the stated uncertainty is doubted.

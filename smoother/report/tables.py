@@ -8,29 +8,22 @@ from typing import Any
 
 import numpy as np
 
-from calib.motion import ArmEstimates
-
-from ..error_radius import error_radius
 from ..evaluation.advice import rejected
 from ..evaluation.summary import (
     camera_consistency,
     certainty_figures,
     consistency,
-    gap_summaries,
     recovery_figures,
 )
-from ..evaluation.validate import Validation, sample_errors
+from ..evaluation.validate import sample_errors
 from ..recording import Truth
 from ..result import Estimates, Recovery
 from ..result.untrusted import certain
-from ..table import Table, centimetres, fixed, percent, tabulated
-from .sheet import NOT_TRUSTED, badge
-from .summary import WIDE_M
+from ..table import Table, centimetres, percent, tabulated
 
 #: Figures of a recovery that another section of the page shows.
 _ELSEWHERE = (
-    *("camera_sigma_m", "camera_effective_sigma_m", "joint_bias_m", "joint_bias_sigma_m"),
-    *("accelerometer_bias", "gyroscope_bias", "given", "max_sigma_m"),
+    *("camera_sigma_m", "joint_bias_sigma_m", "given", "max_sigma_m"),
     *("untrusted", "self_check", "pairing", "cameras"),
 )
 WITHDRAWN = "withdrawn: the result is not to be trusted"
@@ -126,56 +119,3 @@ def consistent(recovery: Recovery, truth: Truth | None) -> Table:
     columns |= {"stated sigma, cm per axis": "stated_m", "actual rms, cm per axis": "actual_m"}
     known = [{"of": name, **found} for name, found in parts.items() if found["samples"]]
     return tabulated("Whether sigma is consistent with the errors", known, columns)
-
-
-def camera(estimates: ArmEstimates) -> Table:
-    """Noise and constant errors of the camera's joints."""
-    return tabulated(
-        "Errors of the camera's joints",
-        estimates.camera.items(),
-        {
-            "camera's joint": lambda row: row[0],
-            "noise of a sample, cm per axis": lambda row: centimetres(row[1].sample_m),
-            "constant error against the others, cm": lambda row: centimetres(row[1].bias_m or None),
-        },
-    )
-
-
-def gaps(recovery: Recovery, validation: Validation | None = None) -> Table:
-    """The gaps, one per row; with the errors in them where there is a reference."""
-    errors = () if validation is None else validation.gaps
-    true = {gap.start_s: centimetres(figures.position_p95_m) for gap, figures in errors}
-    rows = []
-    for number, gap in enumerate(gap_summaries(recovery), start=1):
-        row = {"gap": number, "start, s": f"{gap.start_s:.2f}", "length, s": f"{gap.length_s:.2f}"}
-        told, flexion = gap.trusted is not False, gap.sigma_max_flexion_deg  # else they are withdrawn
-        row["position within, cm"] = centimetres(gap.error_95_m) if told else None
-        if any(true.values()):
-            row["against the reference, cm"] = true.get(gap.start_s)
-        row["orientation within, degrees"] = fixed(gap.orientation_95_deg, 1) if told else None
-        row["elbow flexion ±, degrees"] = fixed(flexion and 1.96 * flexion, 1) if told else None
-        row["camera saw the arm on"] = "one side only" if gap.one_sided else "both sides"
-        row["answered"] = percent(gap.answered)
-        row[""] = "take with care" if gap.one_sided or gap.is_wider_than(WIDE_M) else ""
-        if gap.trusted is False:
-            row[""] = badge(NOT_TRUSTED) + " " + "; ".join(gap.reasons)
-        rows.append(row)
-    return Table("Gaps", list(rows[0]) if rows else (), [list(row.values()) for row in rows])
-
-
-def calibration(recovery: Recovery) -> Table:
-    """Sensor mounting on the arm, the arm's measures, and the sensor's biases."""
-    arm, estimates = recovery.calibration, recovery.estimates
-    rows: list[tuple[object, ...]] = []
-    for joint, lever in () if arm is None else arm.lever_arms.items():
-        place = ", ".join(f"{100 * each:.1f}" for each in lever.position_m)
-        radius = 100 * float(error_radius(np.diag(np.asarray(lever.sigma_m) ** 2)))
-        rows.append((f"{joint}, in the sensor's axes", place, f"{radius:.1f}", "cm"))
-    if arm is not None and (length := arm.upper_arm) is not None:
-        rows.append(("shoulder to elbow", f"{100 * length.value_m:.1f}", f"{196 * length.sigma_m:.1f}", "cm"))
-    for name, unit in (("accelerometer_bias", "m/s²"), ("gyroscope_bias", "rad/s")):
-        value = None if arm is None else getattr(estimates, name) or getattr(arm, name)
-        if value is not None:
-            rows.append((name.replace("_", " "), ", ".join(f"{item:.4f}" for item in value), None, unit))
-    columns = ("what", "value (x, y, z)", "within (95 of 100 cases)", "unit")
-    return Table("Sensor mounting on the arm", columns, rows)

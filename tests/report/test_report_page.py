@@ -98,7 +98,7 @@ def test_whole_page(tmp_path):
         "Camera residuals",
         "Whether sigma is consistent with the errors",
         "Rejected camera samples",
-        "Sensor mounting on the arm",
+        *("Values", "Lever arms", "Lengths", "Clock offsets", "Frames"),
         "What the recording did not determine",
         "Figures",
         "Notes",
