@@ -8,14 +8,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 from ..errors import UnoccludeError
-from ..table import Table, percent
 from . import options as o
 from .load import ResultInput
 from .output import Out, print_notes, progress_bar, say, show, write_csv
 
 if TYPE_CHECKING:
     from ..evaluation.progress import PersonProgress
-    from ..measures import BothArms, Measure, Measures
+    from ..measures import BothArms, Measures
 
 
 def csv_rows(rows: Sequence[Measures], pairs: Sequence[BothArms]) -> Iterator[Sequence[object]]:
@@ -28,18 +27,6 @@ def csv_rows(rows: Sequence[Measures], pairs: Sequence[BothArms]) -> Iterator[Se
     sources += [(both.left.name, "both", both.left.body, both.rows) for both in pairs]
     for name, side, body, own in sources:
         yield from ([name, side, body, *(getattr(row, each) for each in names)] for row in own)
-
-
-def _table(title: str, first: str, rows: Sequence[Measure]) -> Table:
-    """Measures that are known, with their intervals, as pages write them."""
-    from ..evaluation.words import measure_words
-
-    def recovered(row: Measure) -> str:
-        share = percent(row.recovered_share) or "-"
-        return f"{share} ({percent(row.untrusted_share)} not trusted)" if row.note else share
-
-    cells = [(row.name, measure_words(row), recovered(row)) for row in rows if row.is_known]
-    return Table(title, (first, "value (95 % interval)", "recovered"), cells)
 
 
 def measures(
@@ -59,6 +46,7 @@ def measures(
 
     Example: unocclude measures out.mcap --csv measures.csv --json measures.json
     """
+    from ..evaluation.words import measure_table
     from ..io.mcap.messages import damage
     from ..measures import MeasureSettings
     from ..measures.symmetry import measure_arms
@@ -83,7 +71,7 @@ def measures(
     for both in pairs:
         of = "" if both.left.body is None else f" of body {both.left.body}"
         title = f"Right arm{of} against left: 0 = alike, above it the right has more"
-        show(_table(title, "symmetry", both.rows))
+        show(measure_table(title, "symmetry", both.rows))
     out.end(csv, report)
 
 
@@ -92,22 +80,18 @@ def print_arm(one: Measures, damaged: list[str]) -> None:
 
     Zones of angles are left to `--csv` and `--json`.
     """
+    from ..evaluation.words import measure_table
+
     if one.trusted is False:
         say(f"{one.verdict} The measures below are those of an answer that is not to be trusted.")
     shown = [row for row in one.session if "_zone_" not in row.key]
-    show(_table(f"{one.name}, {one.arm_label}: the session", "measure", shown))
+    show(measure_table(f"{one.name}, {one.arm_label}: the session", "measure", shown))
     unknown = [row for row in one.session if not row.is_known and row.note]
     for reason in dict.fromkeys(row.note for row in unknown):
         names = dict.fromkeys(row.name.partition(",")[0] for row in unknown if row.note == reason)
         say(f"not measured: {', '.join(names)}. {reason}")
     say(f"{len(one.movements)} movements, {len(one.repetitions)} repetitions: --csv, --json and the report")
     print_notes([*damaged, *one.notes])
-
-
-NO_DIAGNOSIS = (
-    "This is not a diagnosis: a clear change is one that the measurement error does not explain; a person"
-    " also varies from day to day."
-)
 
 
 _sessions = (
@@ -139,7 +123,13 @@ def progress(
     Example: unocclude progress recovered --person p12 --report p12.html
     """
     from ..evaluation.measure_agreement import read_detectable
-    from ..evaluation.progress import CSV_COLUMNS, FEWEST_PERSONS, reliability_of, reliability_table
+    from ..evaluation.progress import (
+        CSV_COLUMNS,
+        FEWEST_PERSONS,
+        SESSIONS_VARY,
+        reliability_of,
+        reliability_table,
+    )
     from ..report.progress import progress_page
     from ..study.progress import progress_of, read_rows, sessions_of
 
@@ -178,7 +168,7 @@ def progress(
     if reliability:
         show(reliability_table(repeated))
     print_notes(left_out)
-    say(NO_DIAGNOSIS)
+    say(f"This is not a diagnosis. {SESSIONS_VARY}.")
     out.end(report, csv)
 
 
@@ -188,19 +178,6 @@ def print_person(progress: PersonProgress) -> None:
     if len(progress.sessions) > 1:
         first, *_, last = progress.sessions
         show(progress.table(f"Last session ({last}) against the first ({first})"))
-        say(_counted(progress))
-    elif progress.sessions:
-        say("One session only: nothing can be compared.")
+    for sentence in progress.sentences():
+        say(f"{sentence}.")
     print_notes([*progress.notes, *progress.limits, *progress.left_out])
-
-
-def _counted(progress: PersonProgress) -> str:
-    compared, clear = len(progress.compared), len(progress.clear)
-    text = f"{clear} of {compared} measures changed clearly"
-    if compared >= 5:
-        together = sum(each.change.p_together < 0.05 for each in progress.clear if each.change is not None)
-        text += (
-            f"; about {0.05 * compared:.1f} would be called so by chance without any change, and"
-            f" {together} of them remain clear after correction for their number (Holm)"
-        )
-    return f"{text}."

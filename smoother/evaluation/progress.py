@@ -203,6 +203,13 @@ class Series:
         return about | {"sessions": [asdict(value) for value in self.values], "changes": changes}
 
 
+SESSIONS_VARY = (
+    "A clear change is one that errors of the measurement do not explain. A person also varies from day"
+    " to day, with effort, pain and how the task was given: two sessions alone do not show a trend"
+)
+NO_SESSION = "No session can be used; the reasons are below"
+
+
 @dataclass(frozen=True)
 class PersonProgress:
     """All measures of a person over the sessions."""
@@ -253,6 +260,33 @@ class PersonProgress:
             f"{sentence} ({', '.join(names) if len(names) <= 2 else f'{len(names)} measures'})"
             for sentence, names in sorted(about.items(), key=lambda item: -len(item[1]))
         ]
+
+    def sentences(self) -> Iterator[str]:
+        """What changed, and how much of that chance explains."""
+        words = [change.word for _, change in self.changed]
+        if not words:
+            yield "There is one session only: nothing can be compared" if self.sessions else NO_SESSION
+            return
+        clear, compared = len(self.clear), len(self.compared)
+        unclear, unknown = (words.count(word) or "none" for word in (UNCLEAR, UNKNOWN))
+        yield (
+            f"From session {self.sessions[0]} to session {self.sessions[-1]} {clear or 'none'} of"
+            f" {len(words)} measures changed clearly; {unclear} did not, {unknown} cannot be assessed"
+        )
+        for word in (MORE, LESS):
+            names = [self.label(each) for each, change in self.changed if change.word == word]
+            if names:
+                more = f" and {len(names) - 4} more" if len(names) > 4 else ""
+                yield f"{word.capitalize()}: {'; '.join(names[:4])}{more}"
+        if compared >= 5 and clear:
+            stand = [
+                self.label(each) for each in self.clear if each.change and each.change.p_together < LEVEL
+            ]
+            remain = f"{'; '.join(stand[:3])}{' and others' if len(stand) > 3 else ''}" or "nothing"
+            yield (
+                f"Of {compared} measures about {LEVEL * compared:.1f} would be called clear by chance alone;"
+                f" clear after correction for that (Holm): {remain}"
+            )
 
     def table(self, title: str, most: int | None = None) -> Table:
         """The last session against the first, what changed clearly in front."""

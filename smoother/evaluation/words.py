@@ -10,6 +10,8 @@ from functools import cache
 from importlib import resources
 from typing import TYPE_CHECKING, Any
 
+from ..table import Table, percent
+
 if TYPE_CHECKING:
     from ..measures import Measure
 
@@ -109,6 +111,17 @@ def measure_words(row: Measure | None) -> str:
         return f"{value} ({between})" if between else value
     value, low, high = (number(each, row.unit, is_signed(row.key)) for each in (row.value, row.low, row.high))
     return f"{value} ({low} to {high})\u00a0{shown_unit(row.unit)}".rstrip()
+
+
+def measure_table(title: str, first: str, rows: Iterable[Measure]) -> Table:
+    """Measures that are known, with their intervals and how much of each was recovered."""
+
+    def recovered(row: Measure) -> str:
+        share = percent(row.recovered_share) or "-"
+        return f"{share} ({percent(row.untrusted_share)} not trusted)" if row.note else share
+
+    cells = [(row.name, measure_words(row), recovered(row)) for row in rows if row.is_known]
+    return Table(title, (first, "value (95 % interval)", "recovered"), cells)
 
 
 def limits_words(row: Mapping[str, Any]) -> str:

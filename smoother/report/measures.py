@@ -8,9 +8,9 @@ from collections.abc import Iterator, Sequence
 import plotly.graph_objects as go
 
 from ..evaluation.progress import MOSTLY_RECOVERED
-from ..evaluation.words import first_of, interval, is_main, measure_words
+from ..evaluation.words import first_of, interval, is_main, measure_table, measure_words
 from ..measures import BothArms, Measure, Measures
-from ..table import Table, percent
+from ..table import Table
 from .sheet import (
     NO_DIAGNOSIS,
     Html,
@@ -81,12 +81,20 @@ def _verdict(arms: Sequence[Measures]) -> Iterator[str]:
 
 def _sections(arms: Sequence[Measures], pairs: Sequence[BothArms]) -> Iterator[PageSection]:
     trusted = all(arm.trusted is not False for arm in arms)
-    symmetry = pairs[0].by_key if len(arms) == 2 and len(pairs) == 1 and trusted else {}
+    symmetry = pairs[0].rows if len(arms) == 2 and len(pairs) == 1 and trusted else ()
     yield _ranges(arms)
     yield _reach(arms)
     for key, heading in BY_MOVEMENT.items():
         yield _by_movement(arms, key, heading)
-    yield _table(arms, symmetry)
+    known = [row.key for arm in arms for row in arm.session if row.is_known and row.key not in REACHED]
+    for arm in arms:
+        main = filter(None, map(arm.by_key.get, first_of(list(dict.fromkeys(known)), MOST_ROWS)))
+        table = measure_table(f"The main measures{_of(arm, arms)}", "measure", main)
+        yield rendered(table, caption("The main measures"))
+    alike = measure_table(
+        "Right against left, in percent", "0 = alike, above it the right has more", symmetry
+    )
+    yield rendered(alike)
     yield limits((sentence for arm in arms for sentence in _limits(arm, _of(arm, arms))), MOST_LIMITS)
     keys = [row.key for arm in arms for row in arm.session if row.is_known and is_main(row.key)]
     words = ["interval", "recovered", *(["symmetry"] if symmetry else [])]
@@ -158,24 +166,6 @@ def _by_movement(arms: Sequence[Measures], key: str, heading: str) -> PageSectio
         panels.append((title, dress(figure, 170, head=8, showlegend=False)))
     more = f" The first {MOST_MOVEMENTS} of {most} movements are drawn." if most > MOST_MOVEMENTS else ""
     return PageSection(heading, caption(heading, more=more), panels=panels)
-
-
-def _table(arms: Sequence[Measures], symmetry: dict[str, Measure]) -> PageSection:
-    """The main measures; of two arms also by how much one has more."""
-    known = [row.key for arm in arms for row in arm.session if row.is_known and row.key not in REACHED]
-    rows = []
-    for key in first_of(list(dict.fromkeys(known)), MOST_ROWS):
-        of_arms = [arm.by_key.get(key) for arm in arms]
-        shares = (percent(row.recovered_share) if row else None for row in of_arms)
-        cells: list[object] = [next(row.name for row in of_arms if row is not None)]
-        cells += [*map(measure_words, of_arms), "\u00a0/\u00a0".join(each or "–" for each in shares)]
-        index = symmetry.get(f"{key}_symmetry_percent")
-        rows.append([*cells, measure_words(index) if index and index.is_known else None])
-    columns = ["measure", *(f"95 % interval{_of(arm, arms)}" for arm in arms), "recovered"]
-    columns, rows = (
-        ([*columns, "right against left"], rows) if symmetry else (columns, [r[:-1] for r in rows])
-    )
-    return rendered(Table("The main measures", columns, rows))
 
 
 def _limits(arm: Measures, mark: str) -> Iterator[str]:

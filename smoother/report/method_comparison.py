@@ -14,7 +14,6 @@ from ..evaluation.compare import Comparison
 from ..evaluation.gaps import GapTable
 from ..measurements.visibility import Gap
 from ..recording import Recording
-from ..table import tabulated
 from .sheet import Page, PageSection, capitalised, caption, label, notes, rendered
 from .style import CAMERA, TRUTH, axis_names, curve, dots, dress, interval_bars, over_time
 
@@ -142,20 +141,13 @@ def gap_curves_page(table: GapTable, name: str, remarks: Sequence[str] = ()) -> 
     reference = (
         "the truth" if against == "truth" else f"what the camera saw of the {against}, its noise included"
     )
-    rows = [
-        {"length_s": length, "method": name, **spread, "failed": spread["failed"] or None}
-        for length, methods in spreads.items()
-        for name, spread in sorted(methods.items(), key=lambda each: each[1]["median_m"] or np.inf)
-    ]
-    columns = {"gap, s": "length_s", "method": "method", "median of gaps, cm": "median_m", "25 %": "low_m"}
-    columns |= {"75 %": "high_m", "rms over gaps": "rms_m", "worst gap": "worst_m", "gaps": "gaps"}
     return Page(
         f"Error against gap length: {name}",
         f"{gaps} gaps were made where the camera saw the arm, and recovered; compared with {reference}.",
         gap_verdict(spreads),
         [
             PageSection("Error against gap length", plot=curves(spreads)),
-            rendered(tabulated("The figures", rows, columns | {"failed": "failed"})),
+            rendered(table.table()),
             notes(dict.fromkeys((*remarks, *table.notes))),
         ],
     )

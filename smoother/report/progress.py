@@ -7,7 +7,7 @@ from collections.abc import Iterator
 
 import plotly.graph_objects as go
 
-from ..evaluation.progress import LESS, MORE, UNCLEAR, UNKNOWN, PersonProgress, Series, SessionValue
+from ..evaluation.progress import SESSIONS_VARY, PersonProgress, Series, SessionValue
 from ..evaluation.words import first_of, interval, quantity, scaled, shown_unit
 from .sheet import NO_DIAGNOSIS, Html, Page, PageSection, badge, caption, explained, label, limits, rendered
 from .style import BAND, dress, values_with_intervals
@@ -29,46 +29,8 @@ def progress_page(progress: PersonProgress) -> Page:
     return Page(
         f"Progress of {progress.person}",
         f"{arms}{count} session{'s' if count != 1 else ''}: {named}",
-        _verdict(progress),
+        [*progress.sentences(), NO_DIAGNOSIS, SESSIONS_VARY],
         _sections(progress),
-    )
-
-
-def _verdict(progress: PersonProgress) -> Iterator[str]:
-    words = [change.word for _, change in progress.changed]
-    if not progress.sessions:
-        yield "No session can be used; the reasons are below"
-    elif not words:
-        yield "There is one session only, so nothing can be compared"
-    else:
-        first, last = (_short(progress.sessions[place]) for place in (0, -1))
-        clear, unclear, unknown = len(progress.clear), words.count(UNCLEAR), words.count(UNKNOWN)
-        yield (
-            f"From session {first} to session {last}: {clear or 'none'} of {len(words)} measures changed"
-            f" clearly, {unclear or 'none'} show{'s' if unclear == 1 else ''} no clear change"
-            + (f", {unknown} could not be assessed" if unknown else "")
-        )
-        for word in (MORE, LESS):
-            names = [progress.label(each) for each, change in progress.changed if change.word == word]
-            if names:
-                others = len(names) - 4
-                more = f" and {others} other{'s' if others > 1 else ''}" if others > 0 else ""
-                yield f"{word.capitalize()}: {'; '.join(names[:4])}{more}"
-        if (compared := len(progress.compared)) >= 10 and clear:
-            stand = [
-                progress.label(each)
-                for each, change in progress.changed
-                if change.word in (MORE, LESS) and change.p_together < 0.05
-            ]
-            remain = f"{'; '.join(stand[:3]) or 'none of them'}{' and others' if len(stand) > 3 else ''}"
-            yield (
-                f"Of {compared} measures about {0.05 * compared:.0f} would be called clear by chance alone;"
-                f" after correction for that, {remain} {'remain' if len(stand) > 1 else 'remains'} clear"
-            )
-    yield NO_DIAGNOSIS
-    yield (
-        "A clear change is one that errors of the measurement do not explain. A person also varies from day"
-        " to day, with effort, pain and how the task was given: two sessions alone do not show a trend"
     )
 
 

@@ -108,7 +108,7 @@ def test_words_of_progress_need_an_interval(tmp_path: Path):
     assert words[0] == "clearly more" and words.count("no clear change") > 5
     text = (tmp_path / "a.html").read_text(encoding="utf-8")
     assert "not a diagnosis" in text and "day 14" in text
-    assert "by chance alone; after correction for that, elbow flexion, range remains clear" in text
+    assert "by chance alone; clear after correction for that (Holm): elbow flexion, range" in text
     progress_page(person(draws=False)).write(tmp_path / "b.html")
     assert set(words_of(tmp_path / "b.html")) == {"cannot be assessed"}
     assert "without drawn motions" in (tmp_path / "b.html").read_text(encoding="utf-8")
