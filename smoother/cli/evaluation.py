@@ -45,9 +45,7 @@ if TYPE_CHECKING:
 
     from ..evaluation.compare import Comparison
     from ..evaluation.gaps import GapTable
-    from ..evaluation.reference import ReferenceAlignment
     from ..evaluation.validate import Validation
-    from ..recording import Recording, Truth
     from ..result import Recovery
     from ..runtime.pool import Progress
     from .load import Arm
@@ -174,7 +172,11 @@ def compare(
 
     Example: unocclude compare session.mcap --truth trial.c3d --markers map.toml --report c.html
     """
+    from calib.file import read_calibration
+
     from ..evaluation.compare import compare
+    from ..evaluation.reference import ReferenceAlignment, read_reference
+    from ..io.tables.markers import MARKER_FORMATS
 
     names = [*o.listed(methods, METHODS, "method"), *(LIVE_METHODS if live else ())]
     chosen_filter = filter_of(names, orientation)
@@ -183,8 +185,13 @@ def compare(
     config = settings.read()
     arms = source.load(recording_file)
     recordings = [recording for recording, _ in arms]
+    frame = None
     if truth is not None:
         refuse_several(recordings, truth)
+        # of use where the truth is in a frame of its own
+        if (align or truth.suffix.lower() in MARKER_FORMATS) and source.calibration_file is not None:
+            held = read_calibration(source.calibration_file).tables
+            frame = source.calibration_file if "camera_from_mocap" in held else None
     elif any(recording.truth is None or not len(recording.truth) for recording in recordings):
         raise UnoccludeError(
             f"{recording_file} has no truth: name one with --truth, or hide visible stretches with"
@@ -197,7 +204,13 @@ def compare(
         first, second = (part_of(progress, half, 2) for half in (0, 1))
         running = make_methods([GRAPH, *names], given, config, chosen_filter, first, clock, latency)
         graph = running[GRAPH](blind)
-        own, alignment = truth_for(recording, graph, truth, markers, source.calibration_file, align)
+        own, alignment = recording.truth, ReferenceAlignment()
+        if truth is not None:
+            axes = recording.camera_frame
+            own, alignment = read_reference(
+                truth, graph, markers=markers, calibration=frame, camera_frame=axes, align=align
+            )
+        assert own is not None
         chosen = {name: running[name] for name in names}
         return graph, compare(blind, graph, own, chosen, alignment, second, config.windows.processes)
 
@@ -226,36 +239,6 @@ def compare(
 
     out.arms([recording for recording, _ in answers], figures, tell)
     out.end(report)
-
-
-def truth_for(
-    recording: Recording,
-    graph: Recovery,
-    truth_file: Path | None,
-    markers: Path | None,
-    calibration: Path | None,
-    align: bool,
-) -> tuple[Truth, ReferenceAlignment]:
-    """The truth for a comparison: the recording's own, or a file's, brought to it as `validate` does.
-
-    A calibration is used for the truth's frame where it contains [camera_from_mocap] and the truth needs one.
-    """
-    from calib.file import read_calibration
-
-    from ..evaluation.reference import ReferenceAlignment, read_reference
-    from ..io.tables.markers import MARKER_FORMATS
-
-    if truth_file is None:
-        assert recording.truth is not None
-        return recording.truth, ReferenceAlignment()
-    of_markers = truth_file.suffix.lower() in MARKER_FORMATS
-    frame = None
-    if calibration is not None and (of_markers or align):
-        frame = calibration if "camera_from_mocap" in read_calibration(calibration).tables else None
-    axes = recording.camera_frame
-    return read_reference(
-        truth_file, graph, markers=markers, calibration=frame, camera_frame=axes, align=align
-    )
 
 
 def gaps(

@@ -14,12 +14,13 @@ from typing import Any, TypeGuard
 import numpy as np
 from pydantic import TypeAdapter
 
+from calib.file import toml_document
+
 from ..errors import UnoccludeError
 from ..measures import Movement, Scope
 from ..measures.definitions import definitions, is_measure
 from ..recording import Truth
 from ..result import Recovery
-from ..runtime.inputs import read_toml
 from ..runtime.pool import Progress
 from ..table import Table, tabulated
 from .statistics import pair_agreement
@@ -301,12 +302,7 @@ def read_detectable(path: Path) -> dict[str, float]:
 
 def read_mdc_toml(path: Path) -> dict[str, float]:
     """Minimal detectable changes that a user states."""
-    try:
-        table = read_toml(path).get("mdc95")
-    except OSError as error:
-        raise UnoccludeError(f"{path}: {error.strerror or error}") from error
-    except ValueError as error:
-        raise UnoccludeError(f"{path} is not TOML: {error}") from error
+    table = toml_document(path, str(path)).get("mdc95")
     if not isinstance(table, dict) or not table:
         raise UnoccludeError(
             f"{path} has no table [mdc95]; write one with a line per measure: elbow_flexion_range_deg = 5.0"

@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from smoother.errors import CalibrationError, RecordingError
+from smoother.errors import CalibrationError, RecordingError, UnoccludeError
 from smoother.evaluation.mocap.frame import stated_frame
 from smoother.evaluation.mocap.markers import (
     fill_on_plate,
@@ -235,7 +235,7 @@ class TestMap:
     )
     def test_refused(self, tmp_path, text, said):
         (tmp_path / "m.toml").write_text(text)
-        with pytest.raises(RecordingError, match=said):
+        with pytest.raises(UnoccludeError, match=said):
             read_marker_map(tmp_path / "m.toml")
 
     def test_prefixes(self):

@@ -34,10 +34,11 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from calib.file import toml_document
+
 from ...array_types import BoolArray, FloatArray, IntArray
 from ...errors import RecordingError
 from ...linalg import nearest_rotation, runs
-from ...runtime.inputs import check_input, read_toml
 from ..metrics import STAMP_S
 
 #: Joints that a map may name.
@@ -64,13 +65,7 @@ class MarkerMap:
 def read_marker_map(path: Path | str) -> MarkerMap:
     """Read a map of markers."""
     path = Path(path)
-    check_input(path, RecordingError)
-    try:
-        document = read_toml(path)
-    except OSError as error:
-        raise RecordingError(f"{path} cannot be read: {error.strerror or error}") from error
-    except ValueError as error:  # also a number of thousands of digits
-        raise RecordingError(f"{path} is not TOML: {error}") from error
+    document = toml_document(path, str(path))
     _known(document, ("markers", PLATE, "plate"), path, "the file")
     named = document.get("markers")
     if not isinstance(named, dict) or not named:
