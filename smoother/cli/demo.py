@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 from typing import Annotated
 
 from ..runtime.packages import extra_module
 from . import options as o
-from .output import check_outputs, progress_bar, say, say_command, write_json
+from .load import PersonConfigInput, ResultInput, TrialInput
+from .output import Out, check_outputs, say, say_command, write_json
 
 #: Used where `data/` has no recording.
 SEED = 1
@@ -24,48 +26,30 @@ def demo(
 
     Example: unocclude demo
     """
-    from .. import smooth
     from ..error_radius import in_cm, within_words
-    from ..evaluation.validate import validate
-    from ..io import read_recording, write_recovery
-    from ..report import write_report
-    from ..result.draws import USUAL_DRAWS
-    from .config import read_config
-    from .smooth import print_recovery, smooth_figures
+    from .evaluation import validate
+    from .smooth import smooth
 
     folder.mkdir(parents=True, exist_ok=True)
     check_outputs(True, [json_file])
-    source = _recording(folder)
-    recording = read_recording(source)
+    source, result = _recording(folder), folder / "demo_recovered.mcap"
+    report, smooth_json, validate_json = (
+        folder / f"demo_{name}" for name in ("report.html", "smooth.json", "validate.json")
+    )
     say(f"recording: {source}")
-    config = read_config(None, processes)
-    with progress_bar("recovering") as progress:
-        recovery = smooth(recording, None, config, progress, draws=USUAL_DRAWS)
-    result, report = folder / "demo_recovered.mcap", folder / "demo_report.html"
-    write_recovery([recovery], result, source=source, force=True)
-    truth = recording.truth
-    validation = None
-    if truth is not None:
-        with progress_bar("measuring") as progress:
-            validation = validate(recovery, truth, processes=processes or 0, progress=progress)
-    write_report(recovery, report, recording=recording, validation=validation, truth=truth, force=True)
-    figures = {
-        "recovery": smooth_figures(recording, recovery),
-        "validation": validation and validation.to_dict(),
-        "report": report.name,
-    }
-    write_json(json_file, figures, True)
-    print_recovery(recording, recovery)
-    if validation is not None and validation.occluded.position_p95_m is not None:
-        within, most_m = within_words(validation.occluded.position_p95_m), validation.occluded.position_max_m
-        say(f"In the gaps the answer is {within} of the truth, {in_cm(most_m or 0.0)} at most.")
-    say("Joints, joint angles and the calibration are in the report.")
-    by_hand = folder / "by_hand.mcap"
+    smooth(source, result, TrialInput(), PersonConfigInput(processes=processes), Out(smooth_json, True))
+    out = Out(validate_json, True)
+    validate(result, ResultInput(), out, source, report=report, processes=processes)
+    recovery, validation = (
+        json.loads(path.read_text(encoding="utf-8")) for path in (smooth_json, validate_json)
+    )
+    write_json(json_file, {"recovery": recovery, "validation": validation, "report": report.name}, True)
+    hidden = validation["occluded"]
+    within, most = within_words(hidden["position_p95_m"]), in_cm(hidden["position_max_m"])
+    say(f"In the gaps the answer is {within} of the truth, {most} at most.")
     say("Without any calibration, as a first recording of your own. The same by hand:")
-    say_command("smooth", source, "-o", by_hand, "--force")
-    if validation is not None:
-        say_command("validate", by_hand, "--truth", source)
-    say(f"result: {result}")
+    say_command("smooth", source, "-o", result, "--force")
+    say_command("validate", result, "--truth", source)
     say(f"report: {report.resolve()}")
 
 

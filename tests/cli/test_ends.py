@@ -152,9 +152,9 @@ def test_the_demo_knows_no_true_lever_arms(tmp_path: Path, monkeypatch: pytest.M
     """It recovers as a user's own first recording is recovered."""
     given: list[object] = []
 
-    def stop(recording: object, calibration: object, *_: object, **__: object) -> None:
-        given.append(calibration)
+    def stop(recordings: object, name: object, calibrations: object, *_: object) -> None:
+        given.append(calibrations)
         raise UnoccludeError("enough")
 
-    monkeypatch.setattr("smoother.smooth", stop)
-    assert run(["demo", "-o", str(tmp_path / "demo")]) == 1 and given == [None]
+    monkeypatch.setattr("smoother.cli.smooth.recover_arms", stop)
+    assert run(["demo", "-o", str(tmp_path / "demo")]) == 1 and given == [[None]]
