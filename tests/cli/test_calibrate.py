@@ -149,9 +149,8 @@ def test_refusals(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[st
         (("--motion", tmp_path / "none.mcap"), 1, "none.mcap does not exist"),
     ]
     for arguments, code, sentence in cases:
-        assert command(*arguments, *(() if "-o" in arguments else ("-o", tmp_path / "c.toml"))) == code
-        error = capsys.readouterr().err
-        assert sentence in error and error.count("\n") == 1, error
+        output = () if "-o" in arguments else ("-o", tmp_path / "c.toml")
+        assert sentence in refused(capsys, "calibrate", "clock", *arguments, *output, code=code)
     assert not (tmp_path / "c.toml").exists()
 
 
@@ -173,28 +172,24 @@ def sensor(seed: int = 0) -> SensorModel:
     return SensorModel.draw(seed, offset=0.5, scale=0.03, cross=0.01)
 
 
-def failed(capsys, arguments: list[object], sentence: str) -> None:
-    assert run([str(each) for each in arguments]) == 1
-    error = capsys.readouterr().err
-    assert error.count("\n") == 1 and "Traceback" not in error and sentence in error, error
-
-
 def test_refusals_name_file_and_sensor_and_write_nothing(tmp_path, capsys):
     out = tmp_path / "cal.toml"
     eight, _ = rest_poses(sensor(), 8)
     path = record(tmp_path / "eight.mcap", eight)
-    failed(capsys, ["calibrate", "imu", path, "-o", out], f"eight.mcap, {TOPIC}: the recording contains 8")
-    failed(capsys, ["calibrate", "magnetometer", path, "-o", out], "has no magnetometer")
+    assert f"eight.mcap, {TOPIC}: the recording contains 8" in refused(
+        capsys, "calibrate", "imu", path, "-o", out
+    )
+    assert "has no magnetometer" in refused(capsys, "calibrate", "magnetometer", path, "-o", out)
     plane = np.random.default_rng(0).normal(0.0, 0.3, (len(eight), 3))
     angle = np.linspace(0.0, 30.0, len(eight))
     plane += 48.0 * np.stack([np.cos(angle), np.sin(angle), 0 * angle], axis=1)
     flat = record(tmp_path / "flat.mcap", replace(eight, mag=plane))
-    failed(capsys, ["calibrate", "magnetometer", flat, "-o", out], "one axis only (its z axis)")
+    assert "one axis only (its z axis)" in refused(capsys, "calibrate", "magnetometer", flat, "-o", out)
     two = record(tmp_path / "two.mcap", eight, replace(eight, name="/imu/base"))
-    failed(capsys, ["calibrate", "imu", two, "-o", out], "has several IMUs")
+    assert "has several IMUs" in refused(capsys, "calibrate", "imu", two, "-o", out)
     assert not out.exists()
     out.write_text('format = "unocclude calibration"\nversion = 1\nimu = [1]\n')
-    failed(capsys, ["calibrate", "imu", path, "-o", out], "[imu.NAME]")
+    assert "[imu.NAME]" in refused(capsys, "calibrate", "imu", path, "-o", out)
 
 
 def test_corrections_are_applied_as_a_recording_is_loaded(tmp_path, capsys):

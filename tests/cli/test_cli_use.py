@@ -33,20 +33,10 @@ def good(tmp_path_factory) -> Path:
     return path
 
 
-def failed(capsys, arguments: list[object], code: int, sentence: str) -> None:
-    """Run a command that must fail, and check what it says."""
-    assert run([str(argument) for argument in arguments]) == code
-    captured = capsys.readouterr()
-    assert captured.err.startswith("unocclude: ")
-    assert captured.err.count("\n") == 1
-    assert "Traceback" not in captured.err
-    assert sentence in captured.err, captured.err
-
-
 def test_no_arguments_show_help(capsys):
     assert run([]) in (0, 2)
     assert "Commands:" in "".join(capsys.readouterr())
-    failed(capsys, ["frobnicate"], 2, "No such command")
+    assert "No such command" in refused(capsys, "frobnicate", code=2)
 
 
 @pytest.mark.parametrize("option", ["-o", "--report", "--json"])
@@ -59,7 +49,7 @@ def test_existing_output_is_refused_before_the_work(capsys, tmp_path, good, monk
     options = {"-o": tmp_path / "o.mcap", "--report": tmp_path / "r.html", "--json": tmp_path / "j.json"}
     options[option] = there
     arguments = [part for pair in options.items() for part in pair]
-    failed(capsys, ["smooth", good, *arguments], 1, "--force")
+    assert "--force" in refused(capsys, "smooth", good, *arguments, code=1)
     assert there.read_text() == "mine"
     assert [path.name for path in tmp_path.iterdir()] == ["there"]
 
@@ -88,7 +78,7 @@ def test_interrupt_is_one_line(capsys, monkeypatch, tmp_path):
         raise KeyboardInterrupt
 
     monkeypatch.setattr(simulation, "simulate_arm", stopped)
-    failed(capsys, ["simulate", "arm", "-o", tmp_path / "a.mcap"], 1, "interrupted")
+    assert "interrupted" in refused(capsys, "simulate", "arm", "-o", tmp_path / "a.mcap", code=1)
     assert list(tmp_path.iterdir()) == []
 
 
