@@ -15,7 +15,6 @@ class Table:
     title: str
     columns: Sequence[str]
     rows: Sequence[Sequence[object]]
-    caption: str = ""  # How to read it, for pages
 
     def markdown(self) -> str:
         """The table in Markdown, without its title."""
@@ -24,10 +23,7 @@ class Table:
 
 
 def tabulated(
-    title: str,
-    rows: Iterable[Any],
-    columns: Mapping[str, str | Callable[[Any], object]] | str,
-    caption: str = "",
+    title: str, rows: Iterable[Any], columns: Mapping[str, str | Callable[[Any], object]] | str
 ) -> Table:
     """Figures in SI under headings: by their keys, whose ends are the units, or by functions.
 
@@ -35,9 +31,7 @@ def tabulated(
     """
     if isinstance(columns, str):
         columns = dict(map(_under_its_key, columns.split()))
-    return Table(
-        title, list(columns), [[_figure(row, key) for key in columns.values()] for row in rows], caption
-    )
+    return Table(title, list(columns), [[_figure(row, key) for key in columns.values()] for row in rows])
 
 
 #: Units at the end of a key: by what people's number is larger, their unit, its decimals.

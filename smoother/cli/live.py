@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import math
-import signal
 import sys
-import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
@@ -18,6 +16,7 @@ from ..runtime.printable import printable
 from ..table import tabulated
 from . import options as o
 from .output import Out, print_notes, say, say_command, show
+from .run import handling
 
 if TYPE_CHECKING:
     from ..streams.arrivals import Receiver, Source
@@ -28,17 +27,8 @@ if TYPE_CHECKING:
 def stop_request() -> Iterator[Callable[[], bool]]:
     """Whether a session is to end: a signal interrupts nothing, so that the recording stays whole."""
     wanted: list[int] = []
-    before: dict[int, Any] = {}
-    if threading.current_thread() is threading.main_thread():
-        for name in ("SIGINT", "SIGTERM", "SIGHUP", "SIGBREAK"):
-            number = getattr(signal, name, None)
-            if number is not None and signal.getsignal(number) is not signal.SIG_IGN:
-                before[number] = signal.signal(number, lambda number, _: wanted.append(number))
-    try:
+    with handling(lambda number, _: wanted.append(number)):
         yield lambda: bool(wanted)
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
 
 
 def streams_of(given: Sequence[str], sides: Sequence[str | None]) -> dict[str | None, dict[str, str]]:

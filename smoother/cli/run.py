@@ -9,7 +9,7 @@ import sys
 import threading
 import traceback
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from types import FrameType
 from typing import Any
@@ -22,16 +22,27 @@ from ..runtime.printable import printable
 
 
 @contextmanager
+def handling(handler: Callable[[int, FrameType | None], None]) -> Iterator[None]:
+    """Have a handler for all signals that end a program; what is ignored (`nohup`) stays so."""
+    before: dict[int, Any] = {}
+    if threading.current_thread() is threading.main_thread():  # no other can be interrupted
+        for name in ("SIGINT", "SIGTERM", "SIGHUP", "SIGBREAK"):
+            number = getattr(signal, name, None)  # Windows has no SIGHUP, others no SIGBREAK
+            if number is not None and signal.getsignal(number) not in (signal.SIG_IGN, None):
+                before[number] = signal.signal(number, handler)
+    try:
+        yield
+    finally:
+        for number, earlier in before.items():
+            signal.signal(number, earlier)
+
+
+@contextmanager
 def ending_tidily() -> Iterator[None]:
     """Let SIGTERM and SIGHUP raise KeyboardInterrupt; a second one is not heard meanwhile.
 
     All, and Ctrl-C, wait until an import is over: a library that is being initialised turns them into errors.
-    What is ignored (`nohup`) stays so. Only the main thread can be interrupted.
     """
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-    before: dict[int, Any] = {}
 
     def end(number: int, frame: FrameType | None) -> None:
         if _imports(frame):
@@ -39,9 +50,9 @@ def ending_tidily() -> Iterator[None]:
             waits.daemon = True
             waits.start()
             return
-        for each in before:
-            if each != signal.SIGINT:
-                signal.signal(each, signal.SIG_IGN)
+        for name in ("SIGTERM", "SIGHUP", "SIGBREAK"):
+            if hasattr(signal, name):
+                signal.signal(getattr(signal, name), signal.SIG_IGN)
         if hasattr(signal, "pthread_sigmask") and signal.SIGINT in signal.pthread_sigmask(
             signal.SIG_BLOCK, ()
         ):
@@ -50,16 +61,8 @@ def ending_tidily() -> Iterator[None]:
             return
         raise KeyboardInterrupt
 
-    usual = (signal.SIG_DFL, signal.default_int_handler)
-    for name in ("SIGINT", "SIGTERM", "SIGHUP", "SIGBREAK"):
-        number = getattr(signal, name, None)  # Windows has no SIGHUP, others no SIGBREAK
-        if number is not None and signal.getsignal(number) in usual:
-            before[number] = signal.signal(number, end)
-    try:
+    with handling(end):
         yield
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
 
 
 def _imports(frame: FrameType | None) -> bool:
