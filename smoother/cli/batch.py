@@ -215,28 +215,11 @@ def study_figures(rows: pa.Table, tally: Tally) -> dict[str, Any]:
     }
 
 
-def worst_arms(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
-    """One row per arm, untrusted ones first, then the least certain; of several the name includes the arm."""
-    from ..evaluation.summary import least_trusted, trust_word
-    from ..recording import arm_words
-    from ..study.folder import arms_of
-
-    arms = []
-    for row in rows:
-        for arm in arms_of(row):
-            which = f" ({arm_words(arm['side'], arm['body'])})" if row["arm_figures"] else ""
-            arms.append(arm | {"recording": row["recording"] + which})
-    worst = sorted(arms, key=least_trusted)[:MOST_WORST]
-    return [
-        arm | {"trusted": trust_word(arm["trusted"], arm["gaps"], arm["gaps_untrusted"])} for arm in worst
-    ]
-
-
 def _print(rows: pa.Table, tally: Tally, figures: dict[str, Any]) -> None:
     """Print what came of a study, the worst recordings first."""
     import pyarrow.compute as pc
 
-    from ..evaluation.summary import worst_of
+    from ..evaluation.summary import trust_word, worst_of
 
     times = tally.recorded_s / tally.seconds if tally.computed else 0.0
     speed = f", {times:.1f} times real time by all processes together" if tally.computed else ""
@@ -246,16 +229,14 @@ def _print(rows: pa.Table, tally: Tally, figures: dict[str, Any]) -> None:
     )
     keys = "recording trusted sigma_max_m gaps gap_longest_s occluded_s duration_s notes"
     done = rows.filter(pc.equal(rows["status"], "done"))
-    few = done.select([*keys.split(), "gaps_untrusted", "arm_figures"])
-    worst = worst_arms(worst_of(few, MOST_WORST).to_pylist())
+    worst = worst_of(done.select([*keys.split(), "gaps_untrusted"]), MOST_WORST).to_pylist()
+    for row in worst:
+        row["trusted"] = trust_word(row["trusted"], row["gaps"], row["gaps_untrusted"])
     title = "Recordings that are not to be trusted, then the least certain (sigma = one standard deviation)"
     show(tabulated(title, worst, keys))
     rest = "more; the results have them all"
-    if figures["not_trusted"]:
-        say(f"{figures['not_trusted']} of {figures['done']} results are not to be trusted:")
-        for row in figures["untrusted"][:MOST_FAILURES]:
-            say(f"  {row['recording']}: {row['verdict']}")
-        say_more(figures["not_trusted"], MOST_FAILURES, rest)
+    title = f"{figures['not_trusted']} of {figures['done']} results are not to be trusted"
+    show(tabulated(title, figures["untrusted"], "recording verdict"), MOST_FAILURES, rest)
     damaged = [note for each in done["damage"].to_pylist() for note in each or []]
     print_notes(damaged[:MOST_FAILURES])
     say_more(len(damaged), MOST_FAILURES, f"damaged files {rest}")

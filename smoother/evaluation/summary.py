@@ -244,16 +244,15 @@ def trust_word(trusted: bool | None, gaps: int | None, untrusted: int | None) ->
     return "" if trusted is None else "yes"
 
 
-def least_trusted(row: Mapping[str, Any]) -> tuple[bool, bool, float]:
-    """By which rows are sorted: not to be trusted first, then some of their gaps, then the largest sigma."""
-    return row["trusted"] is not False, not row["gaps_untrusted"], -(row["sigma_max_m"] or 0.0)
-
-
 def worst_of(rows: pa.Table, most: int) -> pa.Table:
-    """The rows to look at first, at most this many."""
-    few: list[dict[str, Any]] = rows.select(["trusted", "gaps_untrusted", "sigma_max_m"]).to_pylist()
-    order = sorted(range(len(few)), key=lambda place: least_trusted(few[place]))
-    return rows.take(np.array(order[:most], np.int64))
+    """The rows to look at first, at most this many: what is not to be trusted, then the largest sigma."""
+    few = rows.select(["trusted", "gaps_untrusted", "sigma_max_m"]).to_pylist()
+
+    def rank(place: int) -> tuple[bool, bool, float]:
+        row = few[place]
+        return row["trusted"] is not False, not row["gaps_untrusted"], -(row["sigma_max_m"] or 0.0)
+
+    return rows.take(np.array(sorted(range(len(few)), key=rank)[:most], np.int64))
 
 
 def _largest(values: np.ndarray) -> float | None:

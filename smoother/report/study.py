@@ -76,13 +76,11 @@ def _verdict(count: int, recovered: pa.Table, failed: int, distrusted: int) -> I
     if not len(recovered):
         return
     if distrusted:
-        which = "result is" if distrusted == 1 else "results are"
-        yield f"{distrusted} {which} not to be trusted: do not use these figures. The table begins with them"
+        yield f"Not to be trusted: {distrusted} of them; do not use these figures. The table begins with them"
     sound = recovered.filter(pc.fill_null(recovered["trusted"], True))
     partly = pc.and_(pc.is_valid(sound["trusted"]), pc.greater(sound["gaps_untrusted"], 0))
     if several := pc.sum(partly).as_py():
-        which = "result has" if several == 1 else "results have"
-        yield f"{several} {which} gaps that are not to be trusted"
+        yield f"Gaps that are not to be trusted: in {several} of the others"
     recorded, occluded, spent = (
         pc.sum(recovered[name]).as_py() or 0.0 for name in ("duration_s", "occluded_s", "seconds")
     )
@@ -206,17 +204,9 @@ def _group(measures: list[dict[str, Any]], file: str) -> PageSection:
         "measure": _with_unit,
         "persons": lambda each: each["first"][0],
         "mean (SD)": spread("first"),
+        "last session, mean (SD)": spread("last"),
+        "persons with both": lambda each: each["last"][0],
+        "change (95 % interval)": lambda each: _between(each["change"], each["low"], each["high"], "+"),
     }
-    change = ""
-    if any(each["last"][0] for each in measures):  # of persons with two sessions or more
-        change = (
-            "; the change is that from a person's first session to the last, its mean over the persons with"
-            " its interval by Student's t"
-        )
-        columns |= {
-            "last session, mean (SD)": spread("last"),
-            "persons with both": lambda each: each["last"][0],
-            "change (95 % interval)": lambda each: _between(each["change"], each["low"], each["high"], "+"),
-        }
-    about = caption("The group", change=change, link=quote(file), file=file)
+    about = caption("The group", link=quote(file), file=file)
     return rendered(tabulated("The group", measures, columns), about)

@@ -147,13 +147,6 @@ def figures_of_arms(results: Sequence[tuple[Recording, Recovery]]) -> Row:
     return together | {"arm_figures": json.dumps(each)}
 
 
-def arms_of(row: Row) -> list[Row]:
-    """The figures of each arm of a row; those of the row itself where it has one arm."""
-    if not row.get("arm_figures"):
-        return [row]
-    return [row | arm for arm in json.loads(row["arm_figures"])]
-
-
 def measure_rows(measured: Sequence[Measures]) -> list[dict[str, Any]]:
     """The measures of sessions, as the column `measures` holds them."""
     arm_fields = ("side", "body", "trusted")
