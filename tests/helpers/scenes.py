@@ -31,8 +31,8 @@ from smoother.window.solution import Solution
 ALONE = Config.model_validate({"windows": {"processes": 1}})
 #: Seeds of the recordings that are recovered with nothing calibrated.
 SEEDS = (0, 1)
-#: Limits in the gaps, m. The issue asks for 1.2 and 3 cm; 10 seeds gave 0.36 and 0.7 (0.54 and 0.84 at
-#: worst), so these leave half as much again and fail long before the issue's limits do.
+#: Limits in the gaps, m: 10 seeds gave 0.36 and 0.7 cm (0.54 and 0.84 at worst), so these leave half as
+#: much again.
 GAP_RMS_M, GAP_MAX_M = 0.008, 0.016
 #: A point has one sample a frame instead of three, and gaps of up to 3 s: 0.6 and 1.3 cm at worst.
 POINT_RMS_M, POINT_MAX_M = 0.010, 0.020
