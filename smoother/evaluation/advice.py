@@ -124,8 +124,7 @@ def _motion(estimates: ArmEstimates) -> Iterator[str]:
         if joint not in estimates.given
     }
     if rough := [joint for joint, sigma in sigmas.items() if sigma > LEVER_SIGMA_M]:
-        lie = "lies" if len(rough) == 1 else "lie"
-        yield _said("levers", joints=listed(rough), lie=lie, cm=100 * max(sigmas.values()))
+        yield _said("levers", joints=listed(rough), cm=100 * max(sigmas.values()))
 
 
 def little_motion(estimates: ArmEstimates | None) -> bool:
@@ -137,26 +136,17 @@ def little_motion(estimates: ArmEstimates | None) -> bool:
 
 
 def _gaps(gaps: list[GapSummary]) -> Iterator[str]:
-    early, late = [each for each in gaps if each.open_start], [each for each in gaps if each.open_end]
-    if open_ended := [*early, *late]:
-        sides = ((early, "before the first movement out of view"), (late, "after the last one"))
-        when, were = (
-            " and ".join(words for some, words in sides if some),
-            "was" if len(open_ended) == 1 else "were",
-        )
-        yield _said("one_sided", when=when, times=_times(open_ended), were=were)
-    weak_m = {
-        each: each.sigma_max_m or 0.0 for each in gaps if not each.one_sided and each.length_s > LONG_GAP_S
-    }
-    if long := [each for each, sigma_m in weak_m.items() if sigma_m > WEAK_M]:
-        yield _said("long_gaps", every_s=LONG_GAP_S, times=_times(long), cm=100 * max(weak_m.values()))
+    if open_ended := [each for each in gaps if each.one_sided]:
+        yield _said("one_sided", times=_times(open_ended))
+    long = [each for each in gaps if not each.one_sided and each.length_s > LONG_GAP_S]
+    if weak := [each for each in long if (each.sigma_max_m or 0.0) > WEAK_M]:
+        cm = 100 * max(each.sigma_max_m or 0.0 for each in weak)
+        yield _said("long_gaps", every_s=LONG_GAP_S, times=_times(weak), cm=cm)
 
 
 def _times(gaps: list[GapSummary]) -> str:
     starts = [f"{each.start_s:.1f} s" for each in gaps]
-    if len(starts) > 4:
-        starts = [*starts[:3], f"{len(starts) - 3} more"]
-    return f"{'s' if len(gaps) > 1 else ''} at {listed(starts)}"
+    return listed(starts if len(starts) <= 4 else [*starts[:3], f"{len(starts) - 3} more"])
 
 
 def _view(recovery: Recovery) -> Iterator[str]:
@@ -226,5 +216,4 @@ def _rates(recovery: Recovery) -> Iterator[str]:
     if (camera_hz := recovery.arm.rate_hz) < SLOW_CAMERA_HZ:
         yield _said("slow_camera", hz=camera_hz)
     if len(after := pauses(t_s)):  # of the IMU, in which nothing is recovered
-        times = "once" if len(after) == 1 else f"{len(after)} times"
-        yield _said("pauses", times=times, total_s=(t_s[after] - t_s[after - 1]).sum())
+        yield _said("pauses", count=len(after), total_s=(t_s[after] - t_s[after - 1]).sum())

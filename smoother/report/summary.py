@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from functools import partial
 
 import numpy as np
 
 from ..evaluation.metrics import Figures
-from ..evaluation.summary import WIDE_M, GapSummary, camera_consistency, certainty_figures, gap_summaries
+from ..evaluation.summary import GapSummary, camera_consistency, certainty_figures, gap_summaries
 from ..evaluation.validate import Validation
 from ..evaluation.words import listed, said
 from ..linalg import median_rate_hz
@@ -93,7 +92,6 @@ def _parts(recovery: Recovery, validation: Validation | None) -> list[tuple[bool
             (not check, _how_well(recovery, which, trusted, consistent)),
             (False, reference),
             (True, doubt),
-            (False, " ".join(_what_to_trust(trusted, consistent, which))),
         ]
     return [(is_first, text) for is_first, text in parts if text]
 
@@ -130,45 +128,41 @@ def _how_well(recovery: Recovery, which: str, trusted: list[GapSummary], consist
 
 
 def _against_reference(validation: Validation) -> str:
-    hidden = validation.occluded if validation.occluded.samples else validation.all
-    where = "in the gaps" if validation.occluded.samples else "over the recording"
-    if hidden.position_rms_m is not None:
-        turned = f", the orientation is off by {hidden.orientation_rms_deg:.1f} degrees (root mean square)"
-        names = {"p95_cm": "position_p95_m", "rms_cm": "position_rms_m", "max_cm": "position_max_m"}
-        return _said(
-            "reference",
-            where=where,
-            **{name: 100 * (getattr(hidden, of) or 0.0) for name, of in names.items()},
-            turned=turned if hidden.orientation_rms_deg is not None else "",
-            covered=_covered([hidden.nees]),
-        )
-    part, figures = _joint_figures(validation)
-    errors = {joint: each.position_rms_m for joint, each in figures.items() if each.position_rms_m}
-    if not errors:
+    part, found = _compared(validation)
+    if not found:
         return _said("reference_nothing")
+    words = [
+        f"{100 * (each.position_rms_m or 0):.1f} cm at the {name} (95 % below"
+        f" {100 * (each.position_p95_m or 0):.1f} cm)"
+        for name, each in found.items()
+    ]
     where = "in the gaps" if part == "occluded" else "over the recording"
-    words = listed([f"{100 * error:.1f} cm at the {joint}" for joint, error in errors.items()])
-    covered = _covered([figures[joint].nees for joint in errors])
-    return _said("reference_joints", where=where, errors=words, covered=covered)
+    return _said("reference", where=where, errors=listed(words), covered=_covered(_nees(found)))
 
 
-def _covered(nees: list[float | None]) -> str:
-    """Whether the stated uncertainty covers the errors, if that is known."""
-    known = [value for value in nees if value is not None]
-    if not known:
-        return "."
-    if max(known) <= OVER_CONFIDENT:
-        return _said("covered")
-    return _said("not_covered", factor=np.sqrt(max(known)))
-
-
-def _joint_figures(validation: Validation) -> tuple[str, dict[str, Figures]]:
-    """Figures of each joint in gaps; over the whole recording where no joint has a reference in a gap."""
+def _compared(validation: Validation) -> tuple[str, dict[str, Figures]]:
+    """Figures of sensor and joints in gaps; over the recording where none has a reference there."""
     for part in ("occluded", "all"):
-        figures = {joint: parts[part] for joint, parts in validation.points.items() if part in parts}
-        if any(each.position_rms_m is not None for each in figures.values()):
-            return part, figures
+        figures = {"sensor": getattr(validation, part)}
+        figures |= {joint: parts[part] for joint, parts in validation.points.items() if part in parts}
+        if known := {name: each for name, each in figures.items() if each.position_rms_m is not None}:
+            return part, known
     return "", {}
+
+
+def _nees(found: dict[str, Figures]) -> list[float]:
+    """Of the sensor, else of the joints, where it is known."""
+    own = [found["sensor"]] if "sensor" in found else found.values()
+    return [each.nees for each in own if each.nees is not None]
+
+
+def _covered(nees: list[float]) -> str:
+    """Whether the stated uncertainty covers the errors, if that is known."""
+    if not nees:
+        return "."
+    return (
+        _said("covered") if max(nees) <= OVER_CONFIDENT else _said("not_covered", factor=np.sqrt(max(nees)))
+    )
 
 
 def _camera_doubts(recovery: Recovery) -> str:
@@ -182,27 +176,4 @@ def _camera_doubts(recovery: Recovery) -> str:
 
 def _consistent(validation: Validation | None) -> bool:
     """Whether no reference contradicts the stated uncertainty."""
-    if validation is None:
-        return True
-    own = validation.occluded.nees or validation.all.nees
-    joints = [each.nees for each in _joint_figures(validation)[1].values()]
-    stated = [value for value in ([own] if own is not None else joints) if value is not None]
-    return not stated or max(stated) <= OVER_CONFIDENT
-
-
-def _what_to_trust(gaps: list[GapSummary], consistent: bool, which: str) -> Iterator[str]:
-    weak = [gap for gap in gaps if gap.is_wider_than(WIDE_M)]
-    one_sided = [gap for gap in gaps if gap.one_sided]
-    if weak:
-        yield _said("wide", gaps=_listed(weak), cm=100 * WIDE_M)
-    if one_sided:
-        yield _said("one_sided", gaps=_listed(one_sided).capitalize())
-    if consistent and not weak and not one_sided and any(gap.sigma_max_m is not None for gap in gaps):
-        yield _said("narrow", cm=100 * WIDE_M, which=which)
-
-
-def _listed(gaps: list[GapSummary]) -> str:
-    starts = [f"{gap.start_s:.1f} s" for gap in gaps]
-    if len(starts) > 6:
-        return f"{len(starts)} gaps (marked in the table of gaps)"
-    return f"the gap{'s' if len(starts) > 1 else ''} at {', '.join(starts)}"
+    return validation is None or max(_nees(_compared(validation)[1]), default=0.0) <= OVER_CONFIDENT

@@ -156,7 +156,7 @@ def test_a_pause_within_a_gap_has_its_caution() -> None:
 
     recovery, said = paused(12.9, 14.5)
     assert "(12.9 to" in said or "(13.0 to" in said  # the frames within the pause, thirty a second
-    assert any("The IMU paused once, for 1.6 s" in sentence for sentence in advice(recovery, None))
+    assert any("The IMU paused (1 x) for 1.6 s" in sentence for sentence in advice(recovery, None))
     # the pause begins before the gap, what is unseen does not
     assert "(12.0 to" in paused(11.0, 17.0)[1]
 
