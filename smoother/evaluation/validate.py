@@ -22,6 +22,7 @@ from ..runtime.pool import Progress
 from ..table import Table, fixed, tabulated
 from .measure_agreement import MeasureComparison, MeasurePair, compare_measures
 from .metrics import (
+    BRIDGED_S,
     Errors,
     Figures,
     lag_s,
@@ -323,23 +324,15 @@ def _gaps(recovery: Recovery, errors: SampleErrors) -> Iterator[tuple[Gap, Figur
 
 def _nothing_shared(recovery: Recovery, truth: Truth) -> str:
     """Why there is nothing to compare."""
-    known = truth.t_s[np.isfinite(truth.position).all(axis=1)]
-    if not len(known):
-        return "the truth has no finite position, so there is nothing to compare with"
-    if not len(recovery):
-        return "the result has no sample, so there is nothing to compare"
-    first, last = recovery.t_s[0], recovery.t_s[-1]
-    if known[-1] < first or known[0] > last:
-        return (
-            f"the truth covers {known[0]:.3f} to {known[-1]:.3f} s and the result {first:.3f} to"
-            f" {last:.3f} s: they do not overlap in time, so check that both use the same clock"
-        )
-    if len(known) > 1 and np.median(np.diff(known)) > 0.1:
-        return (
-            "the truth's samples lie more than 0.1 s apart, and gaps that long are not bridged:"
-            " give a truth with at least 10 samples per second"
-        )
-    return "no sample of the truth that is to be scored falls on a sample of the result"
+    known = truth.t_s[np.isfinite(truth.position).all(axis=1) & truth.score]
+    covers = (
+        f"{each[0]:.3f} to {each[-1]:.3f} s" if len(each) else "no time" for each in (known, recovery.t_s)
+    )
+    return (
+        "no sample of the truth falls on one of the result: the truth has {} positions to score in {}, the"
+        " result covers {}; check that both use the same clock, and that the truth has a sample every {:g} s"
+        " or more often"
+    ).format(len(known), *covers, BRIDGED_S)
 
 
 # --- joint angles

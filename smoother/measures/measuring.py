@@ -319,9 +319,7 @@ class Measuring:
         recovery, motion, notes = self.recovery, self.motion, []
         if not len(motion.grid.t_s):
             notes.append("There is no answer to measure.")
-        if self.count == 0:
-            notes.append("There are no intervals: smooth the recording with --draws 64 to have them.")
-        elif self.count < FEWEST_DRAWS:
+        if self.count < FEWEST_DRAWS:
             notes.append(
                 f"There are no intervals: {self.count} drawn motions are too few; smooth the recording"
                 " with --draws 64."

@@ -11,14 +11,11 @@ from ..evaluation.summary import GapSummary, camera_consistency, certainty_figur
 from ..evaluation.validate import Validation
 from ..evaluation.words import listed, said
 from ..linalg import median_rate_hz
-from ..measurements.timestamps import pauses
 from ..measurements.visibility import occluded_at
 from ..result import Recovery
 from ..result.untrusted import MOST_NAMED, partly_untrusted, untrusted_sentences
 from .sheet import ALARM, CARE, GOOD
 
-#: Time outside the gaps without any result that is reported, s.
-UNANSWERED_S = 1.0
 #: Below this share of camera samples inside their 95 % region the stated uncertainty is doubted.
 DOUBTFUL_SHARE = 0.80
 #: Above this NEES the stated uncertainty is called over-confident.
@@ -97,18 +94,16 @@ def _parts(recovery: Recovery, validation: Validation | None) -> list[tuple[bool
 
 
 def _what_was_hidden(recovery: Recovery, gaps: list[GapSummary]) -> str:
-    length_s, lengths_s = recovery.t_s[-1] - recovery.t_s[0], [gap.length_s for gap in gaps]
-    if not gaps:
-        return _said("no_gap", length_s=length_s)
-    more = f"; the longest gap lasts {max(lengths_s):.1f} s" if len(gaps) > 1 else ""
+    lengths_s = [gap.length_s for gap in gaps]
     without = ~recovery.answered & ~occluded_at(recovery.t_s, recovery.gaps)
-    nothing_s = np.count_nonzero(without) / median_rate_hz(recovery.t_s)
-    if nothing_s > UNANSWERED_S:
-        more += f". For {nothing_s:.1f} s more there is no result"
-    if len(pauses(recovery.t_s)):
-        more += ". What was hidden while the IMU paused is not counted"
-    times = "once" if len(gaps) == 1 else f"{len(gaps)} times"
-    return _said("hidden", length_s=length_s, times=times, hidden_s=sum(lengths_s), more=more)
+    return _said(
+        "hidden",
+        length_s=recovery.t_s[-1] - recovery.t_s[0],
+        count=len(gaps),
+        hidden_s=sum(lengths_s),
+        longest_s=max(lengths_s, default=0.0),
+        nothing_s=np.count_nonzero(without) / median_rate_hz(recovery.t_s),
+    )
 
 
 def _how_well(recovery: Recovery, which: str, trusted: list[GapSummary], consistent: bool) -> str:

@@ -83,7 +83,7 @@ def test_what_cannot_be_compared_is_said_in_a_sentence(ten_seconds: Path, tmp_pa
     rows = "".join(f"{900 + 0.02 * k},0,0,2\n" for k in range(99))
     (tmp_path / "late.csv").write_text("t_s,x,y,z\n" + rows)
     late = ("--truth", tmp_path / "late.csv", "--methods", "graph", "--json", tmp_path / "c.json")
-    assert "do not overlap in time" in refused(capsys, "compare", ten_seconds / "rec.mcap", *late)
+    assert "check that both use the same clock" in refused(capsys, "compare", ten_seconds / "rec.mcap", *late)
     assert not (tmp_path / "c.json").exists()
 
 

@@ -80,15 +80,15 @@ def test_unanswered_samples_are_counted(recovery):
 
 
 def test_errors_are_sentences(recovery):
-    with pytest.raises(RecordingError, match="do not overlap in time"):
+    with pytest.raises(RecordingError, match=r"100\.000 to 119\.990 s, the result covers 0\.000 to 19"):
         validate(recovery, make_truth(np.arange(100, 120, 0.01)))
-    with pytest.raises(RecordingError, match=r"more than 0\.1 s apart"):
+    with pytest.raises(RecordingError, match=r"a sample every 0\.1 s"):
         validate(recovery, make_truth(np.arange(0.003, 20, 0.5)))
     t = np.arange(0, 20, 0.01)
     blank = Truth(t, np.full((len(t), 3), np.nan), np.full((len(t), 4), np.nan), np.ones(len(t), bool))
-    with pytest.raises(RecordingError, match="no finite position"):
+    with pytest.raises(RecordingError, match="has 0 positions to score"):
         validate(recovery, blank)
-    with pytest.raises(RecordingError, match="to be scored"):
+    with pytest.raises(RecordingError, match="has 0 positions to score"):
         validate(recovery, replace(make_truth(t), score=np.zeros(len(t), bool)))
 
 

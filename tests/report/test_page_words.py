@@ -68,11 +68,11 @@ def test_an_answer_that_the_camera_contradicts_is_doubted():
 
 
 def test_time_without_any_answer_outside_the_gaps_is_said(recovery):
-    assert "there is no result" not in summary(recovery, None)[0]
+    assert "without a result: 0.0 s" in summary(recovery, None)[0]
     away = (recovery.t_s > 12.0) & (recovery.t_s < 15.0)
     position = np.where(away[:, None], np.nan, recovery.position)
     (said,) = [text for text in summary(replace(recovery, position=position), None) if "lasts" in text]
-    assert re.search(r"once, for 1\.\d s in all\. For [23]\.\d s more there is no result\.$", said)
+    assert re.search(r": 1, 1\.\d s in all, .* without a result: [23]\.\d s\.$", said)
 
 
 def test_the_bundle_is_of_the_locked_plotly():

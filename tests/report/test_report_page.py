@@ -106,7 +106,7 @@ def test_whole_page(tmp_path):
     ]
     assert text.count('class="plot"') >= 4
     words = " ".join(page.cells)
-    assert "The camera lost the forearm once, for 2." in words
+    assert "did not see the forearm: 1, 2." in words
     assert "camera.joint_sigma_m" in words
     assert "A & <b>" in words  # shown, not obeyed
     assert "The path was made by hand." in words
