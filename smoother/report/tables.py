@@ -24,7 +24,7 @@ from ..table import Table, centimetres, percent, tabulated
 #: Figures of a recovery that another section of the page shows.
 _ELSEWHERE = (
     *("camera_sigma_m", "joint_bias_sigma_m", "given", "max_sigma_m"),
-    *("untrusted", "self_check", "pairing", "cameras"),
+    *("untrusted", "cameras"),
 )
 WITHDRAWN = "withdrawn: the result is not to be trusted"
 
@@ -50,16 +50,6 @@ def _overview(recovery: Recovery, estimates: Estimates) -> Iterator[tuple[str, o
         stated = WITHDRAWN if estimates.trusted is False else centimetres(within_m)
         yield f"position, 95 of 100 errors below, {words}, cm", stated
     yield "samples that are not to be trusted", int(np.count_nonzero(~recovery.trusted))
-    if (check := estimates.self_check) is not None and check.stretches:
-        lost = f", {check.unanswered} not recovered" if check.unanswered else ""
-        yield "self-check: times that the arm was hidden", f"{check.stretches}{lost}"
-        if np.isfinite(check.inside_95):
-            yield "self-check: samples inside the stated 95 % region", percent(check.inside_95)
-        yield "self-check: sigma in gaps multiplied by", check.sigma_factor
-    if (pairing := estimates.pairing) is not None:
-        chance = f" (chance agreement {100 * pairing.chance:.2g} %)" if np.isfinite(pairing.chance) else ""
-        words = "shown by the motion" if pairing.proved else f"not proved{chance}"
-        yield "skeleton and sensor are of one motion", words
     offset = None
     if np.isfinite(recovery.clock_offset_s):
         offset = f"{1000 * recovery.clock_offset_s:.1f} ms"
@@ -71,7 +61,8 @@ def _overview(recovery: Recovery, estimates: Estimates) -> Iterator[tuple[str, o
         yield "samples marked as too uncertain to use", f"{unsure} (above {100 * limit_m:g} cm)"
     further = {name: value for name, value in estimates.plain().items() if name not in _ELSEWHERE}
     for name, value in _leaves(further, ", "):
-        yield name.replace("_", " "), value
+        if value not in ("", "null"):
+            yield name.replace("_", " "), value
 
 
 def settings(config: dict[str, object]) -> Table:
