@@ -184,7 +184,7 @@ def nearer_on_both_sides(made: SimulatedArm, at_s: float) -> Recording:
         (camera("x", 12.0), 3, {}, "the camera was moved", True),
         (camera("x", -6.0), 5, {}, "the camera was moved", True),
         (camera("x", 0.0, (0.25, 0.0, 0.1)), 3, {"cameras": (60.0,)}, "the camera was moved", True),
-        (nearer_on_both_sides, 3, {}, "contradict each other", False),
+        (nearer_on_both_sides, 3, {}, "nothing on either side confirms", False),
     ],
     ids=["tilted", "tilted a little", "first of two cameras moved", "blocks on both sides"],
 )
