@@ -48,9 +48,8 @@ class HeldPose:
 
     start_s: float
     end_s: float
-    frames: BoolArray  # bool (F,): the camera's frames in it with shoulder, elbow and wrist tracked
-    position: FloatArray  # (5, 3) m: mean of the joints in {K}; nan where a joint is not tracked
-    sigma_m: FloatArray  # (5,) m: of the mean, per axis: noise that lasts some tenths of a second
+    joints: dict[str, FloatArray]  # (3,) m: median of the joints that are tracked in {K}
+    sigma_m: dict[str, float]  # Of the median, per axis: noise that lasts some tenths of a second
     turning_rad_s: float  # Rms of the sensor's angular velocity
     chosen: str  # "found" or "given"
 
@@ -132,19 +131,17 @@ def _turning(recording: Recording, t: FloatArray) -> FloatArray:
 
 
 def _pose(recording: Recording, frames: BoolArray, offset_s: float, chosen: str) -> HeldPose:
-    arm = recording.arm
+    arm, joints, sigma = recording.arm, dict[str, FloatArray](), dict[str, float]()
     t = arm.t_s[frames]
-    position, sigma = np.full((len(JOINTS), 3), np.nan), np.full(len(JOINTS), np.nan)
-    for k, joint in enumerate(JOINTS):
+    for joint in JOINTS:
         rows = arm.joint(joint)[frames & arm.tracked(joint)]
-        if len(rows) < FEWEST_FRAMES:
-            continue
-        position[k] = np.median(rows, axis=0)
-        spread = robust_sigma(rows - position[k], axis=0)
-        worth = max(float(np.ptp(t)) / MEMORY_S, 1.0)
-        sigma[k] = float(np.sqrt(np.mean(spread**2) / min(worth, len(rows)))) * 1.25  # of a median
+        if len(rows) >= FEWEST_FRAMES:
+            joints[joint] = np.median(rows, axis=0)
+            spread = robust_sigma(rows - joints[joint], axis=0)
+            worth = max(float(np.ptp(t)) / MEMORY_S, 1.0)
+            sigma[joint] = float(np.sqrt(np.mean(spread**2) / min(worth, len(rows)))) * 1.25  # of a median
     turning = float(np.sqrt(np.mean(_turning(recording, t + offset_s) ** 2)))
-    return HeldPose(float(t[0]), float(t[-1]), frames, position, sigma, turning, chosen)
+    return HeldPose(float(t[0]), float(t[-1]), joints, sigma, turning, chosen)
 
 
 #: How well a palm that faces the camera does, and a sensor that is put on the back of the wrist, rad.
@@ -199,8 +196,7 @@ def calibrate_forearm(
     if recovery is not None:
         stated = recovery.estimates.joint_bias_sigma_m
         bias = stated if stated is not None and np.isfinite(stated) else bias
-    joints = {joint: pose.position[k] for k, joint in enumerate(JOINTS)}
-    sigma = {joint: float(np.hypot(pose.sigma_m[k], bias)) for k, joint in enumerate(JOINTS)}
+    joints, sigma = pose.joints, {joint: float(np.hypot(own, bias)) for joint, own in pose.sigma_m.items()}
     R_K_F = forearm_axes(joints["elbow"], joints["wrist"])
     measured, strap_from = _measure(joints, sigma, R_K_F, radius_m, strap_to_wrist_m)
     arm = ArmCalibration(recording.side, upper_arm=measured["d_ul"])
@@ -264,7 +260,7 @@ def _measure(
     radius = USUAL_RADIUS if radius_m is None else Length(radius_m, RULER_SIGMA_M)
     to_wrist = USUAL_STRAP_TO_WRIST if strap_to_wrist_m is None else Length(strap_to_wrist_m, RULER_SIGMA_M)
     where = "usual" if radius_m is None or strap_to_wrist_m is None else "ruler"
-    if np.isfinite(joints["strap"]).all():
+    if "strap" in joints:
         y = R_K_F[:, 1]
         from_wrist = joints["wrist"] - joints["strap"]
         off = from_wrist - (from_wrist @ y) * y
@@ -288,10 +284,8 @@ def _levers(
 ) -> dict[str, LeverArm]:
     """Lever arms in {A} with sigmas: of the joints' places, the strap's place and the orientation."""
     x, y, z = found.R_K_F.T
-    r, to_wrist, levers = found.measured["r"], found.measured["d_sw"], {}
-    for joint in ("elbow", "wrist", "hand"):
-        if not np.isfinite(joints[joint]).all():
-            continue
+    r, to_wrist, levers = found.measured["r"], found.measured["d_sw"], dict[str, LeverArm]()
+    for joint in [name for name in ("elbow", "wrist", "hand") if name in joints]:
         if found.strap_from == "seen":
             lever = joints[joint] - joints["strap"]
             spread = (sigma[joint] ** 2 + sigma["strap"] ** 2) * np.eye(3)
@@ -393,7 +387,7 @@ def forearm_answer(calibration: ForearmCalibration) -> Answer:
         f"the pose was held from {pose.start_s:.1f} to {pose.end_s:.1f} s; pose and motion agree in"
         f" {len(rows) - len(broken)} of {len(rows)} measures within their sigmas"
     )
-    y, middle = calibration.R_K_F[:, 1], pose.position[1]
+    y, middle = calibration.R_K_F[:, 1], pose.joints["elbow"]
     towards = float(np.degrees(np.arcsin(np.abs(y @ middle) / np.linalg.norm(middle))))
     checks = [
         *(

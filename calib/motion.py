@@ -28,7 +28,6 @@ from smoother.rotation import Rotation
 from smoother.runtime.pool import Pool
 from smoother.selfcal.pairing import pair
 from smoother.selfcal.rounds import self_calibrate
-from smoother.selfcal.self_calibration import SelfCalibration
 from smoother.selfcal.session import find_straps
 from smoother.window.priors import with_measured_noise
 
@@ -328,8 +327,6 @@ class ArmEstimates:
     camera: dict[str, JointError] = field(default_factory=dict)  # Errors of the camera's joints, by name
     joint_bias_sigma_m: float = float("nan")  # How large a joint's constant error is, per axis
     given: tuple[str, ...] = ()  # What was given beforehand: lever arms by joint, `upper_arm`, `R_F_A`
-    # All that was solved for together, clocks included; None of one recovered recording
-    self_calibration: SelfCalibration | None = None
 
     @property
     def lengths(self) -> dict[str, tuple[float, float]]:
@@ -516,7 +513,6 @@ def calibrate_motion(
         },
         joint_bias_sigma_m=bias_m,
         given=names_given(known),
-        self_calibration=solved,
     )
 
 

@@ -19,6 +19,7 @@ from smoother.array_types import FloatArray
 from smoother.errors import CalibrationError
 from smoother.linalg import nearest_rotation, skew, unit
 from smoother.recording import CameraFrame, ImuStream, Recording
+from smoother.rotation import chained
 
 from .file import CalibrationFile, Section, Vector, checked
 from .images import View
@@ -96,12 +97,7 @@ def turn_between(imu: ImuStream, first: Rest, last: Rest) -> Turn | None:
     step = rate * np.diff(edges)[:, None]
     way = float(np.linalg.norm(step, axis=1).sum())
     sigma = np.hypot(GYRO_SCALE * way, GYRO_DRIFT_RAD_S * (last.t_s - first.t_s)) + 5e-4
-    turns = Rotation.from_rotvec(step)
-    while len(turns) > 1:  # one after the other, in pairs
-        if len(turns) % 2:
-            turns = Rotation.concatenate([turns, Rotation.identity(1)])
-        turns = turns[0::2] * turns[1::2]
-    return Turn(turns[0].as_matrix(), float(sigma))
+    return Turn(chained(Rotation.from_rotvec(step).as_matrix())[-1], float(sigma))
 
 
 #: Sigma of a rotation of which nothing is known, rad.
