@@ -69,7 +69,7 @@ class Plane:
     """A plane in the camera frame {K}."""
 
     theta: FloatArray  # (3,): 1/m; points fulfil theta . p = 1
-    covariance: FloatArray  # (3, 3): of theta, widened for errors that neighbouring pixels share
+    covariance: FloatArray  # (3, 3): of theta, widened for a bent depth
     offset_rate: FloatArray  # (3,)
     offset_curve: FloatArray  # (3,)
     inliers: BoolArray  # bool (N,): pixels that were used
@@ -124,11 +124,10 @@ def fit_plane(
         inliers = within
     residuals = depth_m - 1 / (full @ theta)
     noise = float(np.std(residuals[inliers], ddof=3))
-    common = _common(pixels[inliers], residuals[inliers])
     jacobian = full[inliers] * depth_m[inliers, None] ** 2  # of the depth after theta, without its sign
     covariance = np.asarray(np.linalg.inv(jacobian.T @ jacobian), np.float64)
-    covariance *= (max(noise, 2e-4) * common) ** 2
-    warp = _warp(rays[inliers], residuals[inliers], noise * common)
+    covariance *= max(noise, 2e-4) ** 2
+    warp = _warp(rays[inliers], residuals[inliers], noise)
     covariance += _tilt_by_warp(jacobian, rays[inliers], warp)
     low, high = (_least_squares(full[inliers], depth_m[inliers] - step, theta) for step in (-STEP_M, STEP_M))
     return Plane(
@@ -182,22 +181,6 @@ def _beside(bad: BoolArray, pixels: FloatArray) -> BoolArray:
     image[at] = bad
     patches = cv2.morphologyEx(image, cv2.MORPH_OPEN, np.ones((2, 2), np.uint8))
     return np.asarray(cv2.dilate(patches, np.ones((5, 5), np.uint8))[at] > 0)
-
-
-def _common(pixels: FloatArray, residuals: FloatArray) -> float:
-    """Square root of (scatter of block means) / (what independent pixels would give), at least 1."""
-    worst, scatter = 1.0, max(float(np.mean(residuals**2)), 1e-18)
-    for side in (4, 8, 16):
-        cells = np.floor(pixels / side).astype(int)
-        cells -= cells.min(axis=0)
-        _, cell = np.unique(cells[:, 0] * (cells[:, 1].max() + 1) + cells[:, 1], return_inverse=True)
-        count = np.bincount(cell)
-        mean = np.bincount(cell, residuals) / count
-        large = count >= side * side / 2
-        if large.sum() >= 12:
-            ratio = float(np.mean(mean[large] ** 2 * count[large])) / scatter
-            worst = max(worst, np.sqrt(ratio))
-    return worst
 
 
 def _warp(rays: FloatArray, residuals: FloatArray, noise_m: float) -> float:
