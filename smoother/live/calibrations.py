@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import multiprocessing
 import os
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from concurrent.futures import Future, ProcessPoolExecutor, ThreadPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import suppress
@@ -14,7 +14,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..array_types import FloatArray
 from ..calibration import ArmCalibration
 from ..config import Config
 from ..errors import UnoccludeError
@@ -22,7 +21,7 @@ from ..measurements.clock import OFFSET_SIGMA_S, Clock, constant_clock
 from ..measurements.outliers import reject_by_camera
 from ..measurements.segment import Timeline
 from ..measurements.visibility import joints_needed
-from ..recording import CameraFrame, Recording
+from ..recording import Recording
 from ..runtime.pool import Pool, end_if_one_died, end_workers, prepare_worker, starting_processes
 from ..selfcal.excerpts import informative_excerpts
 from ..selfcal.further_imu import calibrate_further_imus, without_joints_of
@@ -195,14 +194,11 @@ class Calibrations:
     def __init__(
         self,
         calibrator: InlineCalibrator,
-        side: str,
         given: ArmCalibration,
         config: Config,
-        gravity_hint: FloatArray | None,
-        camera_frame: CameraFrame | None,
+        recording: Callable[..., Recording],  # Of streams, with what is known of the session
     ) -> None:
-        self._calibrator, self._side, self._given, self._config = calibrator, side, given, config
-        self._gravity_hint, self._camera_frame = gravity_hint, camera_frame
+        self._calibrator, self._given, self._config, self._recording = calibrator, given, config, recording
         self._asked_s: float | None = None
         self._count, self._left_out = 0, tuple[str, ...]()
         self.last: LiveCalibration | None = None
@@ -244,17 +240,8 @@ class Calibrations:
             return
         self._asked_s, arm = imu.end_s, frames.tracks(-np.inf)
         self.needed = joints_needed(arm)
-        recording = Recording(
-            imu=imu.sound_stream(),
-            arm=arm,
-            side=self._side,
-            camera_frame=self._camera_frame,
-            gravity_hint=self._gravity_hint,
-            name="live",
-            further_imus={
-                each.segment.name: each.sound_stream() for each in further if len(each) >= FEWEST_SAMPLES
-            },
-        )
+        worn = {each.segment.name: each.sound_stream() for each in further if len(each) >= FEWEST_SAMPLES}
+        recording = self._recording(imu=imu.sound_stream(), arm=arm, further_imus=worn)
         offset_s = arrival_offset_s if np.isnan(self.offset_s) else self.offset_s
         self._calibrator.submit(CalibrationJob(recording, self._given, self._config, offset_s))
 

@@ -64,6 +64,7 @@ FROZEN_REPEATS, FROZEN_RATE, FROZEN_FORCE = 2, 0.15, 0.5
 _FOREARM = [JOINTS.index(joint) for joint in ("elbow", "wrist")]
 _COLUMNS = [JOINTS.index(joint) for joint in FOREARM_JOINTS]
 _SHOULDER = JOINTS.index("shoulder")
+_NOTHING: BoolArray = np.zeros(len(JOINTS), bool)
 
 
 class Culprit(Enum):
@@ -251,13 +252,12 @@ class CameraMonitor:
     def _left_out(self, t_s: float, why: str, retract_s: float) -> FrameFinding:
         """From this frame on the camera takes no part."""
         since_s, self._fits, self._bad, self.sound_since_s = self.since_s, 0, 0, np.inf
-        nothing = np.zeros(len(JOINTS), bool)
         if since_s is not None:
             is_over = t_s - since_s > self._limit_s
-            return FrameFinding(nothing, Culprit.TRACKER, _ANEW) if is_over else FrameFinding(nothing)
+            return FrameFinding(_NOTHING, Culprit.TRACKER, _ANEW) if is_over else FrameFinding(_NOTHING)
         self.since_s = t_s
         self._waited.clear()
-        return FrameFinding(nothing, Culprit.CAMERA, f"the camera is left out: {why}", retract_s)
+        return FrameFinding(_NOTHING, Culprit.CAMERA, f"the camera is left out: {why}", retract_s)
 
     def _waiting(self, t_s: float, now: JointResiduals, accepted: BoolArray) -> FrameFinding:
         """The camera takes no part: does it fit again, or is it time to begin anew?"""
@@ -273,12 +273,11 @@ class CameraMonitor:
             self._solutions.clear()
             self._visible_s = t_s
             return FrameFinding(accepted, Culprit.NOBODY, f"the camera fits again, after {away_s:.1f} s")
-        nothing = np.zeros(len(JOINTS), bool)
         if rests:
             self._limit_s = LONGEST_S  # it is not the tracker that strayed
         if t_s - self.since_s > self._limit_s or now.predicted_m > PREDICTED_M:
-            return FrameFinding(nothing, Culprit.TRACKER, _ANEW)
-        return FrameFinding(nothing)
+            return FrameFinding(_NOTHING, Culprit.TRACKER, _ANEW)
+        return FrameFinding(_NOTHING)
 
     def _jumps(self, now: JointResiduals) -> bool:
         """Whether the camera's newest frame leaves its own motion, as no arm does."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
+from functools import partial
 from types import TracebackType
 
 import numpy as np
@@ -13,7 +14,7 @@ from ..body import FOREARM, SEGMENTS
 from ..calibration import ArmCalibration
 from ..config import Config
 from ..errors import UnoccludeError
-from ..recording import CameraFrame, ImuStream
+from ..recording import CameraFrame, ImuStream, Recording
 from .answers import LiveEstimate, LiveOutput, LiveState
 from .buffers import FrameBuffer, SkeletonFrame
 from .calibrations import JUMP_SIGMA_S, BackgroundCalibrator, Calibrations, InlineCalibrator
@@ -63,8 +64,10 @@ class LiveSmoother:
         self._frames, self._camera = FrameBuffer(BUFFER_S), CameraClock()
         self._calibrator = calibrator or BackgroundCalibrator()
         given = calibration or ArmCalibration(side=side)
-        about = self._calibrator, side, given, self._config, gravity_hint, camera_frame
-        self._calibrations = Calibrations(*about)
+        session = partial(
+            Recording, side=side, camera_frame=camera_frame, gravity_hint=gravity_hint, name="live"
+        )
+        self._calibrations = Calibrations(self._calibrator, given, self._config, session)
         self._imus = {name: LiveImu(SEGMENTS[name], BUFFER_S) for name in (FOREARM.name, *further)}
         self._imu = self._imus[FOREARM.name]
         self._display = Display(lag_s)

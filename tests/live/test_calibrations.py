@@ -33,7 +33,7 @@ from smoother.live.calibrations import (
 from smoother.live.camera_clock import USUAL_LATENCY_S, CameraClock
 from smoother.live.imu import LiveImu
 from smoother.measurements.clock import constant_clock
-from smoother.recording import ImuStream
+from smoother.recording import ImuStream, Recording
 
 WORKED: Any = object()  # a model that nobody looks into
 
@@ -93,7 +93,7 @@ class Session:
 def session(*answers: LiveCalibration) -> Session:
     calibrator = AtOnce(list(answers))
     given = ArmCalibration(side="right")
-    return Session(calibrator, Calibrations(calibrator, "right", given, Config(), None, None))
+    return Session(calibrator, Calibrations(calibrator, given, Config(), Recording))
 
 
 def worked(offset_s: float = -0.02) -> LiveCalibration:
