@@ -176,9 +176,8 @@ START_SIGMA_SPEED = 3.0
 ATTITUDE_SIGMA_RAD = np.radians(2.0)
 GRAVITY_SIGMA_RAD = np.radians(1.0)
 GRAVITY_SIZE_SIGMA = 0.01
-#: The upper arm's length is measured anew no more often than this, s, and varies at most this much, m.
+#: The upper arm's length is measured anew no more often than this, s.
 RANGE_EVERY_S = 0.09
-LARGEST_FLEX_M = 0.04
 #: Node spacing where the camera gives nothing, s.
 GAP_NODE_S = 0.2
 #: The least noise of a joint, m.
@@ -195,8 +194,7 @@ class CameraAtNodes:
     joints: FloatArray  # (n, 5, 3) m: in {K}; nan where nothing was seen
     sigma_m: FloatArray  # (5,) m: noise of the joints, per axis
     levers: dict[str, FloatArray]  # dict of (3,) m: lever arms in {A}, by joint
-    upper_arm_m: float  # Length shoulder to elbow and how it varies; nan where unknown
-    upper_arm_sigma_m: float
+    upper_arm_m: float  # Length shoulder to elbow; nan where unknown
 
 
 def rts(scene: Scene) -> Path:
@@ -235,22 +233,10 @@ def start(scene: Scene, levers: dict[str, FloatArray]) -> tuple[InertialTrajecto
     x[:, P], x[:, V], x[:, GRAVITY] = first.p, first.v, scene.gravity
     x[:, SHOULDER] = shoulder if has_shoulder else 0.0
     length, sigma_m = scene.calibration.upper_arm, max(joint_sigma(scene), LEAST_SIGMA_M)
-    known_m = flex_m = float("nan")
-    if has_shoulder and length is not None and "elbow" in levers:
-        known_m, flex_m = length.value_m, _flex(joints, sigma_m)
-    camera = CameraAtNodes(joints, np.full(len(JOINTS), sigma_m), levers, known_m, flex_m)
+    has_arm = has_shoulder and "elbow" in levers
+    known_m = length.value_m if length is not None and has_arm else float("nan")
+    camera = CameraAtNodes(joints, np.full(len(JOINTS), sigma_m), levers, known_m)
     return InertialTrajectory(t, R, x), camera
-
-
-def _flex(joints: FloatArray, sigma_m: float) -> float:
-    """How much more the upper arm's length varies, as it is seen, than the joints' noise explains, m."""
-    length = np.linalg.norm(joints[:, SHOULDER_JOINT] - joints[:, JOINTS.index("elbow")], axis=1)
-    length = length[np.isfinite(length)]
-    if len(length) < 10:
-        return ARM_PRIOR.upper_arm_flex_m
-    spread = float(robust_sigma(length - np.median(length)))
-    extra = float(np.sqrt(max(spread**2 - 2.0 * sigma_m**2, 0.0)))
-    return float(np.clip(extra, ARM_PRIOR.upper_arm_flex_m, LARGEST_FLEX_M))
 
 
 def residuals(states: InertialTrajectory, camera: CameraAtNodes) -> FloatArray:
@@ -350,5 +336,5 @@ def _measured(states: InertialTrajectory, camera: CameraAtNodes) -> tuple[FloatA
         H[:, 0, P], H[:, 0, SHOULDER] = along, -along
         H[:, 0, TURN] = np.cross(arm, along)
         share = np.minimum(np.gradient(states.t) / RANGE_EVERY_S, 1.0)
-        add(H, (camera.upper_arm_m - length)[:, None], share / camera.upper_arm_sigma_m**2)
+        add(H, (camera.upper_arm_m - length)[:, None], share / ARM_PRIOR.upper_arm_flex_m**2)
     return information, vector

@@ -61,7 +61,7 @@ def test_measurements_are_the_derivative_of_the_residuals():
         elbow = at.x[:, es.P] + at.R @ camera.levers["elbow"]
         off = np.linalg.norm(elbow - at.x[:, es.SHOULDER], axis=1) - camera.upper_arm_m
         share = np.minimum(np.gradient(at.t) / 0.09, 1.0)
-        return total + 0.5 * share * (off / camera.upper_arm_sigma_m) ** 2
+        return total + 0.5 * share * (off / es.ARM_PRIOR.upper_arm_flex_m) ** 2
 
     slope = loss(states.moved(error)) - loss(states.moved(-error))
     expected = -2.0 * np.einsum("ni,ni->n", chain.vector[..., 0], error)
