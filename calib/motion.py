@@ -114,12 +114,6 @@ class ClockOffset:
     drift_s: float = float("nan")  # How far the offset wandered
 
 
-def gather(segments: Sequence[Segment], direction: FloatArray | None) -> Evidence:  # direction (3,)
-    """The evidence of the segments of one or several recordings."""
-    accepted = np.concatenate([segment.accepted for segment in segments])
-    return _evidence(map(_turns_of_segment, segments), _counted([accepted]), direction)
-
-
 def gather_from(recovery: Recovery) -> Evidence:
     """The evidence of one recovered recording: how its answer turned while the camera saw the forearm.
 
@@ -487,7 +481,8 @@ def calibrate_motion(
         calibration = replace(calibration, R_F_A=frame.R_F_A)
     if calibration.sigma_factors is None and (short := short_recordings(recordings)):
         calibration = replace(calibration, sigma_factors=hidden_gap_factors(short, calibration, config))
-    evidence = gather(segments, calibration.forearm_direction)
+    accepted = _counted(segment.accepted for segment in segments)
+    evidence = _evidence(map(_turns_of_segment, segments), accepted, calibration.forearm_direction)
     used, offsets = {segment.recording for segment in segments}, []
     for number, (recording, (_, coarse)) in enumerate(zip(recordings, moved, strict=True)):
         offset = ClockOffset(recording.name)
@@ -593,10 +588,9 @@ def mountings(alone: dict[str, ArmCalibration]) -> list[list[str]]:
 
     groups: list[list[str]] = []
     for name in sorted(alone, key=worst_m):
-        own = next((group for group in groups if agree(alone[group[0]], alone[name])), None)
-        if own is None:
-            groups.append([name])
-        else:
-            own.append(name)
-    order = list(alone)
-    return sorted((sorted(group, key=order.index) for group in groups), key=lambda g: order.index(g[0]))
+        own = next((group for group in groups if agree(alone[group[0]], alone[name])), [])
+        if not own:
+            groups.append(own)
+        own.append(name)
+    in_order = [[name for name in alone if name in group] for group in groups]
+    return sorted(in_order, key=lambda group: list(alone).index(group[0]))
