@@ -2,9 +2,9 @@
 
 Every frame is compared with what the last solution predicts, which finds jumps, and with what a solution half
 a second before it predicts by the IMU alone, which finds a camera that was followed into an error. A jump of
-the camera, joints that rest while the IMU moves, and bones of another length are the camera's fault: its
-frames are left out until they fit again; if they never do, the tracker begins anew. Everything else is the
-IMU's: the camera leads for a while.
+the camera, and joints that rest while the IMU moves, are the camera's fault: its frames are left out until
+they fit again; if they never do, the tracker begins anew. Everything else is the IMU's: the camera leads for
+a while.
 """
 
 from __future__ import annotations
@@ -49,8 +49,6 @@ LOOKED_AT = 16
 RESTS_SHARE, MOVED_M = 0.35, 0.06
 #: .. and how far the gyroscope turns the wrist about the elbow at least, m, in at most this many seconds.
 TURNED_M, TURNED_WITHIN_S = 0.10, 0.8
-#: Bones off by this share, and by this many sigmas, are another body's.
-OTHER_LENGTH, OTHER_SIGMAS = 0.15, 4.0
 #: A joint jumps by itself where it is this far from its own last motion, m, and by this share of what it is
 #: from the prediction.
 JUMPS_M, JUMPS_SHARE = 0.12, 0.5
@@ -311,18 +309,7 @@ class CameraMonitor:
 
     def _camera_fault(self, frames: list[_Seen]) -> str:
         """What shows by itself that the camera is wrong; "" where nothing does."""
-        if len(frames) < FRAMES_IN_A_ROW:
-            return ""
         first, last = frames[0], frames[-1]
-        both = [each.position[_FOREARM] for each in frames if each.accepted[_FOREARM].all()]
-        levers = self._model.estimate.lever_arms
-        if len(both) >= FRAMES_IN_A_ROW and {"elbow", "wrist"} <= levers.keys():
-            seen_m = float(np.median([length(wrist - elbow) for elbow, wrist in both]))
-            usual_m = length(levers["wrist"].position_m - levers["elbow"].position_m)
-            sigma_m = float(np.hypot(*self._model.joint_sigma_m[_FOREARM]))
-            off_m = abs(seen_m - usual_m)
-            if off_m > OTHER_LENGTH * usual_m and off_m > OTHER_SIGMAS * sigma_m / np.sqrt(len(both)):
-                return "its forearm has another length"
         assert first.before is not None and last.before is not None
         return _RESTS if _rests(first, first.before, last, last.before) else ""
 

@@ -158,8 +158,7 @@ class LiveSmoother:
         if self._waits_for_sight and before is not None and before.history.sees_all(before.window.t):
             # in a gap there is nothing that a successor could begin with
             self._waits_for_sight, self._successor = False, self._fresh()
-            if self._successor is not None:
-                self._successor.start(before.window.state(0))
+            self._successor.start(before.window.state(0))
         successor = self._successor
         if successor is None:
             return
@@ -222,10 +221,9 @@ class LiveSmoother:
             return False
         return True
 
-    def _fresh(self) -> Tracker | None:
+    def _fresh(self) -> Tracker:
         """A tracker with the last calibration, not yet begun; what the active one has learnt counts."""
-        if self._calibrations.last is None:
-            return None
+        assert self._calibrations.last is not None  # nobody follows, or catches up, before the first one
         about = self._calibrations.last, self._calibrations.offset_s, self._calibrations.needed, self._config
         length_s = max(LENGTH_S, self._lag_s + 0.3)
         return Tracker(*about, self._imus, self._frames, length_s, self._tracker)
