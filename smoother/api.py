@@ -36,9 +36,9 @@ def smooth(
 
     given, file = (calibration, None) if isinstance(calibration, ArmCalibration) else (None, calibration)
     if not isinstance(recording, Recording):
-        from .io.recording.read import read_arm
+        from .io.recording.read import read_arms
 
-        recording, of_file = read_arm(recording, file, truth=False, **selection)
+        [(recording, of_file)] = read_arms(recording, file, truth=False, alone=True, **selection)
         given = given or of_file
     elif selection:
         raise UnoccludeError(

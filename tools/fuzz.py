@@ -21,7 +21,7 @@ from smoother.errors import UnoccludeError
 from smoother.io import read_recovery
 from smoother.io.files import import_files, sort_files
 from smoother.io.recording.read import open_recording
-from smoother.io.recording.select import select_recording
+from smoother.io.recording.select import select_recordings
 from smoother.io.registry import FileReader
 
 ROOT = Path(__file__).parents[1]
@@ -36,7 +36,10 @@ class Late(BaseException):
 def read(path: Path) -> None:
     """A file by every reader that takes it: as a recording and result, or as a device's export."""
     if path.suffix == ".mcap":
-        for reader in (lambda: select_recording(open_recording(path)), lambda: read_recovery(path)):
+        for reader in (
+            lambda: select_recordings(open_recording(path), alone=True),
+            lambda: read_recovery(path),
+        ):
             try:
                 reader()
             except UnoccludeError:

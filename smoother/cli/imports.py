@@ -301,7 +301,7 @@ def describe(
     reader = FileReader(templates=read_templates(template or []))
     if len(paths) > 1 or paths[0].is_dir():
         found = describe_files(paths, reader, out.json_file)
-        out.json({"files": [each.to_dict() for each in found]})
+        out.json({"files": [asdict(each) for each in found]})
         _print_streams(found)
         return
     (path,) = paths

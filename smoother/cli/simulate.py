@@ -367,11 +367,9 @@ def panel(
 
     Example: unocclude simulate panel -o session --set poses=8 --seed 7 --mcap session.mcap
     """
-    import numpy as np
-
     from calib.panel import read_panel
 
-    from ..io.rig.panel import PanelShot, check_folder, write_panel_folder, write_panel_recording
+    from ..io.rig.panel import check_folder, write_panel_folder, write_panel_recording
     from ..simulation.panel import PanelSimulation, simulate_panel
 
     usual: dict[str, Any] = {}
@@ -387,10 +385,6 @@ def panel(
         simulated = simulate_panel(config, seed)
     except ValueError as error:
         raise UnoccludeError(f"{error}.") from error
-    shots = [
-        PanelShot(one.t_s, np.rint(one.depth).astype(np.uint16), one.infrared, one.marker_names, one.markers)
-        for one in simulated.poses
-    ]
     lens = vars(simulated.lens) | {"distortion": list(simulated.lens.distortion)}
     truth = panel_truth(simulated)
     imus = [simulated.imu_panel, simulated.imu_base]
@@ -398,9 +392,9 @@ def panel(
     if config.marker_shape == "sphere" and config.marker_height_m > 0:
         definition["marker_height"] = config.marker_height_m
     if mcap is not None:
-        write_panel_recording(mcap, shots, imus, lens, force=out.force)
+        write_panel_recording(mcap, simulated.poses, imus, simulated.lens, force=out.force)
     tables = {"intrinsics.toml": lens, "panel.toml": {"panel": definition}, "truth.toml": truth}
-    write_panel_folder(output, shots, imus, config.hold_s / 2, tables, force=out.force)
+    write_panel_folder(output, simulated.poses, imus, config.hold_s / 2, tables, force=out.force)
     poses = [{"pose": name, **one} for name, one in truth["pose"].items()]
     out.json({"seed": seed, "config": config.model_dump(mode="json"), "truth": truth})
     show(tabulated(str(output), poses, "pose distance_m tilt_deg"))

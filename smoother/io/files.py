@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -19,7 +19,6 @@ from .mcap.messages import nanoseconds
 from .recording.camera_streams import CAMERA_TOPIC
 from .recording.clean import clean_arm, clean_imu
 from .recording.decode import JointRows, joint_code
-from .recording.inertial import scale_to_si, shown_units
 from .recording.keypoints import NAMED_TOPIC, TOPIC
 from .recording.names import named_side, role
 from .recording.read import open_recording
@@ -170,17 +169,16 @@ def _sensors(
     whole = [table for table in parts if table.acc is not None and table.gyro is not None]
     if len(files.paths) > 1 or not whole:
         joined = paired(parts, source)
-        report.notes += [f"{report.path}: {joined.notes[-1]}"] if len(parts) > 1 else []
-        return [(files.name, _in_shown_units(joined, report), report)]
+        told = {note for part in parts for note in part.notes}
+        report.notes += [f"{report.path}: {note}" for note in joined.notes if note not in told]
+        return [(files.name, joined, report)]
     if files.name and len(whole) > 1:
         listed = ", ".join(table.name for table in whole)
         raise RecordingError(
             f"{source} contains {len(whole)} sensors ({listed}); choose one for {files.name}:"
             f" --imu {files.name}={files.paths[0]}#{whole[0].name}."
         )
-    return [
-        (files.name or (t.name if len(whole) > 1 else ""), _in_shown_units(t, report), report) for t in whole
-    ]
+    return [(files.name or (t.name if len(whole) > 1 else ""), t, report) for t in whole]
 
 
 def _report(
@@ -197,19 +195,6 @@ def _report(
     sentence = f"{path.name}: {importer.title}, {names}{rate_hz:.1f} Hz, {count}{ending}"
     notes = [f"{path.name}: {note}" for note in dict.fromkeys(n for t in tables for n in t.notes)]
     return FileReport(str(path), importer.key, sentence, [], rate_hz, len(times), units, notes)
-
-
-def _in_shown_units(table: ImuTable, report: FileReport) -> ImuTable:
-    """An IMU in the units that gravity and motion show where its file states others, as for recordings."""
-    assert table.acc is not None and table.gyro is not None
-    units = shown_units(times_of(table), table.acc, table.gyro)
-    if units == ("m/s^2", "rad/s"):
-        return table
-    acc, gyro = table.acc.copy(), table.gyro.copy()
-    name = " ".join(part for part in (Path(report.path).name, table.name) if part)
-    report.notes = [note for note in report.notes if "check the export" not in note]
-    report.notes += scale_to_si(name, acc, gyro, *units)
-    return replace(table, acc=acc, gyro=gyro)
 
 
 def _of_name(path: Path, name: str, tables: list[ImuTable]) -> ImuTable:
@@ -294,18 +279,12 @@ def add_imu(file: RecordingFile, topic: str, table: ImuTable, source: str, shift
     samples = ImuSamples(topic, topic.rpartition("/")[2], stamp, table.acc, table.gyro, table.mag)
     clean_imu(samples, source)
     file.imus.append(samples)
-    file.notes += rate_note(samples)
-
-
-def rate_note(samples: ImuSamples) -> list[str]:
-    """A sentence where an IMU's rate is none of such a sensor: its times are in another unit."""
     step_s = float(np.median(np.diff(samples.stamp_ns))) / 1e9 if len(samples.stamp_ns) > 1 else 0.0
-    if not step_s > 0 or _RATES_HZ[0] <= 1 / step_s <= _RATES_HZ[1]:
-        return []
-    return [
-        f"{samples.topic}: its times give {1 / step_s:.3g} samples per second, which no IMU has; if they"
-        " are in another unit, give time_unit in a recording.toml."
-    ]
+    if step_s > 0 and not _RATES_HZ[0] <= 1 / step_s <= _RATES_HZ[1]:
+        file.notes.append(
+            f"{topic}: its times give {1 / step_s:.3g} samples per second, which no IMU has; if they are in"
+            " another unit, give time_unit in a recording.toml."
+        )
 
 
 def times_of(table: ImuTable | SkeletonTable) -> FloatArray:

@@ -28,7 +28,7 @@ from smoother.cli.load import ArmInput
 from smoother.config import Config
 from smoother.errors import CalibrationError
 from smoother.io import write_recording
-from smoother.io.recording.read import read_arm
+from smoother.io.recording.read import read_arms
 from smoother.recording import Recording
 from smoother.simulation import ArmSimulation, simulate_arm
 from smoother.simulation.rig import STEP_S, beep, broadcast
@@ -279,7 +279,7 @@ def test_a_file_of_clocks_needs_no_arm(recording: Recording, tmp_path: Path) -> 
     path, file = tmp_path / "arm.mcap", tmp_path / "clock.toml"
     write_recording(recording, path)
     write_calibration(file, file_of({}))
-    read, arm = read_arm(path, file)
+    [(read, arm)] = read_arms(path, file, alone=True)
     assert arm is None
     clock = ArmInput(calibration_file=file).clock(read)
     assert clock is not None and clock.mean_s == 1.5

@@ -10,11 +10,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 from commands import done, refused
+from importers import select_recording
 
 from smoother.errors import RecordingError
 from smoother.io import open_recording, read_recovery
 from smoother.io.recording.match import match_file
-from smoother.io.recording.select import select_recording
 from smoother.io.recording.streams import RecordingFile
 
 

@@ -9,7 +9,8 @@ import numpy as np
 from imu_files import motion
 
 from smoother.io import open_csv
-from smoother.io.recording.select import select_recording
+from smoother.io.recording.select import select_recordings
+from smoother.io.recording.streams import RecordingFile
 from smoother.io.registry import FileReader, recognise
 from smoother.io.tables.imu import ImuTable
 from smoother.io.tables.skeletons import SkeletonTable
@@ -28,6 +29,11 @@ NANOS = (np.arange(COUNT) * 10_000_000 + 123_456_789_000).astype(np.int64)
 def import_csv(folder: Path, **options: Any) -> Recording:
     """The one arm of a folder with a recording.toml."""
     return select_recording(open_csv(folder), **options)
+
+
+def select_recording(file: RecordingFile, **options: Any) -> Recording:
+    """The one arm of a file that is meant."""
+    return select_recordings(file, alone=True, **options)[0]
 
 
 def written(tmp_path: Path, *lines: str, newline: str = "\n") -> Path:

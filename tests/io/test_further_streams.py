@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from importers import import_csv
+from importers import import_csv, select_recording
 from made_recordings import make
 from made_results import assert_same as assert_same_result
 from made_results import recovery as made_recovery
@@ -26,7 +26,6 @@ from smoother.io import (
 )
 from smoother.io.export.tables import export_csv
 from smoother.io.recording.choose import choose_arms
-from smoother.io.recording.select import select_recording
 from smoother.io.recording.streams import RecordingFile
 from smoother.recording import FOREARM_JOINTS, JOINTS, ImuStream, JointState, Recording, TrunkSensors
 from smoother.result import Recovery, SegmentMotion, TrunkMotion

@@ -130,7 +130,7 @@ def test_a_camera_without_depth_has_image_coordinates_and_no_metres() -> None:
     recording = simulate_arm(ArmSimulation.preset("realistic", **settings), 1).recording
     (camera,) = [each for each in recorded_systems(recording) if each.label.startswith("camera")]
     assert camera.title == "camera without depth"
-    assert not [each.name for each in camera.channels if each.units == "m" or each.kind == "POS"]
+    assert not [each.name for each in camera.channels if each.units == "m" or each.row[2] == "POS"]
     (column,) = [each for each in camera.channels if each.name == "right_wrist_x_image"]
     seen = recording.arm.state[:, JOINTS.index("wrist")] > 0
     np.testing.assert_array_equal(column.values[seen], recording.arm.joint("wrist")[seen, 0])

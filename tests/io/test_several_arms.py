@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from importers import select_recording
 from mcap.reader import make_reader
 from scipy.ndimage import gaussian_filter1d
 from scipy.spatial.transform import Rotation
@@ -16,7 +17,7 @@ from smoother.errors import RecordingError, UnoccludeError
 from smoother.io import read_recording, read_recordings, read_recovery, write_recording, write_recovery
 from smoother.io.recording.bodies import unswap_bodies
 from smoother.io.recording.choose import choose_arms
-from smoother.io.recording.select import select_recording, select_recordings
+from smoother.io.recording.select import select_recordings
 from smoother.io.recording.streams import ArmFrames, ImuSamples, RecordingFile
 from smoother.io.recording.write import as_file, as_session
 from smoother.recording import JOINTS

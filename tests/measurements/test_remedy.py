@@ -11,7 +11,7 @@ from scenes import arm
 
 from smoother.errors import RecordingError
 from smoother.io import write_recording
-from smoother.io.recording.read import read_arm
+from smoother.io.recording.read import read_arms
 from smoother.measurements.remedy import Remedy
 from smoother.recording import JOINTS, CameraFrame, Recording
 
@@ -64,7 +64,7 @@ def test_what_cannot_be_undone_is_refused(wrong: dict) -> None:
 def test_left_and_right_are_swapped_as_a_file_is_read(recording: Recording, tmp_path: Path) -> None:
     path = tmp_path / "arm.mcap"
     write_recording(recording, path)
-    read, _ = read_arm(path, swap_sides=True, remedy=Remedy(mirror="x"))
+    [(read, _)] = read_arms(path, swap_sides=True, remedy=Remedy(mirror="x"), alone=True)
     assert (recording.side, read.side) == ("right", "left")
     assert any("left and right" in note for note in read.notes)
     assert any("--mirror x" in note for note in read.notes)

@@ -99,11 +99,6 @@ class Channel(NamedTuple):
     frame: str = ""
 
     @property
-    def kind(self) -> str:
-        """Its `type`."""
-        return self.row[2]
-
-    @property
     def row(self) -> tuple[str, ...]:
         """Name, component, type, tracked point, units, frame, description; "" is n/a."""
         fits = ((re.fullmatch(pattern, self.name), kind) for pattern, kind in _KINDS.items())

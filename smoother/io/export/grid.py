@@ -8,7 +8,6 @@ from pathlib import Path
 
 import numpy as np
 
-from ... import linalg
 from ...array_types import BoolArray, FloatArray
 from ...errors import UnoccludeError
 from ...result import Recovery
@@ -89,11 +88,6 @@ def at_grid(
             if abs(grid.t_s[place] - first_s) <= 0.5 / grid.rate_hz:
                 out[place] = flat[run.start]
     return out.reshape(len(grid.t_s), *values.shape[1:])
-
-
-def nearest(t_s: FloatArray, grid: Grid) -> np.ndarray:
-    """(G,) index of the sample nearest to each of the grid's times."""
-    return np.arange(len(t_s)) if grid.same else linalg.nearest(t_s, grid.t_s)
 
 
 def unbroken(t_s: FloatArray, has: BoolArray) -> list[slice]:

@@ -15,11 +15,12 @@ import numpy as np
 from ...array_types import FloatArray
 from ...errors import UnoccludeError
 from ...joint_angles import torso_axes
+from ...linalg import nearest
 from ...recording import JOINTS, JointState
 from ...result import Recovery
 from ...result.untrusted import untrusted_sentences
 from ...runtime.outputs import writing
-from .grid import Export, Grid, at_grid, constant_step, nearest
+from .grid import Export, Grid, at_grid, constant_step
 from .tables import marks_of, write_rows
 
 #: Millimetres in the file, with this many decimals: a nanometre.
@@ -171,7 +172,7 @@ def prepare_markers(
     grid = constant_step(recovery, rate_hz)
     after = {joint: recovery.joints[joint] for joint in JOINTS[:-1] if joint in recovery.joints}
     after["imu"] = recovery.position
-    near = nearest(recovery.t_s, grid)
+    near = nearest(recovery.t_s, grid.t_s)
     places = [at_grid(recovery.t_s, values, grid) for values in after.values()]
     residuals = [np.where(recovery.occluded[near], COMPUTED, MEASURED)] * len(places)
     names, arm = list(after), recovery.arm
@@ -238,7 +239,7 @@ def opensim_axes(
 def _about(recovery: Recovery, grid: Grid, names: Sequence[str], frame: str, version: str) -> dict[str, Any]:
     """What `write_c3d` writes besides: trust and sigmas as channels, gaps as events, and what is known."""
     answers = [name for name in names if not name.startswith(BEFORE)]
-    near = nearest(recovery.t_s, grid)
+    near = nearest(recovery.t_s, grid.t_s)
     channels = {name: (mark[near].astype(float), "1") for name, mark in marks_of(recovery).items()}
     for name in answers:
         spread = recovery.pose_covariance[:, :3, :3] if name == "imu" else recovery.joint_covariance.get(name)

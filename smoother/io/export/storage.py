@@ -9,11 +9,11 @@ import numpy as np
 from ...array_types import FloatArray
 from ...errors import UnoccludeError
 from ...joint_angles import defined, recovery_angles, wrapped_deg
-from ...linalg import median_rate_hz
+from ...linalg import median_rate_hz, nearest
 from ...result import Recovery
 from ...result.untrusted import untrusted_sentences
 from ...rotation import Rotation
-from .grid import Export, Grid, at_grid, constant_step, nearest, unbroken
+from .grid import Export, Grid, at_grid, constant_step, unbroken
 from .markers import level_note, opensim_axes
 from .tables import marks_of, write_rows
 
@@ -54,7 +54,7 @@ def prepare_mot(recovery: Recovery, rate_hz: float | None = None) -> Export:
         )
     first, last = np.flatnonzero(answered)[[0, -1]]
     part, place = slice(int(first), int(last) + 1), np.arange(len(answered))
-    near, t_s = nearest(recovery.t_s, grid)[part], grid.t_s[part]
+    near, t_s = nearest(recovery.t_s, grid.t_s)[part], grid.t_s[part]
     values = np.stack([np.interp(place, place[answered], of[answered])[part] for of in angles.values()], 1)
     ours = {name: mark[near] for name, mark in marks_of(recovery).items() if name != "usable"}
     marks = {"occluded": ours["occluded"], "answered": answered[part]} | ours

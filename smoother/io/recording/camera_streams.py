@@ -78,7 +78,7 @@ def camera_of(
     arm: ArmFrames,
     source: str,
     origin_ns: int,
-    lenses: Mapping[str, KnownLens] | None = None,
+    lenses: Mapping[str, KnownLens],
 ) -> tuple[Camera | None, list[str]]:
     """A further camera with cleaned frames; None and a sentence where they cannot be used."""
     try:
@@ -87,7 +87,7 @@ def camera_of(
         return None, [f"{stream.name} was left out: {error}"]
     tracks = tracks_of(clean, origin_ns)
     frame = stream.camera_frame or clean.camera_frame
-    known = (lenses or {}).get(arm.topic)
+    known = lenses.get(arm.topic)
     pose = None if known is None else known.pose
     return Camera(stream.name, tracks, frame, stream.gravity_hint, pose), notes
 

@@ -14,14 +14,13 @@ from ...measurements.timestamps import clock_resets, even_times, in_packets, inc
 from ...recording import JOINTS, JointState
 from ...runtime.store import batches, by_rows, sampled
 from ...units import STANDARD_GRAVITY
-from ..tables.units import unit_of_rest
+from ..tables.imu import GYRO_LIMIT, rest_size
 from .streams import ArmFrames, ImuSamples, PoseSamples, kept, rows_of
 
 #: Names of two causes.
 ZERO, FROZEN = "all zero", "frozen"
-#: No gyroscope of a body-worn sensor reads beyond this, rad/s per axis (2000 deg/s), no accelerometer beyond
-#: that, m/s^2 per axis.
-GYRO_LIMIT, ACC_LIMIT = 35.0, 500.0
+#: No accelerometer of a body-worn sensor reads beyond this, m/s^2 per axis.
+ACC_LIMIT = 500.0
 #: A value that repeats to the last bit for this long, s and samples, is frozen, if the sensor turns ..
 _FROZEN_S, _FROZEN_SAMPLES = 0.25, 8
 #: .. this fast, rad/s, or is moved this much, m/s^2.
@@ -304,27 +303,13 @@ def _check_units(stream: ImuSamples, finite: BoolArray, source: str) -> None:
     rest, fast = rest_size(acc, gyro)
     if fast > GYRO_LIMIT:
         raise RecordingError(
-            f"{source}: the gyroscope of {stream.topic} reads up to {fast:.0f}, which cannot be rad/s and "
-            'looks like deg/s; give gyroscope_unit = "deg/s" in a recording.toml.'
+            f"{source}: the gyroscope of {stream.topic} reads up to {fast:.0f}, which cannot be rad/s; give"
+            " gyroscope_unit in a recording.toml, or check the export."
         )
     if 0.5 * STANDARD_GRAVITY < rest < 2 * STANDARD_GRAVITY:
         return
-    if unit := unit_of_rest(rest):
-        others = " (or cm/s^2)" if unit == "mg" else ""
-        why = f'which looks like {unit}{others}; give accelerometer_unit = "{unit}" in a recording.toml'
-    else:
-        taken = "gravity seems to have been taken out" if rest < 0.7 else "the unit is not known"
-        why = f"{taken}; record the raw specific force in m/s^2"
+    taken = "gravity seems to have been taken out" if rest < 0.7 else "the unit is not known"
     raise RecordingError(
         f"{source}: the accelerometer of {stream.topic} reads {rest:.4g} at rest instead of 9.81 m/s^2,"
-        f" {why}."
+        f" {taken}; record the raw specific force in m/s^2."
     )
-
-
-def rest_size(acc: FloatArray, gyro: FloatArray) -> tuple[float, float]:
-    """Size of the specific force at rest, and of the fastest rotation, in the units of finite samples."""
-    with np.errstate(over="ignore"):
-        rate, size = np.linalg.norm(gyro, axis=1), np.linalg.norm(acc, axis=1)
-    # The quietest fifth, whatever the gyroscope's unit and offset are.
-    rest = size[rate <= np.percentile(rate, 20)]
-    return float(np.median(rest)), float(np.percentile(rate, 99))

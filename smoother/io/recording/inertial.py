@@ -6,14 +6,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from ...array_types import FloatArray
 from ...errors import RecordingError
 from ...measurements.timestamps import increasing
-from ...runtime.store import batches, by_rows, sampled
+from ...runtime.store import by_rows, sampled
 from ..mcap.messages import nanoseconds, seconds
-from ..tables.imu import WRONG_SCALE, ImuTable, turn_scale, with_halves_joined
-from ..tables.units import ACCELERATION, ANGULAR_VELOCITY, unit_of_rest
-from .clean import GYRO_LIMIT, rest_size
+from ..tables.imu import ImuTable, in_shown_units, with_halves_joined
 from .streams import ImuSamples, RecordingFile, without_outlying
 
 #: How a note on a half ends.
@@ -44,9 +41,10 @@ def settle_imus(file: RecordingFile) -> None:
             file.imus.append(replace(gyro, made_of=table.made_of))
     for imu in file.imus:
         t_s = seconds(imu.stamp_ns, int(imu.stamp_ns[0]))
-        acc_unit, gyro_unit = shown_units(t_s, imu.acc, imu.gyro)
-        file.notes += scale_to_si(imu.topic, imu.acc, imu.gyro, acc_unit, gyro_unit)
-        imu.units = f"{acc_unit}, {gyro_unit}"
+        table = in_shown_units(ImuTable(imu.topic, t_s, imu.acc, imu.gyro, units=imu.units))
+        assert table.acc is not None and table.gyro is not None
+        imu.acc, imu.gyro, imu.units = table.acc, table.gyro, table.units
+        file.notes += table.notes
 
 
 def _only_sensor(imu: ImuSamples) -> str:
@@ -79,33 +77,3 @@ def _half(imu: ImuSamples, kind: str, origin: int, file: RecordingFile) -> ImuTa
         values if kind == "gyroscope" else None,
         None if stream.mag is None else stream.mag[keep],
     )
-
-
-def shown_units(t_s: FloatArray, acc: FloatArray, gyro: FloatArray) -> tuple[str, str]:
-    """Units in which an IMU reads gravity at rest and turns as gravity does; SI where nothing else is
-    shown.
-    """
-    some_acc, some_gyro = sampled(acc), sampled(gyro)
-    finite = np.isfinite(some_acc).all(axis=1) & np.isfinite(some_gyro).all(axis=1)
-    if finite.sum() < _FEWEST:
-        return "m/s^2", "rad/s"
-    rest, fast = rest_size(some_acc[finite], some_gyro[finite])
-    tables = (ImuTable("", t_s[rows], acc[rows], gyro[rows]) for rows in batches(len(t_s)))
-    scale = next((scale for table in tables if (scale := turn_scale(table)) is not None), None)
-    in_degrees = fast > GYRO_LIMIT if scale is None else scale < 1 / WRONG_SCALE
-    return unit_of_rest(rest) or "m/s^2", "deg/s" if in_degrees else "rad/s"
-
-
-def scale_to_si(name: str, acc: FloatArray, gyro: FloatArray, acc_unit: str, gyro_unit: str) -> list[str]:
-    """Scale samples of these units in place, with a sentence each."""
-    said = []
-    for sensor, values, unit, factor, why in (
-        ("accelerometer", acc, acc_unit, ACCELERATION[acc_unit], "as gravity shows, not in m/s^2"),
-        ("gyroscope", gyro, gyro_unit, ANGULAR_VELOCITY[gyro_unit], "as the motion shows, not in rad/s"),
-    ):
-        if factor == 1.0:
-            continue
-        for rows in batches(len(values)):
-            values[rows] = values[rows] * factor
-        said.append(f"{name}: the {sensor} is in {unit}, {why} as stated; it was converted.")
-    return said

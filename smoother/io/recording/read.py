@@ -10,7 +10,6 @@ from typing import Unpack, cast
 
 import numpy as np
 
-from ...array_types import BoolArray, FloatArray, IntArray
 from ...calibration import ArmCalibration
 from ...errors import RecordingError
 from ...measurements.remedy import Remedy
@@ -50,13 +49,13 @@ def _join_truth_joints(file: RecordingFile) -> None:
             row = np.minimum(np.searchsorted(arm.stamp_ns, poses.stamp_ns), len(arm.stamp_ns) - 1)
             same = arm.stamp_ns[row] == poses.stamp_ns
             for i in np.flatnonzero(arm.state.any(axis=0)).tolist():
-
-                def at_same(
-                    row: IntArray, same: BoolArray, column: FloatArray = arm.position[:, i]
-                ) -> FloatArray:
-                    return np.where(same[:, None], column[row], np.nan)
-
-                poses.joints[JOINTS[i]] = by_rows(at_same, row, same)
+                poses.joints[JOINTS[i]] = by_rows(
+                    lambda rows, is_same, its=arm.position[:, i]: np.where(
+                        is_same[:, None], its[rows], np.nan
+                    ),
+                    row,
+                    same,
+                )
 
 
 def _join_field(file: RecordingFile, field: FieldSamples) -> None:
@@ -309,17 +308,6 @@ def read_imu(path: str | os.PathLike[str], imu: str | None = None) -> tuple[ImuS
     if kept.stamp_ns[-1] - kept.stamp_ns[0] <= 0:
         raise RecordingError(f"{path}: {kept.topic} lasts no time; record it again.")
     return kept.on_axis(int(kept.stamp_ns[0]) // SECOND_NS * SECOND_NS), [*file.notes, *notes]
-
-
-def read_arm(
-    path: str | os.PathLike[str],
-    calibration_file: str | os.PathLike[str] | None = None,
-    *,
-    remedy: Remedy | None = None,
-    **reading: Unpack[FileReading],
-) -> tuple[Recording, ArmCalibration | None]:
-    """Read a recording, corrected by a calibration file's values of its sensors."""
-    return read_arms(path, calibration_file, remedy=remedy, alone=True, **reading)[0]
 
 
 def read_arms(

@@ -30,13 +30,6 @@ _LEAST_NS, _FEWEST = SECOND_NS // 5, 3
 Cleaned = TypeVar("Cleaned", ImuSamples, ArmFrames, PoseSamples)
 
 
-def select_recording(
-    file: RecordingFile, *, prefer_side: str | None = None, **selection: Unpack[Selection]
-) -> Recording:
-    """Make a recording of one arm from all that a file contains; options as in `read_recording`."""
-    return select_recordings(file, prefer_side=prefer_side, alone=True, **selection)[0]
-
-
 def select_recordings(
     file: RecordingFile,
     *,

@@ -171,11 +171,11 @@ def serialized(schema: str, time_ns: int, **fields: Any) -> bytes:
     return bytes(message.SerializeToString(deterministic=True))
 
 
-def raw_image(frame: str, encoding: str, image: NDArray[np.uint16], time_ns: int) -> bytes:
+def raw_image(frame: str, encoding: str, image: NDArray, time_ns: int) -> bytes:
     """An image (height, width) of 16 bits a pixel as `foxglove.RawImage`."""
     height, width = image.shape
     size = {"width": width, "height": height, "step": 2 * width}
-    data = np.ascontiguousarray(image, "<u2").tobytes()
+    data = np.ascontiguousarray(np.rint(image), "<u2").tobytes()
     return serialized(RAW_IMAGE, time_ns, frame_id=frame, encoding=encoding, data=data, **size)
 
 

@@ -7,9 +7,9 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -43,6 +43,9 @@ from .images import (
     raw_image,
     read_images,
 )
+
+if TYPE_CHECKING:
+    from ...simulation.panel import PanelPose
 
 #: Depth and infrared image of one exposure have stamps this near, s.
 PAIR_S = 0.02
@@ -197,17 +200,6 @@ SHOWN_M = 0.016
 _TRUTH = "truth.toml"
 
 
-@dataclass(frozen=True)
-class PanelShot:
-    """What is written of one pose."""
-
-    t_s: float  # Of the images
-    depth: NDArray[np.uint16]  # (height, width) mm; 0 where there is none
-    infrared: NDArray[np.uint16]  # (height, width)
-    marker_names: Sequence[str]  # Of the mocap
-    markers: FloatArray  # (n, 3) m: their positions
-
-
 def check_folder(path: Path, force: bool = False) -> None:
     """Refuse a folder that could not be written in the end, before any work is done for it."""
     if path.is_dir() and any(path.iterdir()):
@@ -223,7 +215,7 @@ def check_folder(path: Path, force: bool = False) -> None:
 
 def write_panel_folder(
     path: str | os.PathLike[str],
-    shots: Sequence[PanelShot],
+    poses: Sequence[PanelPose],
     imus: Sequence[ImuStream],
     half_s: float,
     tables: dict[str, dict[str, Any]],
@@ -235,16 +227,16 @@ def write_panel_folder(
 
     check_folder(Path(path), force)
     with writing_folder(path) as folder:
-        for number, shot in enumerate(shots, 1):
+        for number, pose in enumerate(poses, 1):
             name = f"pose_{number:02d}"
-            for what, image in (("depth", shot.depth), ("infrared", shot.infrared)):
-                _, packed = cv2.imencode(".png", image)
+            for what, image in (("depth", pose.depth), ("infrared", pose.infrared)):
+                _, packed = cv2.imencode(".png", np.rint(image).astype(np.uint16))
                 (folder / f"{name}_{what}.png").write_bytes(packed.tobytes())
-            markers = zip(shot.marker_names, shot.markers, strict=True)
+            markers = zip(pose.marker_names, pose.markers, strict=True)
             lines = ["marker,x,y,z", *(f"{each},{x:.6f},{y:.6f},{z:.6f}" for each, (x, y, z) in markers), ""]
             (folder / f"{name}_markers.csv").write_text("\n".join(lines), encoding="utf-8")
             for imu in imus:
-                near = imu.select(np.abs(imu.t_s - shot.t_s) <= half_s)
+                near = imu.select(np.abs(imu.t_s - pose.t_s) <= half_s)
                 vectors = [values for values in (near.acc, near.gyro, near.mag) if values is not None]
                 header = ",".join(["t_s", *IMU_COLUMNS[1 : 1 + 3 * len(vectors)]])
                 rows = np.hstack([near.t_s[:, None], *vectors])
@@ -256,45 +248,42 @@ def write_panel_folder(
 
 def write_panel_recording(
     path: str | os.PathLike[str],
-    shots: Sequence[PanelShot],
+    poses: Sequence[PanelPose],
     imus: Sequence[ImuStream],
-    lens: dict[str, Any],
+    lens: Intrinsics,
     *,
     force: bool = False,
 ) -> None:
     """Write the session as MCAP: depth (16UC1, mm) and infrared images, lens, mocap markers, IMU samples."""
-    stamp = nanoseconds(np.array([shot.t_s for shot in shots]), 0)
-    numbers = {key: float(lens[key]) for key in ("fx", "fy", "cx", "cy")}
-    seen = Intrinsics(lens["width"], lens["height"], **numbers, distortion=tuple(lens["distortion"]))
-    of_lens = lens_message(CAMERA, seen, int(stamp[0]))
+    stamp = nanoseconds(np.array([pose.t_s for pose in poses]), 0)
+    of_lens = lens_message(CAMERA, lens, int(stamp[0]))
     samples = [
         ImuSamples(f"/imu/{i.name}", i.name, nanoseconds(i.t_s, 0), i.acc, i.gyro, i.mag) for i in imus
     ]
     with writing(path, force) as temporary, Output(temporary) as output:
 
         def depth(row: int) -> bytes:
-            return raw_image(CAMERA, "16UC1", shots[row].depth, stamp[row])
+            return raw_image(CAMERA, "16UC1", poses[row].depth, stamp[row])
 
         def infrared(row: int) -> bytes:
-            return raw_image(CAMERA, "mono16", shots[row].infrared, stamp[row])
+            return raw_image(CAMERA, "mono16", poses[row].infrared, stamp[row])
 
-        lens_stream = output.each(LENS_TOPIC, CAMERA_CALIBRATION, stamp[:1], [of_lens].__getitem__)
         output.write(
             [
                 *(imu_messages(output, each) for each in samples),
                 output.each(DEPTH_TOPIC, RAW_IMAGE, stamp, depth),
                 output.each(INFRARED_TOPIC, RAW_IMAGE, stamp, infrared),
-                lens_stream,
-                output.each(MARKER_TOPIC, _SCENE, stamp, lambda row: _scene(shots[row], int(stamp[row]))),
+                output.each(LENS_TOPIC, CAMERA_CALIBRATION, stamp[:1], [of_lens].__getitem__),
+                output.each(MARKER_TOPIC, _SCENE, stamp, lambda row: _scene(poses[row], int(stamp[row]))),
             ]
         )
 
 
-def _scene(shot: PanelShot, time_ns: int) -> bytes:
+def _scene(pose: PanelPose, time_ns: int) -> bytes:
     """A sphere a marker, in the mocap's frame."""
     size, colour = dict.fromkeys("xyz", SHOWN_M), dict.fromkeys("rgba", 1.0)
     message = message_class(_SCENE)()
-    for name, position in zip(shot.marker_names, shot.markers, strict=True):
+    for name, position in zip(pose.marker_names, pose.markers, strict=True):
         place = dict(zip("xyz", position.tolist(), strict=True))
         sphere = {"pose": {"position": place, "orientation": {"w": 1.0}}, "size": size, "color": colour}
         entity = message.entities.add(frame_id=MOCAP, id=name, spheres=[sphere])

@@ -6,10 +6,9 @@ import os
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
-from typing import Protocol
+from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from calib.intrinsics import Intrinsics, PlacedCamera
@@ -36,6 +35,9 @@ from .images import (
     raw_image,
     read_images,
 )
+
+if TYPE_CHECKING:
+    from ...simulation.strap import StrapView
 
 #: Child frame to its parent, R and t: p_parent = R p_child + t.
 Transforms = dict[str, tuple[str, FloatArray, FloatArray]]
@@ -170,22 +172,10 @@ def transform_between(
 COLOUR, DEPTH = "colour", "depth"
 
 
-class ImagePair(Protocol):
-    """A colour image and the depth image after it."""
-
-    @property
-    def grey(self) -> NDArray[np.uint8]:
-        """Brightness (height, width)."""
-
-    @property
-    def depth_mm(self) -> NDArray[np.uint16]:
-        """Depth (height, width), mm; 0 where there is none."""
-
-
 def write_strap_recording(
     path: str | os.PathLike[str],
     recording: Recording,
-    images: Sequence[ImagePair],
+    images: Sequence[StrapView],
     times: FloatArray,  # (n,) s
     cameras: tuple[PlacedCamera, PlacedCamera],
     depth_later_s: float,

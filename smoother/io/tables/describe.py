@@ -67,10 +67,6 @@ class DescribedFile:
     error: str = ""  # Why it cannot be used; "" where it can
     guess: dict[str, Any] | None = None  # Of a table that no format knows
 
-    def to_dict(self) -> dict[str, Any]:
-        """As plain values."""
-        return asdict(self)
-
 
 def describe_files(
     paths: list[Path], reader: FileReader | None = None, output: Path | None = None

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -43,11 +42,6 @@ class Guess:
         """Whether times and units of an IMU are known."""
         made_up = any(reason.startswith(UNKNOWN) for reason in self.reasons.values())
         return bool({"ax", "gx"} & self.columns.keys()) and "t" in self.columns and not made_up
-
-    @property
-    def gyro_unit_assumed(self) -> bool:
-        """Whether the size of the gyroscope's values alone decided on its unit."""
-        return _NO_GYRO_UNIT in self.unsure
 
     def set(self, key: str, value: object, reason: str, unsure: str = "") -> None:
         """Set a key, with its reason."""
@@ -142,12 +136,10 @@ def bare_vector(table: DeviceTable) -> Columns | None:
     return next(((x, y, z) for x, y, z in triples if min(x, y, z) >= 0), None)
 
 
-def sensors_of(table: DeviceTable, called: Mapping[str, str] | None = None) -> list[SensorChannels]:
+def sensors_of(table: DeviceTable) -> list[SensorChannels]:
     """Sensors among the columns of a table by names and units; counts of a converter are none."""
     names = [split_unit(name)[0] for name in table.names] or list(table.labels)
     names = ["" if re.search(r"(raw|uncal)$", name, re.IGNORECASE) else name for name in names]
-    for word, kind in (called or {}).items():
-        names = [name.replace(word, kind) for name in names]
     return find_sensors(names, units=table.units)
 
 

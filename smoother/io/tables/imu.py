@@ -14,10 +14,11 @@ from ...array_types import BoolArray, FloatArray, IntArray
 from ...errors import RecordingError
 from ...linalg import interpolate, median_rate_hz
 from ...measurements.timestamps import pauses
+from ...runtime.store import batches, by_rows, sampled
 from ...units import STANDARD_GRAVITY
 from .joints import words_of
 from .table import shown
-from .units import ACCELERATION, ANGULAR_VELOCITY, gravity_unit, plain_unit
+from .units import ACCELERATION, ANGULAR_VELOCITY, gravity_unit, plain_unit, unit_of_rest
 
 Columns = tuple[int, int, int]
 
@@ -36,14 +37,12 @@ class ImuTable:
     counter_wraps: int = 0  # 0 = it does not wrap
     units: str = ""  # As written in the file, for the line that is said of it ("m/s^2, deg/s")
     notes: list[str] = field(default_factory=list)  # What was decided or dropped in reading, a sentence each
-    # The file does not state the gyroscope's unit, and its size alone decided: an accelerometer may settle it
-    gyro_unit_assumed: bool = False
     made_of: tuple[str, ...] = ()  # Streams of the file that contain a half each
 
     def __len__(self) -> int:
         return next((len(each) for each in (self.acc, self.gyro, self.t_s) if each is not None), 0)
 
-    def select(self, keep: BoolArray | IntArray) -> ImuTable:
+    def select(self, keep: BoolArray | IntArray | slice) -> ImuTable:
         """Some of the samples, or all in another order."""
         arrays: dict[str, Any] = {
             name: None if (rows := getattr(self, name)) is None else rows[keep]
@@ -208,14 +207,16 @@ def missing_axes_words(missing: dict[str, list[str]]) -> str:
 
 #: A median below this part of gravity has no gravity, and above the other is none in m/s^2.
 _NO_GRAVITY, _MOST_GRAVITY = 0.35, 2.0
-#: The fastest gyroscopes measure 4000 deg/s; more in one sample of a hundred is another unit, rad/s.
-_FASTEST = 70.0
+#: No gyroscope of a body-worn sensor reads beyond this, rad/s per axis (2000 deg/s).
+GYRO_LIMIT = 35.0
 #: rad/s that no arm reaches in one sample of a hundred: larger values are deg/s.
 _FAST = 40.0
 #: Rotation is compared with gravity's over this time, s.
 _OVER_S = 0.4
 #: A unit is wrong by 57.3 where the scale lies beyond this factor; fast motion lowers it to 0.2.
-WRONG_SCALE = 7.5
+_WRONG_SCALE = 7.5
+#: Fewer samples, of which some may be damaged, do not show a unit.
+_FEWEST = 100
 #: The comparison counts from this correlation on.
 _CLEAR = 0.5
 
@@ -251,7 +252,7 @@ def unit_of(
     if unit := _unit_by_resolution(values):
         return unit, "its smallest step is that of a 16-bit sensor in this unit"
     if (scale := turn_scale(ImuTable("", t_s, force, values, rate_hz=rate))) is not None:
-        unit = "deg/s" if scale < 1 / WRONG_SCALE else "rad/s"
+        unit = "deg/s" if scale < 1 / _WRONG_SCALE else "rad/s"
         return unit, "it then rotates as gravity does in the accelerometer"
     finite = np.abs(values[np.isfinite(values)])
     return ("deg/s" if len(finite) and float(np.percentile(finite, 99)) > _FAST else "rad/s"), ""
@@ -273,29 +274,43 @@ def _unit_by_resolution(gyro: FloatArray) -> str:
     return ""
 
 
-def with_checked_turning(table: ImuTable) -> ImuTable:
-    """An IMU whose gyroscope turns as gravity does in its axes: by an assumed unit, or with a note."""
-    if (gyro := table.gyro) is None or not np.isfinite(gyro).any():
+def rest_size(acc: FloatArray, gyro: FloatArray) -> tuple[float, float]:
+    """Size of the specific force at rest, and of the fastest rotation, in the units of finite samples."""
+    with np.errstate(over="ignore"):
+        rate, size = np.linalg.norm(gyro, axis=1), np.linalg.norm(acc, axis=1)
+    # The quietest fifth, whatever the gyroscope's unit and offset are.
+    rest = size[rate <= np.percentile(rate, 20)]
+    return float(np.median(rest)), float(np.percentile(rate, 99))
+
+
+def in_shown_units(table: ImuTable) -> ImuTable:
+    """An IMU in the units in which it reads gravity at rest and turns as gravity does, whatever was taken."""
+    if table.acc is None or table.gyro is None:
         return table
-    scale = turn_scale(table)
-    if table.gyro_unit_assumed and scale is not None and not 1 / WRONG_SCALE < scale < WRONG_SCALE:
-        unit, other, factor = ("deg/s", "rad/s", np.pi / 180)
-        if scale > 1:
-            unit, other, factor = other, unit, 1 / factor
-        said = f"The accelerometer turns with the gyroscope only if that is in {unit}, so that unit counts."
-        gyro, scale, units = gyro * factor, scale / factor, table.units.replace(other, unit)
-        table = replace(table, gyro=gyro, units=units, notes=[*table.notes, said], gyro_unit_assumed=False)
-    if np.nanpercentile(np.abs(gyro), 99) > _FASTEST or (scale is not None and scale < 1 / WRONG_SCALE):
-        how, stated, probable = "larger", "rad/s", "deg/s"
-    elif scale is not None and scale > WRONG_SCALE:
-        how, stated, probable = "smaller", "deg/s", "rad/s"
-    else:
+    acc, gyro = sampled(table.acc), sampled(table.gyro)
+    finite = np.isfinite(acc).all(axis=1) & np.isfinite(gyro).all(axis=1)
+    if finite.sum() < _FEWEST:
         return table
-    said = (
-        f"The gyroscope is some 57 times {how} than the accelerometer turns with it: the file's {stated} are"
-        f" probably {probable}; check the export."
-    )
-    return table if said in table.notes else replace(table, notes=[*table.notes, said])
+    rest, fast = rest_size(acc[finite], gyro[finite])
+    parts = map(table.select, batches(len(table)))
+    scale = next((scale for part in parts if (scale := turn_scale(part)) is not None), None)
+    taken, degree, shown = "rad/s", ANGULAR_VELOCITY["deg/s"], {"acc": unit_of_rest(rest), "gyro": ""}
+    if fast > GYRO_LIMIT if scale is None else scale < 1 / _WRONG_SCALE:
+        shown["gyro"] = "deg/s"
+    elif scale is not None and scale > _WRONG_SCALE and table.units.endswith("deg/s"):
+        shown["gyro"], taken, degree = "rad/s", "deg/s", 1 / degree
+    table, units = replace(table, notes=list(table.notes)), (table.units or "m/s^2, rad/s").split(", ")
+    of = f"{table.name}: the" if table.name else "The"
+    for at, kind, sensor, why in (
+        (0, "acc", "accelerometer", "as gravity shows, not in m/s^2"),
+        (-1, "gyro", "gyroscope", f"as the motion shows, not in {taken}"),
+    ):
+        if unit := shown[kind]:
+            factor, units[at] = ACCELERATION[unit] if kind == "acc" else degree, unit
+            setattr(table, kind, by_rows(lambda part, by=factor: part * by, getattr(table, kind)))
+            table.notes.append(f"{of} {sensor} is in {unit}, {why} as stated or assumed; it was converted.")
+    table.units = ", ".join(units)
+    return table
 
 
 def holds_gravity(acc: FloatArray) -> bool:
@@ -406,7 +421,7 @@ def paired(tables: list[ImuTable], source: str) -> ImuTable:
         units=", ".join(dict.fromkeys(unit for unit in (acc.units, gyro.units) if unit)),
         notes=notes,
     )
-    return with_checked_turning(table)
+    return in_shown_units(table)
 
 
 def _only(tables: list[ImuTable], part: str, source: str) -> ImuTable:

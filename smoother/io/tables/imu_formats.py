@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Callable
+from dataclasses import dataclass
 from functools import partial
 from os.path import commonprefix
 from pathlib import Path
@@ -30,10 +30,8 @@ class Device:
     recognised_by: str
     fits: Callable[[DeviceTable], bool]  # Whether a table's columns are of this device
     lacks: str = ""  # What a table without both sensors is, and what to do; "" where the columns speak
-    called: Mapping[str, str] = field(default_factory=dict)  # Words that name a sensor here: {"rot": "gyro"}
     acc_unit: str = "m/s^2"  # Counts where the file states none; "" = as gravity shows
     gyro_unit: str = "rad/s"  # Counts where the file states none, and gravity does not contradict
-    settles_unit: bool = False  # The gyroscope's unit, where it is not stated, is the one that gravity shows
     time: tuple[str, ...] = ("time",)  # Labels of the time's column, the preferred one first
     time_unit: str = "s"
     # Finds the times (n,), s, by the sensor's name and the stated rate, where `time` does not do
@@ -70,7 +68,7 @@ def _read(path: Path, device: Device) -> list[ImuTable]:
     table.refuse_nameless(most=1)  # one more is a counter or a comment of some exporter
     if device.read is not None or not device.lacks:
         return (device.read or _read_named)(table, device)
-    sensors = [each for each in sensors_of(table, device.called) if {"acc", "gyro"} <= each.axes.keys()]
+    sensors = [each for each in sensors_of(table) if {"acc", "gyro"} <= each.axes.keys()]
     found = [_sensor(table, device, each) for each in sensors]
     if not found and (imu := _of_increments(table, device)) is not None:
         found = [imu]
@@ -92,7 +90,6 @@ def _sensor(table: DeviceTable, device: Device, sensor: SensorChannels) -> ImuTa
     imu.acc, acc_unit = _in_si(table, "acc", acc, device.acc_unit)
     imu.gyro, gyro_unit = _in_si(table, "gyro", gyro, device.gyro_unit)
     imu.units = f"{acc_unit}, {gyro_unit}"
-    imu.gyro_unit_assumed = device.settles_unit and not table.unit(gyro[0])
     if not device.acc_unit and acc_unit != "m/s^2" and not table.unit(acc[0]):
         imu.notes.append(f"The accelerometer states no unit; it reads gravity in {acc_unit}.")
     return imu
@@ -400,7 +397,6 @@ def _read_named(table: DeviceTable, device: Device) -> list[ImuTable]:
         imu.notes.append(f"{UNUSED} columns {shown(', '.join(unused), 120)}.")
     lacking = len({"ax", "gx"} - guess.columns.keys())  # the last sentences say so
     imu.notes += guess.unsure[: len(guess.unsure) - lacking]
-    imu.gyro_unit_assumed = guess.gyro_unit_assumed
     return [imu]
 
 
@@ -516,7 +512,6 @@ IMU_FORMATS = tuple(
             gyro_unit="deg/s",
             time=(*_NILSPOD_TIMES, "time"),
             rate=("sampling rate", "sampling_rate_hz"),
-            settles_unit=True,
         ),
         Device(
             "metamotion",

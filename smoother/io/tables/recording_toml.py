@@ -209,7 +209,7 @@ def template_text(
 def open_csv(
     folder: str | os.PathLike[str], *, outside: bool = False, templates: Sequence[TableTemplate] = ()
 ) -> RecordingFile:
-    """Read all streams of a folder of plain files, for `write_recording` or `select_recording`."""
+    """Read all streams of a folder of plain files, for `write_recording` or `select_recordings`."""
     folder = Path(folder)
     if folder.name == "recording.toml" and folder.is_file():  # as shells complete it
         folder = folder.parent

@@ -20,7 +20,7 @@ from ...measurements.timestamps import (
     strayed,
     unwrapped,
 )
-from .imu import ImuTable, with_checked_turning
+from .imu import ImuTable, in_shown_units
 from .skeletons import SkeletonTable
 
 # ------------------------------------------------------------------------------------------------- repaired
@@ -43,8 +43,8 @@ Stream = TypeVar("Stream", ImuTable, SkeletonTable)
 
 
 def repaired_imu(table: ImuTable, source: str) -> ImuTable:
-    """An IMU's samples with times that increase."""
-    table = with_checked_turning(replace(table, notes=list(table.notes)))
+    """An IMU's samples with times that increase, in the units that gravity shows."""
+    table = replace(table, notes=list(table.notes))
 
     def vectors() -> list[FloatArray]:
         return [values for values in (table.acc, table.gyro) if values is not None]
@@ -65,7 +65,7 @@ def repaired_imu(table: ImuTable, source: str) -> ImuTable:
             table, ~np.append(False, (np.diff(mark) == 0) & same), "Rows that repeat the one before"
         )
     table = _on_one_clock(table, vectors()[0], "samples")
-    return _with_times(table, _number(table), source, "samples")
+    return in_shown_units(_with_times(table, _number(table), source, "samples"))
 
 
 def repaired_skeleton(table: SkeletonTable, source: str) -> SkeletonTable:

@@ -77,10 +77,13 @@ def pose_video(
     """The format of videos, read with the pose landmarker's model."""
 
     def read(path: Path) -> list[SkeletonTable]:
+        import cv2
+
         # what is missing is said before minutes of work
         mediapipe = extra_module("mediapipe", "MediaPipe", "video", submodules=("tasks.python.vision",))
         with _landmarker(model, people) as landmarker, _capture(path) as (capture, rate_hz):
-            count, stored_deg = _about_file(capture)
+            count = max(int(capture.get(cv2.CAP_PROP_FRAME_COUNT)), 0)  # 0 where it is not stated
+            stored_deg = round(capture.get(cv2.CAP_PROP_ORIENTATION_META)) % 360
             stamps: list[float] = []
             poses: list[Persons] = []
             latest_ms = -1
@@ -138,14 +141,6 @@ def _capture(path: Path) -> Iterator[tuple[Any, float]]:
     finally:
         capture.release()
         logging.setLogLevel(previous)
-
-
-def _about_file(capture: Any) -> tuple[int, int]:
-    """How many pictures the container states (0 where it does not), and the turn of them, degrees."""
-    import cv2
-
-    count = max(int(capture.get(cv2.CAP_PROP_FRAME_COUNT)), 0)
-    return count, round(capture.get(cv2.CAP_PROP_ORIENTATION_META)) % 360
 
 
 def _pictures(capture: Any, turn_deg: int, mirrored: bool) -> Iterator[tuple[float, np.ndarray]]:

@@ -81,7 +81,7 @@ def test_the_example_of_contributing(tmp_path: Path):
     importer = imu_format(eval(code, {"Device": Device}))
     body = rows(np.arange(made.COUNT), made.ACC / made.GRAVITY * 1000, made.DEG)
     path = tmp_path / "acme.csv"
-    path.write_text("\n".join(["tick,acc_x,acc_y,acc_z,rot_x,rot_y,rot_z", *body, ""]))
+    path.write_text("\n".join(["tick,acc_x,acc_y,acc_z,gyr_x,gyr_y,gyr_z", *body, ""]))
     assert importer.recognises(read_head(path))
     (table,) = importer.read(path)
     assert np.allclose(table.acc, made.ACC, atol=1e-6) and np.allclose(table.gyro, made.GYRO, atol=1e-6)

@@ -222,16 +222,15 @@ def test_metamotion(tmp_path: Path, header: str):
 @pytest.mark.parametrize(
     ("key", "header", "columns", "said"),
     [
-        ("nilspod", f"t,{G3},{A3}", [TIME, GYRO, ACC], "only if that is in rad/s"),
-        ("xsens-dot", f"SampleTimeFine,{A3},{G3}", [MICROS, ACC, GYRO], "probably rad/s"),
-        ("xsens-mt", f"// Update Rate: 100.0Hz\nCounter,{A3},{G3}", [MICROS, ACC, DEG], "probably deg/s"),
+        ("nilspod", f"t,{G3},{A3}", [TIME, GYRO, ACC], "rad/s"),
+        ("xsens-dot", f"SampleTimeFine,{A3},{G3}", [MICROS, ACC, GYRO], "rad/s"),
+        ("xsens-mt", f"// Update Rate: 100.0Hz\nCounter,{A3},{G3}", [MICROS, ACC, DEG], "deg/s"),
     ],
 )
 def test_a_wrong_unit_is_said(tmp_path: Path, key: str, header: str, columns: list[np.ndarray], said: str):
     table = repaired_imu(tables(written(tmp_path, header, *rows(*columns)), key)[0], "a.csv")
-    assert said in " ".join(table.notes)
-    if key == "nilspod":
-        np.testing.assert_allclose(table.gyro, printed(GYRO), rtol=1e-12)
+    assert f"The gyroscope is in {said}, as the motion shows" in " ".join(table.notes)
+    np.testing.assert_allclose(table.gyro, printed(GYRO), rtol=0, atol=1e-5)
 
 
 def test_a_named_format_that_does_not_fit_says_so(tmp_path: Path):
@@ -283,12 +282,12 @@ def test_android_log_with_names_of_sensors(tmp_path: Path):
 def test_the_other_file_settles_an_assumed_unit(tmp_path: Path):
     slow = DEG / 4  # 21 deg/s at most: by its size it could be rad/s
     (gyro,) = tables(written(tmp_path, "timestamp,x,y,z", *rows(NANOS, slow)), "android")
-    assert gyro.gyro_unit_assumed and gyro.units == "rad/s"
+    assert gyro.units == "rad/s"
     acc, _ = motion(seed=1, slower=4)
     (acc_table,) = tables(written(tmp_path, "timestamp,x,y,z", *rows(NANOS, acc)), "android")
     table = paired([acc_table, gyro], "two files")
     np.testing.assert_allclose(table.gyro, np.radians(printed(slow)), atol=1e-12)
-    assert "only if that is in deg/s" in " ".join(table.notes) and table.units == "m/s^2, deg/s"
+    assert "is in deg/s, as the motion shows" in " ".join(table.notes) and table.units == "m/s^2, deg/s"
 
 
 def test_dates_and_three_numbers_in_two_files_that_start_apart(tmp_path: Path):
