@@ -108,40 +108,39 @@ def without(whole: bytes) -> bytes:
 
 
 FAR = struct.pack("<Q", 2**63 + 1)
+REST = 99  # Chunks: all behind the damage
 #: What is damaged, how many chunks that costs at the most, and a part of a note.
 DAMAGES: dict[str, tuple[Callable[[bytes], bytes], float, str]] = {
     "payload": (in_chunk(0, 200, b"\xff\xfe\xfd"), 1, "left out (from 0.000 s to"),
     "compression": (in_chunk(3, HEAD.size + CHUNK.size + 1, b"x"), 1, "is damaged and was left out"),
-    **{
-        f"opcode {code}": (in_chunk(3, 0, bytes([code])), 0, "head of the chunk")
-        for code in (2, 15, 70, 134, 0)
-    },
+    **{f"opcode {code}": (in_chunk(3, 0, bytes([code])), REST, "left out") for code in (2, 15, 70, 0)},
+    "a private opcode": (in_chunk(3, 0, bytes([134])), 1, "is not there and was left out"),
     **{
         f"length {length}": (
             in_chunk(4, 1, struct.pack("<Q", length)),
-            1,
+            REST,
             "are damaged or cut and were left out",
         )
         for length in (0, 5, 700, 10**5, 2**40, 2**63 + 1)
     },
     "the header's length": (
         lambda whole: put(whole, len(MAGIC) + 1, FAR),
-        0,
+        REST,
         "are damaged or cut and were left out",
     ),
     "zeros": (
         lambda whole: put(whole, len(whole) // 2, bytes(3000)),
-        4,
+        REST,
         "are damaged or cut and were left out",
     ),
     "zeros from the start": (
         lambda whole: put(whole, 0, bytes(2000)),
-        2,
+        REST,
         "are damaged or cut and were left out",
     ),
     "index": (lambda whole: put(whole, len(whole) - 200, bytes(9)), 0, "index at its end is damaged"),
     "a chunk twice": (again, 0, "index at its end is damaged"),
-    "bytes gone": (without, 99, "`mcap recover` may find more in them"),
+    "bytes gone": (without, REST, "`mcap recover` may find more in them"),
     "a stated size": (in_chunk(4, HEAD.size + 16, FAR), 1, "is damaged and was left out"),
 }
 
@@ -160,7 +159,7 @@ def test_a_damage_costs_what_it_covers(path: Path, kind: str):
     )
     assert all(is_named(row, container) for row in lost)
     assert any(note in each for each in container.notes), container.notes
-    if lost and most < 99:
+    if lost and kind != "bytes gone":  # whose index is off as well
         assert sum(container.missing.values()) == len(lost)
 
 
@@ -178,7 +177,7 @@ def test_bits_anywhere_are_never_silent(path: Path, tmp_path: Path, way: dict[st
         lost = [row for row in everything if row not in rows]
         assert len(rows) == COUNT or container.notes
         if way != {"use_chunking": False}:  # which has no checksums
-            assert set(rows) <= set(everything) and len(rows) > COUNT - 60
+            assert set(rows) <= set(everything)
             assert all(is_named(row, container) for row in lost)
         if number % 3 == 0 and rows:
             report = repair_container(path, tmp_path / "whole.mcap", force=True)
@@ -248,18 +247,10 @@ def test_all_messages_are_found_and_a_cut_file_gives_what_it_has(
     whole = written(events, **how)  # type: ignore[arg-type]
     expected = by_package(whole)
     assert len(expected) == len(events)
-    assert read(path, whole)[0] == expected
-    container = Container(path)
-    found: dict[str, list[tuple[int, bytes]]] = {}
-    for batch in container.by_topic(lambda topic: True):
-        for position, rows in batch.items():
-            data = [rows.chunk[a:b] for a, b in zip(rows.start.tolist(), rows.stop.tolist(), strict=True)]
-            of_topic = found.setdefault(container.topics[position].name, [])
-            of_topic += zip(rows.log_ns.tolist(), data, strict=True)
+    rows, container = read(path, whole)
+    assert rows == expected
     for topic in container.topics:
-        messages = [(row[1], row[4]) for row in expected if row[0] == topic.name]
-        assert found[topic.name] == messages
-        times = [log_ns for log_ns, _ in messages]
+        times = [row[1] for row in expected if row[0] == topic.name]
         assert (topic.count, topic.first_ns, topic.last_ns) == (len(times), min(times), max(times))
     cut = whole[: 8 + int(part * (len(whole) - 8))]
     assert read(path, cut)[0] == by_package(cut)
@@ -304,7 +295,6 @@ def test_what_is_not_wanted_is_counted_and_passed_over(path: Path):
     container = Container(path)
     assert [each.log_ns for each in container.messages(wanted)] == [10 * i for i in range(1, 300, 3)]
     assert [(topic.name, topic.count) for topic in container.topics] == [(name, 100) for name in TOPICS]
-    assert all(list(batch) == [1] for batch in Container(path).by_topic(wanted))
 
 
 def test_repair(path: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]):

@@ -1,8 +1,8 @@
 """An MCAP file read front to back in flat memory.
 
 Records are the mcap package's; the messages of a chunk stay columns (0.05 s where the package takes 0.75 s).
-A damaged chunk is left out and its times are noted. Behind broken framing reading resumes at the next place
-that the summary at the file's end names; without one the rest is for `mcap recover`.
+A damaged chunk is left out and its times are noted, and so is every chunk that the index at the file's end
+lists and that was not met. What lies behind broken framing is for `mcap recover`.
 """
 
 from __future__ import annotations
@@ -21,12 +21,10 @@ from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
 from mcap.records import (
-    AttachmentIndex,
     Channel,
     Chunk,
     ChunkIndex,
     Metadata,
-    MetadataIndex,
     Schema,
     Statistics,
 )
@@ -53,19 +51,10 @@ MESSAGE = np.dtype(
     }
 )
 _FOOTER = struct.Struct("<BQQQI")
-#: A name of a compression is no longer than this.
-_LETTERS = 16
-#: Records of the data section with their least length; opcodes from `_PRIVATE` on are a program's own.
-_LEAST: dict[int, int] = {
-    Opcode.HEADER: 8,
-    Opcode.SCHEMA: 14,
-    Opcode.CHANNEL: 16,
-    Opcode.MESSAGE: 22,
-    Opcode.CHUNK: 40,
-    Opcode.MESSAGE_INDEX: 6,
-    Opcode.ATTACHMENT: 36,
-    Opcode.METADATA: 8,
-    Opcode.DATA_END: 4,
+#: Records of the data section; opcodes from `_PRIVATE` on are a program's own.
+_RECORDS = {
+    *(Opcode.HEADER, Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE, Opcode.CHUNK, Opcode.MESSAGE_INDEX),
+    *(Opcode.ATTACHMENT, Opcode.METADATA, Opcode.DATA_END),
 }
 _PRIVATE = 128
 #: Log times beyond this, ns, do not fit what times are counted in.
@@ -106,15 +95,8 @@ class Container:
 
     # -- messages -------------------------------------------------------------------------------------------
 
-    def by_topic(self, wanted: Callable[[Topic], bool]) -> Iterator[dict[int, Messages]]:
-        """Yield the messages of wanted topics a chunk at a time, by position of the topic in `topics`."""
-        for chunk in self.chunks():
-            positions = [each for each in dict.fromkeys(chunk.topic.tolist()) if wanted(self.topics[each])]
-            if positions:
-                yield {each: chunk.select(np.flatnonzero(chunk.topic == each)) for each in positions}
-
     def messages(self, wanted: Callable[[Topic], bool]) -> Iterator[McapMessage]:
-        """The same one by one, in the file's order: for topics whose messages are few, or large."""
+        """Yield messages one by one, in the file's order: for topics whose messages are few, or large."""
         for chunk in self.chunks():
             numbers = [each for each in np.unique(chunk.topic).tolist() if wanted(self.topics[each])]
             rows, data = chunk.select(np.flatnonzero(np.isin(chunk.topic, numbers))), memoryview(chunk.chunk)
@@ -256,41 +238,32 @@ class Container:
 
     def _records(self, file: IO[bytes], size: int) -> Iterator[tuple[int, int, int]]:
         """Opcode, first byte and length of the content of each record up to the end of the data section."""
-        indexes = self._summary[ChunkIndex]
-        others = (*self._summary[AttachmentIndex], *self._summary[MetadataIndex])
-        places = sorted([*(each.chunk_start_offset for each in indexes), *(each.offset for each in others)])
-        place = len(MAGIC)
-        while True:
-            head = _at(file, place, HEAD.size + CHUNK.size + _LETTERS + 8)
+        place, opcode, met = len(MAGIC), 0, set[int]()
+        while opcode != Opcode.DATA_END:
+            head = _at(file, place, HEAD.size + 16)  # a chunk begins with its first and last log time
             opcode, length = HEAD.unpack_from(head) if len(head) >= HEAD.size else (0, 0)
-            start, inner = place + HEAD.size, _chunk_length(head[HEAD.size :])
-            if inner == length and opcode != Opcode.CHUNK:
-                self._note(f"the head of the chunk at byte {start} is damaged; the chunk was read")
-                opcode = Opcode.CHUNK
-            is_record = opcode >= _PRIVATE or length >= _LEAST.get(opcode, 1 << 64)
-            if is_record and start + length <= size and (opcode != Opcode.CHUNK or inner == length):
-                yield opcode, start, length
-                if opcode == Opcode.DATA_END:
-                    return
-                place = start + length
-                continue
-            resume = next((each for each in places if each > place), None)
-            stop = size if resume is None else resume
-            lost = [each for each in indexes if place <= each.chunk_start_offset < stop]
-            first_ns = min((each.message_start_time for each in lost), default=self._last_ns)
-            last_ns = max((each.message_end_time for each in lost), default=None)
-            if opcode == Opcode.CHUNK and not lost and len(head) >= HEAD.size + CHUNK.size:
-                first_ns, last_ns = CHUNK.unpack_from(head, HEAD.size)[:2]
-            if stop > place:
-                what = f"the {stop - place} bytes from byte {place} on are damaged or cut and were left out"
-                more = "; `mcap recover` may find more in them" if resume is None else ""
-                self._lost(what + more, place, stop, (first_ns, last_ns))
-            if resume is None:
-                if not self._is_whole:
-                    cut = "the file ends in the middle of the recording; everything before the cut was read"
-                    self._note(cut)
-                return
-            place = resume
+            start = place + HEAD.size
+            if (opcode not in _RECORDS and opcode < _PRIVATE) or start + length > size:
+                break
+            yield opcode, start, length
+            met |= {place} if opcode == Opcode.CHUNK else set()
+            place = start + length
+        lost = [each for each in self._summary[ChunkIndex] if each.chunk_start_offset not in met]
+        if opcode == Opcode.DATA_END:
+            for each in lost:
+                at, own = each.chunk_start_offset, (each.message_start_time, each.message_end_time)
+                what = f"the chunk that the index lists at byte {at} is not there and was left out"
+                self._lost(what, at, at + each.chunk_length, own)
+        elif place < size:
+            times: _Times = self._last_ns, None
+            if lost:
+                times = min(e.message_start_time for e in lost), max(e.message_end_time for e in lost)
+            elif opcode == Opcode.CHUNK and len(head) == HEAD.size + 16:
+                times = struct.unpack_from("<QQ", head, HEAD.size)
+            what = f"the {size - place} bytes from byte {place} on are damaged or cut and were left out"
+            self._lost(f"{what}; `mcap recover` may find more in them", place, size, times)
+        if opcode != Opcode.DATA_END and not self._is_whole:
+            self._note("the file ends in the middle of the recording; everything before the cut was read")
 
     def _take(self, opcode: int, file: IO[bytes], start: int, length: int) -> None:
         """Metadata, or where the data of an attachment are."""
@@ -390,15 +363,6 @@ def _summary_of(file: IO[bytes], size: int) -> tuple[Summary | None, bool]:
     except _BROKEN:
         return None, True
     return summary, True
-
-
-def _chunk_length(content: bytes) -> int | None:
-    """The length that the sizes inside a chunk add up to; None for what is not a chunk."""
-    letters = CHUNK.unpack_from(content)[4] if len(content) >= CHUNK.size else _LETTERS + 1
-    at = CHUNK.size + letters
-    if letters > _LETTERS or len(content) < at + 8 or not content[CHUNK.size : at].isalnum() | (letters == 0):
-        return None
-    return at + 8 + int.from_bytes(content[at : at + 8], "little")
 
 
 def _walked(data: bytes) -> tuple[IntArray, list[tuple[int, bytes]], int]:

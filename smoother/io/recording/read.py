@@ -104,17 +104,12 @@ def open_recording(
     container = Container(path)
     # by topic, in the order in which they are met
     decoders: dict[int, PlainDecoder | JointDecoder | None] = {}
-
-    def wanted(topic: Topic) -> bool:
-        if id(topic) not in decoders:
-            decoders[id(topic)] = _decoder(topic, truth)
-        return decoders[id(topic)] is not None
-
-    for batch in container.by_topic(wanted):
-        for position, messages in batch.items():
-            decoder = decoders[id(container.topics[position])]
-            assert decoder is not None
-            decoder.feed(messages)
+    for chunk in container.chunks():
+        for position in dict.fromkeys(chunk.topic.tolist()):
+            if position not in decoders:
+                decoders[position] = _decoder(container.topics[position], truth)
+            if (decoder := decoders[position]) is not None:
+                decoder.feed(chunk.select(np.flatnonzero(chunk.topic == position)))
         is_imu = any(isinstance(each, PlainDecoder) and each.kind == "imu" for each in decoders.values())
         if only and is_imu and set(only) <= {topic.name for topic in container.topics if topic.count}:
             break
