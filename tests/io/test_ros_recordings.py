@@ -30,7 +30,11 @@ RIGHT, LEFT = {"shoulder": 12, "elbow": 13, "wrist": 14, "hand": 15}, {"elbow": 
 def azure(path: Path, *, textured: bool = True, log_delay: int = 5_000_000, **how: object) -> np.ndarray:
     """Right arm of body 3 swings with the IMU, all others otherwise; frames 100-129 are empty."""
     t = np.arange(0, 10, 0.01)
-    gyro = swing(t)[2]
+    fixed, moved, gyro = swing(t)
+    along = (moved - fixed) / 0.25  # the sensor's x axis; its y axis is across
+    across = np.stack([-along[:, 1], along[:, 0], along[:, 2]], axis=1)
+    force = np.gradient(np.gradient(moved, 0.01, axis=0), 0.01, axis=0) - [0.0, 9.8, 0.0]
+    acc = np.stack([(force * along).sum(axis=1), (force * across).sum(axis=1), force[:, 2]], axis=1)
     frames = np.arange(0.005, 10, 1 / 30)
     elbow, wrist, _ = swing(frames)
     other_elbow, other_wrist, _ = swing(frames, 1.7, 1.0)
@@ -40,7 +44,7 @@ def azure(path: Path, *, textured: bool = True, log_delay: int = 5_000_000, **ho
         for ns, kind, i in sorted(events):
             log = ns + log_delay
             if kind == "imu":
-                bag.imu("/wrist/imu", ns, "wrist_link", np.array([0.1, 9.8, 0.2]), gyro[i], log)
+                bag.imu("/wrist/imu", ns, "wrist_link", acc[i], gyro[i], log)
                 bag.imu("/k4a/imu", ns, "imu_link", np.array([0.1, 9.8, 0.2]), 0 * gyro[i], log)
                 field = {
                     "header": ros.header(ns, "wrist_link"),

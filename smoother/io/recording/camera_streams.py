@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import replace
 
 import numpy as np
@@ -63,12 +64,13 @@ def same_arm(
         if not candidates:
             notes.append(f"{camera.name} ({topic}) shows no {arm.side or 'such'} arm and was left out.")
             continue
-        best = candidates[0]
         if len(candidates) > 1:
-            from .match import agreement  # SciPy: where it is used
+            from .match import FAR_S, match_streams  # SciPy: where it is used
 
-            best = max(candidates, key=lambda each: agreement(imu, each)[0])
-        found.append((camera, best))
+            with suppress(RecordingError):  # too short to match
+                (match,), _ = match_streams(own, [imu], candidates, reach_s=FAR_S)
+                candidates = [each for each in candidates if match.limb is None or each.key == match.limb.arm]
+        found.append((camera, candidates[0]))
         notes.append(f"{camera.name}: skeleton {found[-1][1].label} was taken as a further camera's.")
     return found, notes
 

@@ -6,8 +6,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, TypedDict, Unpack
 
-import numpy as np
-
 from ...body import FURTHER, SEGMENTS, BodySegment
 from ...errors import RecordingError
 from .bodies import people
@@ -187,9 +185,6 @@ def _what_else(file: RecordingFile) -> str:
     )
 
 
-#: Correlation that a pair must reach, and its lead over the next, to be taken by motion where the assignment
-#: of all leaves it open; what it must reach where the clocks are far apart.
-_ENOUGH, _LEAD, _ENOUGH_SHIFTED = 0.4, 0.1, 0.6
 #: An arm is taken by motion alone where its IMU is on it with this probability.
 _TAKEN_FROM = 0.8
 _SIDES = ("left", "right")
@@ -286,13 +281,17 @@ def left_out_words(arm: str, error: Exception) -> str:
 
 
 def _assigned(
-    file: RecordingFile, imus: list[ImuSamples], arms: list[ArmFrames], may_be: Callable[[int, Limb], bool]
+    file: RecordingFile,
+    imus: list[ImuSamples],
+    arms: list[ArmFrames],
+    may_be: Callable[[int, Limb], bool],
+    is_far: bool = False,
 ) -> tuple[list[ImuMatch], list[str]]:
     """One assignment of these IMUs to all limbs of these arms; none where streams cannot be used."""
-    from .match import match_streams  # SciPy: where it is used
+    from .match import FAR_S, REACH_S, match_streams  # SciPy: where it is used
 
     try:
-        return match_streams(file, imus, arms, may_be=may_be)
+        return match_streams(file, imus, arms, may_be=may_be, reach_s=FAR_S if is_far else REACH_S)
     except RecordingError:
         return [], []  # what cannot be used is said when it is read, if it is what is meant
 
@@ -301,9 +300,7 @@ Pair = tuple[ImuSamples, ArmFrames]
 
 
 def _pair_by_motion(file: RecordingFile, pairs: Sequence[Pair]) -> tuple[Pair, str]:
-    """The pair that moves together: by the assignment of all, else by the turning of each pair."""
-    from .match import agreement
-
+    """The pair that moves together by one assignment of all: with clocks that agree nearly, or not at all."""
     imus = list({id(imu): imu for imu, _ in pairs}.values())
     arms = list({id(arm): arm for _, arm in pairs}.values())
     pair_of = {(imu.topic, *arm.key): (imu, arm) for imu, arm in pairs}
@@ -312,41 +309,35 @@ def _pair_by_motion(file: RecordingFile, pairs: Sequence[Pair]) -> tuple[Pair, s
         worn_as_named = limb.segment == "wrist" or role(imus[row]) != "forearm"
         return worn_as_named and (imus[row].topic, *limb.arm) in pair_of
 
-    found = [(m, m.limb) for m in _assigned(file, imus, arms, may_be)[0] if m.limb is not None]
-    matched = {m.imu: pair_of[m.imu, *limb.arm] for m, limb in found if limb.segment == "wrist"}
-    if len(matched) == 1:
-        (sure,) = (m.probability for m, limb in found if limb.segment == "wrist")
-        (pair,) = matched.values()
-        return pair, f"their motion agrees best (probability {sure:.2f} among all limbs in view)"
-    elsewhere = {m.imu: limb.label for m, limb in found if m.imu not in matched and m.is_sure}
-    left = [*matched.values()] or [pair for pair in pairs if pair[0].topic not in elsewhere]
-    if not left:
+    for is_far in (False, True):
+        found = [(m, m.limb) for m in _assigned(file, imus, arms, may_be, is_far)[0] if m.limb is not None]
+        matched = [(m, pair_of[m.imu, *limb.arm]) for m, limb in found if limb.segment == "wrist"]
+        if len(matched) == 1:
+            ((match, pair),) = matched
+            apart = f", with the clocks {abs(match.clock_offset_s):.1f} s apart" if is_far else ""
+            sure = f"probability {match.probability:.2f} among all limbs in view"
+            return pair, f"their motion agrees best{apart} ({sure})"
+        if matched:
+            break
+    elsewhere = {m.imu: limb.label for m, limb in found if limb.segment != "wrist" and m.is_sure}
+    if all(imu.topic in elsewhere for imu, _ in pairs):
         where = ", ".join(f"{name} as {label}" for name, label in elsewhere.items())
         raise RecordingError(
             f"{file.path}: no IMU moves as a forearm that the camera shows ({where}); "
             "choose with --imu and --side if one is on a forearm."
         )
-    turning = [agreement(imu, arm) for imu, arm in left]
-    scores = np.array([0.0 if far and score < _ENOUGH_SHIFTED else score for score, _, far in turning])
-    order = np.argsort(-scores)
-    best, second = scores[order[0]], max(scores[order[1:]].max(initial=0.0), 0.0)
-    if best < _ENOUGH or best - second < _LEAD:
-        kinds: dict[str, set[Any]] = {
-            "--imu": {imu.topic for imu, _ in pairs},
-            "--skeleton": {arm.topic for _, arm in pairs},
-            "--side": {arm.side for _, arm in pairs},
-            "--body": {arm.key[:2] for _, arm in pairs},
-        }
-        needed = " and ".join(option for option, values in kinds.items() if len(values) > 1)
-        raise RecordingError(
-            f"{file.path} has {_listing(file)}; one arm is wanted here, and their motion does not show which"
-            f" belong together; choose with {needed}."
-        )
-    pair, (_, shift_s, far) = left[order[0]], turning[order[0]]
-    apart = f", with the clocks {abs(shift_s):.1f} s apart" if far else ""
-    moves = [f"{m.imu} moves as {limb.label}" for m, limb in found if m.imu in {*matched} - {pair[0].topic}]
-    why = f"their motion agrees best{apart} (correlation {best:.2f}, the next {second:.2f})"
-    return pair, "; ".join([why, *moves])
+    kinds: dict[str, set[Any]] = {
+        "--imu": {imu.topic for imu, _ in pairs},
+        "--skeleton": {arm.topic for _, arm in pairs},
+        "--side": {arm.side for _, arm in pairs},
+        "--body": {arm.key[:2] for _, arm in pairs},
+    }
+    needed = " and ".join(option for option, values in kinds.items() if len(values) > 1)
+    moves = ", ".join(f"{m.imu} moves as {limb.label}" for m, limb in found)
+    shows = moves if matched else "their motion does not show which belong together"
+    raise RecordingError(
+        f"{file.path} has {_listing(file)}; one arm is wanted here, and {shows}; choose with {needed}."
+    )
 
 
 def _by_motion(file: RecordingFile, arms: Sequence[ArmFrames], side: str | None) -> list[StreamChoice]:

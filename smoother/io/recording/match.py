@@ -1,4 +1,4 @@
-"""How IMUs and arms of a file move together, and what a person reads of it."""
+"""Which IMU is on which limb of a file's arms, by one assignment of all, and what a person reads of it."""
 
 from __future__ import annotations
 
@@ -9,38 +9,15 @@ import numpy as np
 
 from ...errors import RecordingError
 from ...matching import ImuMatch, Limb, limbs_of, match_imus
-from ...recording import ImuStream, JointTracks, Recording
-from ...selfcal.agreement import agreement as agreement_of
-from ...selfcal.pairing import chosen
+from ...recording import ImuStream, JointTracks
 from ..mcap.messages import seconds
 from .bodies import people
 from .clean import clean_arm, clean_imu
 from .names import is_named, named_side, role_among
 from .streams import ArmFrames, ImuSamples, RecordingFile, rows_of
 
-#: Clocks may be this far apart, s: where they are far apart, and where an assignment is made.
-_FAR_S, REACH_S = 600.0, 5.0
-_MOTION_FRAMES = 20_000
-
-
-def agreement(imu: ImuSamples, arm: ArmFrames) -> tuple[float, float, bool]:
-    """How well an IMU turns as an arm in its first frames, the clocks' shift, s, and whether it is far."""
-    order = np.argsort(arm.stamp_ns, kind="stable")[:_MOTION_FRAMES]
-    last_ns = int(arm.stamp_ns[order].max(initial=0) + 1e9 * _FAR_S)
-    rows = np.flatnonzero(imu.stamp_ns <= last_ns) if len(order) else order
-    rows = rows[np.isfinite(imu.gyro[rows]).all(axis=1) & np.isfinite(imu.acc[rows]).all(axis=1)]
-    stamp, first = np.unique(imu.stamp_ns[rows], return_index=True)
-    if len(stamp) < 2:
-        return 0.0, 0.0, False
-    zero, rows = int(stamp[0]), rows[first]
-    stream = ImuStream(imu.topic, (stamp - zero) / 1e9, imu.acc[rows], imu.gyro[rows])
-    t_s = (arm.stamp_ns[order] - zero) / 1e9
-    tracks = JointTracks(arm.topic, t_s, arm.position[order], arm.state[order])
-    found = agreement_of(Recording(stream, tracks))
-    if found is None:
-        return 0.0, 0.0, False
-    line = chosen(found, is_unrelated=False)
-    return line.explained**0.5, line.offset_s, line is not found.near
+#: Clocks may be this far apart, s; and where an assignment within that leaves open what is meant.
+REACH_S, FAR_S = 5.0, 600.0
 
 
 def match_streams(
@@ -59,7 +36,11 @@ def match_streams(
     origin = min((int(each[0]) for each in stamps if len(each)), default=0)
     limbs: list[Limb] = []
     for arm in (arm for arm in arms if arm.tracked):
-        frames, dropped = clean_arm(arm, source)
+        try:
+            frames, dropped = clean_arm(arm, source)
+        except RecordingError as error:
+            notes.append(f"{arm.label} cannot be matched: {error}")
+            continue
         notes += dropped
         t_s = seconds(frames.stamp_ns, origin)
         tracks = JointTracks(arm.topic, t_s, frames.position, frames.state)
