@@ -217,8 +217,7 @@ def cut(
         o.as_mcap(output)
         parts = [Part(output.stem, output, start_s, end_s)]
     else:
-        each = read_trials(trials, label or ())
-        parts = [Part(one.name, output / f"{one.name}.mcap", one.start_s, one.end_s) for one in each]
+        parts = read_trials(trials, output, label or ())
         output.mkdir(parents=True, exist_ok=True)
     out.check((part.path for part in parts), [recording_file, trials])
     written, notes = cut_file(recording_file, parts, force=out.force, **which.chosen)

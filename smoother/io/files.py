@@ -20,7 +20,7 @@ from .recording.camera_streams import CAMERA_TOPIC
 from .recording.clean import clean_arm, clean_imu
 from .recording.decode import JointRows, joint_code
 from .recording.keypoints import NAMED_TOPIC, TOPIC
-from .recording.names import named_side, role
+from .recording.names import free_name, named_segment, named_side
 from .recording.read import open_recording
 from .recording.streams import CameraStream, ImuSamples, KnownLens, RecordingFile
 from .registry import FileReader, keys, unknown_file
@@ -210,19 +210,14 @@ def _named(
     sensors: list[tuple[str, ImuTable, FileReport]],
 ) -> list[tuple[str, ImuTable, FileReport]]:
     """The sensors by topic; no topic twice."""
-    named, topics = [], set()
+    named, topics = [], set[str]()
     for given, table, report in sensors:
         clean = re.sub(r"[^0-9A-Za-z_]+", "_", given).strip("_")
         if not clean:
             stem = re.sub(r"[^0-9A-Za-z_]+", "_", Path(report.path).stem).strip("_")
             # A file's name is not a statement about a limb: it must not decide which arm is meant.
-            probe = ImuSamples(stem, "", *([np.empty(0)] * 3))  # type: ignore[arg-type]
-            clean = "sensor" if not stem or role(probe) or named_side(stem) else stem
-        topic, number = f"/imu/{clean}", 2
-        while topic in topics:
-            topic, number = f"/imu/{clean}_{number}", number + 1
-        topics.add(topic)
-        named.append((topic, table, report))
+            clean = "sensor" if not stem or named_segment(stem) or named_side(stem) else stem
+        named.append((free_name(f"/imu/{clean}", topics), table, report))
     return named
 
 

@@ -13,7 +13,7 @@ from ..body import FURTHER
 from ..errors import RecordingError
 from ..measurements.allowance import allowance
 from ..measurements.visibility import find_gaps, visible_frames
-from ..recording import Camera, Recording
+from ..recording import Recording
 from ..result.verdict import plain
 from .mcap.messages import Topic
 from .recording.choose import Selection
@@ -60,17 +60,13 @@ def describe_arm(recording: Recording) -> Figures:
         "allows": allowed.sentence,
         "ready": allowed.ready,  # There is no sign that no answer could be trusted
     }
-    cameras = [_camera_words(camera) for camera in recording.cameras]
+    cameras = [
+        f"{each.name}: {len(each.arm)} frames"
+        + (f" at {each.arm.rate_hz:.1f} Hz" if len(each.arm) > 1 else "")
+        + f", forearm tracked in {100 * each.arm.forearm_tracked.mean():.0f} %"
+        for each in recording.cameras
+    ]
     return figures | ({"cameras": cameras} if cameras else {})
-
-
-def _camera_words(camera: Camera) -> str:
-    """A further camera, in words."""
-    arm = camera.arm
-    rate = f" at {arm.rate_hz:.1f} Hz" if len(arm) > 1 else ""
-    return (
-        f"{camera.name}: {len(arm)} frames{rate}, forearm tracked in {100 * arm.forearm_tracked.mean():.0f} %"
-    )
 
 
 def _finite(value: float) -> float | None:

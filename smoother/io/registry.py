@@ -19,16 +19,11 @@ def formats() -> tuple[Format, ...]:
     from .tables import binary, markers, rosbag, skeleton_json, xdf
     from .tables.skeleton_formats import JOINT_ARRAY, JOINT_ROWS, KINECT_NUMBERS, SKELETON_FORMATS
 
-    of_imus: list[Format] = []
-    #: Files that are not plain tables, listed behind a row of `IMU_FORMATS`.
-    behind = {"xsens-dot": binary.MVNX, "apdm": binary.APDM_HDF, "phyphox": binary.AXIVITY}
-    for row in IMU_FORMATS:
-        of_imus += [row, behind[row.key]] if row.key in behind else [row]
     return (
         *(xdf.XDF, rosbag.ROSBAG1, rosbag.MCAP),
         *(JOINT_ARRAY, markers.C3D_SKELETON, markers.TRC_SKELETON),
         *(skeleton_json.KINECT_JSON, skeleton_json.POSE_JSON, *SKELETON_FORMATS, JOINT_ROWS, KINECT_NUMBERS),
-        *(*of_imus, NAMED_IMU),
+        *(binary.MVNX, binary.APDM_HDF, binary.AXIVITY, *IMU_FORMATS, NAMED_IMU),
     )
 
 
@@ -114,14 +109,11 @@ class FileReader:
         """All tables of a file."""
         key = (path, of.key)
         if key not in self._tables:
-            self._tables[key] = self._read(path, of)
+            self._tables[key] = self.read_anew(path, of)
         return self._tables[key]
 
-    def forget(self, path: Path) -> None:
-        """Drop the tables of a file, which may be many."""
-        self._tables = {key: tables for key, tables in self._tables.items() if key[0] != path}
-
-    def _read(self, path: Path, of: Format) -> Tables:
+    def read_anew(self, path: Path, of: Format) -> Tables:
+        """All tables of a file, which are not kept."""
         try:
             tables = of.read(path)
         except RecordingError as error:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -56,7 +56,7 @@ class Page:
             return
         place = self.folder.of(name)
         reader = FileReader(templates=read_templates(self.folder.template_files()))
-        found = [each.to_dict() for each in describe_files([place / "files"], reader)]
+        found = [asdict(each) for each in describe_files([place / "files"], reader)]
         for each in found:
             each["file"] = f"files/{Path(each['file']).name}"
         write_json(place / STREAMS, {"files": found})

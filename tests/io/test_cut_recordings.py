@@ -99,9 +99,9 @@ def test_crop_is_the_same_in_python() -> None:
         ("name,start_s,end_s\n../a,1,2\n", "line 2: '../a' is not a valid file name"),
         ("name,start_s,end_s\na,1,x\n", "line 2: end_s of a is not a number of seconds"),
         ("name,start_s,end_s\na,4,2\n", "line 2: a ends at 2 s, before it starts"),
-        ("name,start_s,end_s\n", "there is no trial"),
+        ("name,start_s,end_s\n", "has a header and has no rows"),
     ],
 )
 def test_what_is_wrong_with_a_table_of_trials(tmp_path: Path, text: str, says: str) -> None:
     with pytest.raises(RecordingError, match=says.replace("(", r"\(")):
-        read_trials(table(tmp_path, text))
+        read_trials(table(tmp_path, text), tmp_path)

@@ -77,7 +77,7 @@ WRONG = [
     ("recording", '"kinect"', '"kinnect"', r"camera\.frame is 'kinnect'"),
     ("recording", "[truth]", "[truht]", "truht is not known here"),
     ("recording", 'frame = "kinect"\n', "", r"camera\.frame is missing"),
-    ("recording", "gravity = [0, -2, 0]", "gravity = [0, 0, 0]", "gravity is zero"),
+    ("recording", "gravity = [0, -2, 0]", "gravity = [0, 0, 0]", "gravity is not a direction"),
     ("recording", "gravity = [0, -2, 0]", "gravity = [0, 0]", r"camera\.gravity is"),
     ("recording", "[camera]", "[camera", "not readable TOML"),
     ("recording", 'file = "imu.csv"', 'file = "imu.csv"\ngyroscope_unit = "deg"', "gyroscope_unit is 'deg'"),

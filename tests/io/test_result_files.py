@@ -221,7 +221,7 @@ def test_damaged_missing_and_older_results_are_one_sentence(
     path.write_bytes(whole[: at + 1000])
     with pytest.raises(RecordingError, match=r"its result is damaged.*ends in the middle of the recording"):
         read_recovery(path)
-    monkeypatch.setattr("smoother.io.result.write._attach", lambda *_: None)
+    monkeypatch.setattr("smoother.io.result.write.tables_of", lambda _: {})
     write_recovery(recovery(), path, force=True)
     with pytest.raises(RecordingError, match=r"is a result of version .*from before 1.0 are not read"):
         read_recovery(path)

@@ -304,8 +304,7 @@ class Container:
             raise RecordingError(f"{self.path} is empty (0 bytes); record or copy it again.")
         if magic == MAGIC:
             return
-        alike = sum(a == b for a, b in zip(magic, MAGIC, strict=False))
-        if not self._is_whole and alike < len(MAGIC) - 2:
+        if not self._is_whole:
             raise RecordingError(
                 f"{self.path} is not an MCAP file; convert a ROS bag with `mcap convert`, and the files of"
                 " devices with `unocclude import files`."

@@ -165,7 +165,7 @@ class Output:
         longest = max((stream.time_ns for stream in streams), key=len, default=np.empty(0, np.int64))
         starts = [0] * len(streams)
         for edge in [*longest[SLICE::SLICE].tolist(), None]:
-            columns, payloads = [np.empty((4, 0), np.int64)], []
+            columns, payloads = [np.empty((4, 0), np.int64)], list[bytes]()
             for i, stream in enumerate(streams):
                 stop = len(stream.time_ns) if edge is None else int(np.searchsorted(stream.time_ns, edge))
                 # a stream may be far denser here than the longest is: it is encoded in parts all the same
@@ -175,7 +175,8 @@ class Output:
                     columns.append(
                         np.stack([np.full_like(time_ns, stream.channel), 0 * time_ns, time_ns, time_ns])
                     )
-                    payloads += _payloads(stream.encode(part))
+                    encoded = stream.encode(part)
+                    payloads += encoded if isinstance(encoded, list) else [row.tobytes() for row in encoded]
                 starts[i] = stop
             self._write(np.concatenate(columns, axis=1), payloads)
 
@@ -289,10 +290,3 @@ def _packed(*records: Any) -> bytes:
     for record in records:
         record.write(builder)
     return builder.end()
-
-
-def _payloads(data: Encoded) -> list[bytes]:
-    if isinstance(data, list):
-        return data
-    raw, size = data.tobytes(), data.shape[1]
-    return [raw[at : at + size] for at in range(0, len(raw), size)]

@@ -9,7 +9,7 @@ import os
 from collections import Counter
 from collections.abc import Sequence
 from contextlib import ExitStack, suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import count
 from pathlib import Path
 from typing import Unpack
@@ -18,11 +18,11 @@ import numpy as np
 
 from ...array_types import BoolArray
 from ...errors import RecordingError
-from ...runtime.inputs import check_input
 from ...runtime.outputs import writing
 from ..mcap.container import Container
 from ..mcap.merge import Output
 from ..mcap.messages import Messages
+from ..tables.table import file_text
 from .choose import Selection
 from .read import METADATA, RESULT_PREFIX, open_recording
 from .select import select_recordings
@@ -150,26 +150,11 @@ _FORBIDDEN = set('/\\:*?"<>|') | {chr(code) for code in range(32)}
 _LONGEST_NAME = 100
 
 
-@dataclass(frozen=True)
-class Trial:
-    """A row of the table."""
-
-    name: str  # Of the trial, fit for a file's name; the same as another's is followed by a number
-    start_s: float  # On the recording's axis
-    end_s: float
-    label: str = ""  # What it is one of; "" where the table does not say
-
-
-def read_trials(path: str | os.PathLike[str], labels: Sequence[str] = ()) -> list[Trial]:
+def read_trials(path: Path, folder: Path, labels: Sequence[str] = ()) -> list[Part]:
     """The trials of a CSV table with the columns name, start_s, end_s and, optionally, label."""
-    path = Path(path)
-    check_input(path)
-    try:
-        text = path.read_text(encoding="utf-8-sig")
-    except UnicodeDecodeError as error:
-        raise RecordingError(f"{path}: this is not text in UTF-8; save the table as CSV UTF-8") from error
-    head = text.split("\n", 1)[0]
-    lines = csv.DictReader(text.splitlines(), delimiter=";" if ";" in head else ",", skipinitialspace=True)
+    head, *_ = rows = file_text(path).splitlines() or [""]
+    mark = next((mark for mark in ";\t" if mark in head), ",")
+    lines = csv.DictReader(rows, delimiter=mark, skipinitialspace=True)
     found = [(name or "").strip() for name in lines.fieldnames or ()]
     lines.fieldnames = found
     if missing := [name for name in COLUMNS if name not in found]:
@@ -178,23 +163,23 @@ def read_trials(path: str | os.PathLike[str], labels: Sequence[str] = ()) -> lis
             f" label; the table has {', '.join(found) or 'no line'}"
         )
     trials = [_trial(f"{path}, line {lines.line_num}", row) for row in lines if any(row.values())]
-    chosen = [trial for trial in trials if not labels or {trial.label, trial.name} & set(labels)]
+    chosen = [trial[1:] for trial in trials if not labels or {*trial[:2]} & set(labels)]
     if not chosen:
-        there = ", ".join(dict.fromkeys(trial.label or trial.name for trial in trials))
+        there = ", ".join(dict.fromkeys(label or name for label, name, *_ in trials))
         wanted = f" with the label {', '.join(labels)}" if labels else ""
         raise RecordingError(f"{path}: there is no trial{wanted}; the table has {there or 'none'}")
-    keys = [trial.name.casefold() for trial in chosen]
-    taken, named = set(keys), []
-    for trial, key in zip(chosen, keys, strict=True):  # those with one name are numbered in their order
-        name = trial.name
+    keys = [name.casefold() for name, *_ in chosen]
+    taken, parts = set(keys), []
+    for (name, start_s, end_s), key in zip(chosen, keys, strict=True):  # those with one name are numbered
         if keys.count(key) > 1:
-            name = next(new for k in count(1) if (new := f"{trial.name}_{k}").casefold() not in taken)
+            name = next(new for k in count(1) if (new := f"{name}_{k}").casefold() not in taken)
             taken.add(name.casefold())
-        named.append(replace(trial, name=name))
-    return named
+        parts.append(Part(name, folder / f"{name}.mcap", start_s, end_s))
+    return parts
 
 
-def _trial(place: str, row: dict[str, str]) -> Trial:
+def _trial(place: str, row: dict[str, str]) -> tuple[str, str, float, float]:
+    """Label ("" for none), name, start and end of a row."""
     name = (row["name"] or "").strip()
     if not name or len(name) > _LONGEST_NAME or _FORBIDDEN & set(name) or name.strip(".") == "":
         raise RecordingError(
@@ -211,4 +196,4 @@ def _trial(place: str, row: dict[str, str]) -> Trial:
             raise RecordingError(f"{place}: {column} of {name} is not a number of seconds")
     if not times[0] < times[1]:
         raise RecordingError(f"{place}: {name} ends at {times[1]:g} s, before it starts")
-    return Trial(name, times[0], times[1], (row.get("label") or "").strip())
+    return (row.get("label") or "").strip(), name, times[0], times[1]

@@ -21,11 +21,13 @@ _SEGMENTS = (
 
 def role(stream: ImuSamples) -> str:
     """The segment by a stream's names: "forearm", "upper_arm", "hand", "trunk", "base" or ""."""
-    for name in (words(stream.topic), words(stream.frame_id)):
-        for segment, named in _SEGMENTS:
-            if any(word in name for word in named):
-                return segment
-    return ""
+    return named_segment(stream.topic) or named_segment(stream.frame_id)
+
+
+def named_segment(name: str) -> str:
+    """The segment that a name speaks of, or ""."""
+    spoken = words(name)
+    return next((segment for segment, named in _SEGMENTS if any(word in spoken for word in named)), "")
 
 
 def role_among(stream: ImuSamples, imus: Sequence[ImuSamples]) -> str:
@@ -50,12 +52,6 @@ def named_side(*names: str) -> str:
     return ""
 
 
-def named_body(name: str) -> int | None:
-    """The camera's number of a body that a name speaks of ("body_2"), or None."""
-    match = re.search(r"body_?(\d+)", words(name))
-    return None if match is None else int(match.group(1))
-
-
 def is_named(wanted: str, topic: str, frame_id: str) -> bool:
     """Whether a stream is what was asked for: by a part of its topic, or by its frame_id."""
     return wanted.strip("/").lower() in topic.lower() or wanted == frame_id
@@ -69,4 +65,14 @@ def words(name: str) -> str:
 def is_of_other_arm(name: str, side: str, body: int | None = None) -> bool:
     """Whether a name speaks of another side than this one, or of another body."""
     other_side = bool(side) and named_side(name) not in ("", side)
-    return other_side or (body is not None and named_body(name) not in (None, body))
+    named = re.search(r"body_?(\d+)", words(name))
+    return other_side or (body is not None and named is not None and int(named[1]) != body)
+
+
+def free_name(name: str, taken: set[str]) -> str:
+    """The name, or with a number where it is taken; it is taken from then on."""
+    number, free = 2, name
+    while free in taken:
+        free, number = f"{name}_{number}", number + 1
+    taken.add(free)
+    return free

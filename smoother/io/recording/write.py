@@ -23,7 +23,7 @@ from ..mcap.messages import nanoseconds
 from .camera_streams import CAMERA_TOPIC, cameras_plain
 from .decode import KEYPOINTS
 from .keypoints import NAMED_TOPIC, TOPIC, lenses_plain, pixels_of
-from .names import OTHER_SIDE
+from .names import OTHER_SIDE, free_name
 from .read import CLOCKS_UNRELATED, METADATA
 from .streams import ArmFrames, CameraStream, ImuSamples, KnownLens, PoseSamples, RecordingFile
 
@@ -109,7 +109,7 @@ def as_file(recording: Recording | Sequence[Recording]) -> RecordingFile:
         worn += [(imu_topic(imu.name, one.side, segment), imu) for segment, imu in one.further_imus.items()]
         shared = {"/imu/base": one.base_imu, "/imu/trunk": None if trunk is None else trunk.imu}
         worn += [(topic, imu) for topic, imu in shared.items() if imu is not None and topic not in topics]
-        file.imus += [_samples(_free(topic, topics), imu, one.origin_ns) for topic, imu in worn]
+        file.imus += [_samples(free_name(topic, topics), imu, one.origin_ns) for topic, imu in worn]
         file.arms.append(_frames(file, one, one.arm, body))
         for camera in one.cameras:
             file.arms.append(_frames(file, one, camera.arm, body, camera))
@@ -118,7 +118,7 @@ def as_file(recording: Recording | Sequence[Recording]) -> RecordingFile:
         if (truth := one.truth) is not None:
             suffix = f"/{one.side or len(sides)}" if len(recordings) > 1 else ""
             suffix = suffix if one.body is None else f"/body_{one.body}{suffix}"
-            named = _free(f"/truth{suffix}", topics), CAMERA, nanoseconds(truth.t_s, one.origin_ns)
+            named = free_name(f"/truth{suffix}", topics), CAMERA, nanoseconds(truth.t_s, one.origin_ns)
             score = None if truth.score.all() else truth.score
             file.poses.append(PoseSamples(*named, truth.position, truth.quaternion, score, truth.joints))
     # one that is there as an arm of its own is not written twice
@@ -165,7 +165,7 @@ def as_session(
     early = min((float(t[0]) for t in times if len(t)), default=0.0)
     origin_ns = int(np.ceil(max(-early, 0.0))) * 1_000_000_000
     for imu in imus:
-        file.imus.append(_samples(_free(imu_topic(imu.name), topics), imu, origin_ns))
+        file.imus.append(_samples(free_name(imu_topic(imu.name), topics), imu, origin_ns))
     for body, side, arm in arms:
         stamp = nanoseconds(arm.t_s, origin_ns)
         file.arms.append(ArmFrames("/skeleton", CAMERA, body, side, stamp, arm.position, arm.state))
@@ -181,14 +181,6 @@ def imu_topic(name: str, side: str = "", limb: str = "forearm") -> str:
         # by its name it is found again
         clean = ""
     return f"/imu/{clean or limb + ('_' + side if side else '')}"
-
-
-def _free(topic: str, topics: set[str]) -> str:
-    number, free = 2, topic
-    while free in topics:
-        free, number = f"{topic}_{number}", number + 1
-    topics.add(free)
-    return free
 
 
 def imu_messages(output: Output, imu: ImuSamples) -> OutputStream:

@@ -86,7 +86,7 @@ def read_origin(path: str | os.PathLike[str]) -> tuple[str, str]:
             with suppress(*BROKEN_RESULT):
                 version = restored(str, json.loads(values["version"]))
     title = container.metadata.get(METADATA, {}).get("name", "")
-    return "" if version == "unknown" else version, title
+    return version, title
 
 
 def _recovery(path: Path, container: Container, name: str) -> Recovery:
@@ -105,8 +105,9 @@ def _recovery(path: Path, container: Container, name: str) -> Recovery:
         }
         return _assembled(values, tables, tuple(container.notes))
     except BROKEN_RESULT as error:
+        why = f"{type(error).__name__} {plain_name(str(error))}"
         raise RecordingError(
-            f"{path}: its result{label} is damaged or of another version ({shown(error)}); "
+            f"{path}: its result{label} is damaged or of another version ({why}); "
             f"run `unocclude smooth` again.{told_behind(container.notes)}"
         ) from error
 
@@ -155,11 +156,6 @@ def _assembled(values: dict[str, Any], tables: dict[str, Columns], notes: tuple[
 
 def _of(samples: Columns, name: str, columns: tuple[str, ...]) -> Columns:
     return {column: samples[f"{name}/{column}"] for column in columns}
-
-
-def shown(error: BaseException) -> str:
-    """An error of a library, short enough for a sentence."""
-    return f"{type(error).__name__} {plain_name(str(error))}"
 
 
 def restored(hint: Any, value: Any) -> Any:

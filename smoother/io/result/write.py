@@ -7,12 +7,11 @@ import json
 import os
 import tempfile
 from collections.abc import Mapping, Sequence
-from importlib.metadata import PackageNotFoundError, version
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from ... import __version__
 from ...errors import UnoccludeError
 from ...result import Recovery, arm_tags
 from ...runtime.outputs import check_output, writing
@@ -77,11 +76,11 @@ def write_recovery(
     shift = 0
     level_down = None
     if source is not None:
-        file = open_recording(source, only={recovery.arm.name for recovery in results})
-        about = _about(file)
-        frames = {arm.topic: arm.frame_id for arm in file.arms if arm.frame_id}
-        level_down = file.level_down
-        shift = file.imus[0].log_shift_ns if file.imus else 0
+        recorded = open_recording(source, only={recovery.arm.name for recovery in results})
+        about = _about(recorded)
+        frames = {arm.topic: arm.frame_id for arm in recorded.arms if arm.frame_id}
+        level_down = recorded.level_down
+        shift = recorded.imus[0].log_shift_ns if recorded.imus else 0
         # A recorder's delay is not a reason to move; a sensor that counts from its own start is.
         shift = shift if abs(shift) > 1_000_000_000 else 0
     down = common_down(results, level_down)
@@ -89,8 +88,11 @@ def write_recovery(
         streams: list[OutputStream] = []
         for tag, recovery in zip(arm_tags(results), results, strict=True):
             suffix = "" if len(results) == 1 else f"/{tag}"
-            output.metadata(RESULT + suffix, recovery_values(recovery, _version()))
-            _attach(output, recovery, f"{RESULT}{suffix}", temporary.parent)
+            output.metadata(RESULT + suffix, recovery_values(recovery, __version__))
+            for table, columns in tables_of(recovery).items():  # through a file, not through the memory
+                with tempfile.TemporaryFile(dir=temporary.parent) as file:
+                    write_table(columns, file)
+                    output.attachment(f"{RESULT}{suffix}/{table}.parquet", file, PARQUET)
             frame_id = frames.get(recovery.arm.name, CAMERA)
             streams += recovery_streams(output, recovery, suffix, frame_id, shift, down)
         if about:
@@ -98,26 +100,11 @@ def write_recovery(
         output.write(streams)
 
 
-def _attach(output: Output, recovery: Recovery, name: str, folder: Path) -> None:
-    """All columns of a recovery; they pass through a file, not through the memory."""
-    for table, columns in tables_of(recovery).items():
-        with tempfile.TemporaryFile(dir=folder) as file:
-            write_table(columns, file)
-            output.attachment(f"{name}/{table}.parquet", file, PARQUET)
-
-
 def _about(file: RecordingFile) -> dict[str, str]:
     """The recording's metadata, wherever in the file it stands, and the camera's axes."""
     implied = next((arm.camera_frame for arm in file.arms if arm.camera_frame is not None), None)
     axes = {} if implied is None else {"camera_frame": str(implied)}
     return axes | Container(file.path).skimmed().metadata.get(METADATA, {})
-
-
-def _version() -> str:
-    try:
-        return version("unocclude")
-    except PackageNotFoundError:
-        return "unknown"
 
 
 def to_json(value: object) -> str:

@@ -20,13 +20,14 @@ from ...errors import RecordingError
 from ...recording import Recording
 from ...runtime.inputs import check_input
 from ...runtime.outputs import writing_folder
-from ..mcap.messages import McapMessage, Topic
+from ..mcap.messages import McapMessage
 from ..recording.write import write_recording
 from ..tables.columns import read_exact
 from ..wire.schemas import parsed
 from .images import decoded_messages
 from .panel import check_folder
 
+_AUDIO = "foxglove.RawAudio"
 #: Blocks whose stamps lie farther from the even tick than this part of a block begin a new track.
 JUMP_PART = 0.5
 #: Stamp (s), samples (n, channels) and rate (Hz) of a message.
@@ -84,11 +85,8 @@ def _loudest(values: FloatArray) -> FloatArray:
 
 
 def _from_mcap(path: Path, wanted: str | None, notes: list[str]) -> list[Track]:
-    def is_audio(topic: Topic) -> bool:
-        return topic.encoding == "protobuf" and topic.schema == "foxglove.RawAudio"
-
     blocks: dict[str, list[Block]] = {}
-    for topic, block in decoded_messages(path, is_audio, _block, "sound", notes):
+    for topic, block in decoded_messages(path, lambda t: t.schema == _AUDIO, _block, "sound", notes):
         blocks.setdefault(topic, []).append(block)
     chosen = [name for name in blocks if wanted is None or wanted in name]
     if len(chosen) != 1:
@@ -104,7 +102,7 @@ def _from_mcap(path: Path, wanted: str | None, notes: list[str]) -> list[Track]:
 
 def _block(message: McapMessage) -> Iterator[tuple[str, Block]]:
     """The topic and the block of one message."""
-    audio = parsed("foxglove.RawAudio", message.data)
+    audio = parsed(_AUDIO, message.data)
     if audio.format != "pcm-s16" or not audio.sample_rate or not audio.number_of_channels:
         raise RecordingError(f"{message.topic.name} is of format {audio.format!r}; record pcm-s16.")
     stamp = audio.timestamp.seconds + 1e-9 * audio.timestamp.nanos

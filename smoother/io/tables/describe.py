@@ -91,13 +91,12 @@ def describe_file(path: Path, reader: FileReader) -> DescribedFile:
             return about
         about.format, about.title, about.kind = found.key, found.title, found.kind
         with _beginning(path, head) as (short, notes):
-            tables = reader.read(short, found)
+            tables = reader.read_anew(short, found)
             for table in tables:
                 stream, said = _stream(table, str(path))
                 about.streams.append(stream)
                 about.notes += [note for note in said if note not in about.notes]
             about.notes += notes
-            reader.forget(short)
         if any(table.units for table in tables):  # where the units are wrong, the columns can be described
             about.guess = _guess(path)
     except RecordingError as error:

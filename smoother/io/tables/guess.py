@@ -12,7 +12,7 @@ import numpy as np
 from ...array_types import FloatArray
 from ...errors import RecordingError
 from .imu import Columns, SensorChannels, find_sensors, holds_gravity, kind_of_unit, unit_of, usual_size
-from .joints import JointColumns, find_joint_columns, words_of
+from .joints import JointColumns, find_joint_columns, has_arm, words_of
 from .skeletons import unit_by_arm
 from .table import DeviceTable, shown
 from .time_columns import stated_time_unit, time_among, time_column
@@ -76,7 +76,7 @@ def toml_of(path: Path, guess: Guess, name: str) -> str:
 def guess_of(table: DeviceTable) -> Guess:
     """Guess what a table contains."""
     joints = find_joint_columns(table.names)
-    return _guess_skeleton(table, joints) if joints.has_arm() else guess_sensor(table)
+    return _guess_skeleton(table, joints) if has_arm(joints.axes) else guess_sensor(table)
 
 
 def _named(table: DeviceTable, column: int) -> str | int:

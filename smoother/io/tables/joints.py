@@ -235,10 +235,6 @@ class JointColumns:
     # Columns of joints of an arm that have two axes and nowhere the third
     incomplete: set[str] = field(default_factory=set)
 
-    def has_arm(self) -> bool:
-        """Whether there is a side with an elbow and a wrist or hand."""
-        return has_arm(self.axes)
-
     def others(self, width: int) -> list[int]:
         """The columns of a table of that width that are nothing of these."""
         used = {at for three in (*self.axes.values(), *(each for _, each in self.rest)) for at in three}

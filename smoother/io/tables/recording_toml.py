@@ -24,16 +24,14 @@ from pathlib import Path
 from typing import Annotated, Any, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from ...array_types import FloatArray
 from ...errors import RecordingError
-from ...linalg import unit
 from ...runtime.inputs import check_input, inside, read_toml
 from ..files import add_imu, add_skeleton, times_of
-from ..mcap.messages import Topic, nanoseconds
-from ..recording.camera_streams import CAMERA_TOPIC
+from ..mcap.messages import nanoseconds
+from ..recording.camera_streams import CAMERA_TOPIC, direction_of
 from ..recording.keypoints import NAMED_TOPIC, TOPIC, lens_from_plain
 from ..recording.streams import CameraStream, KnownLens, PoseSamples, RecordingFile
 from ..registry import FileReader, recognise
@@ -233,14 +231,6 @@ def open_csv(
         _add_camera(file, folder, name, further, _bodies(file, folder / further.file, further))
     if description.truth is not None:
         file.poses.append(read_pose_table(folder / description.truth.file))
-    streams: list[tuple[str, str, NDArray[np.int64]]] = [
-        *((each.topic, "unocclude.Imu", each.stamp_ns) for each in file.imus),
-        *((a.topic, f"unocclude.{'Keypoints2D' if a.lens else 'Skeleton'}", a.stamp_ns) for a in file.arms),
-        *((each.topic, "foxglove.PoseInFrame", each.stamp_ns) for each in file.poses),
-    ]
-    for topic, schema, stamp in {each[0]: each for each in streams}.values():
-        first, last = int(stamp.min()), int(stamp.max())
-        file.topics.append(Topic(topic, schema, "", b"", "csv", {}, len(stamp), first, last))
     return file
 
 
@@ -272,14 +262,12 @@ def _check_places(folder: Path, description: _Description, outside: bool) -> Non
 
 def _down(gravity: list[float] | None, folder: Path, section: str) -> FloatArray | None:
     """The direction of down that a section of recording.toml states."""
-    if gravity is None:
-        return None
-    direction = unit(np.array(gravity))
-    if not (np.isfinite(gravity).all() and abs(np.linalg.norm(direction) - 1) < 1e-6):
+    try:
+        return None if gravity is None else direction_of(gravity)
+    except ValueError as error:
         raise RecordingError(
-            f"{folder}/recording.toml: [{section}] gravity is zero or no numbers; give the direction of down."
-        )
-    return np.asarray(direction)
+            f"{folder}/recording.toml: [{section}] {error}; give the direction of down, as in [0, -1, 0]."
+        ) from None
 
 
 def _add_camera(

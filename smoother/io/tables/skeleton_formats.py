@@ -23,6 +23,7 @@ from .joints import (
     TIME_WORDS,
     column_named,
     find_joint_columns,
+    has_arm,
     joint_name,
     plain_words,
     program_of,
@@ -106,7 +107,7 @@ def _wide_format(
         columns = find_joint_columns(_header_of(head))
         is_numbered = columns.numbered or columns.world
         found = program_of(_header_of(head)) or ("blazepose" if is_numbered else "")
-        return columns.has_arm() and program in ("", found)
+        return has_arm(columns.axes) and program in ("", found)
 
     read = partial(_read_wide, conventions=conventions)
     return Format(key, title, "skeleton", recognised_by, recognises, read)

@@ -40,11 +40,10 @@ def _read_json(path: Path, expected: str) -> Any:
             rows += (json.loads(line) for line in lines)
         if len(rows) > 1 and len(rows) >= len(lines) - 1:
             return rows
-        what = "nested too deeply to be one; export it again."
-        if not isinstance(error, RecursionError):
-            where = f" in line {error.lineno}" if isinstance(error, json.JSONDecodeError) else ""
-            what = f"cut off{where}; copy or export it again."
-        raise RecordingError(f"{path} should be {expected}, and its JSON is {what}") from None
+        where = f" in line {error.lineno}" if isinstance(error, json.JSONDecodeError) else ""
+        raise RecordingError(
+            f"{path} should be {expected}, and its JSON is cut off or damaged{where}; copy it again."
+        ) from None
 
 
 def _number(value: Any) -> float:

@@ -154,13 +154,8 @@ def _up_axis(points: list[tuple[JointName, FloatArray]]) -> tuple[int, int] | No
     return axis, 1 if direction[axis] > 0 else -1
 
 
-def _frame_of(axis: int, sign: int, camera: bool) -> CameraFrame | None:
-    """The convention of axes of which one is up; a room's y up has none (`camera`: axes of a camera)."""
-    if (axis, sign) == (2, 1):
-        return CameraFrame.ZUP
-    if camera and axis == 1:
-        return CameraFrame.KINECT if sign > 0 else CameraFrame.OPTICAL
-    return None
+#: A camera's conventions by the axis and sign of up.
+_CAMERAS = {(1, 1): CameraFrame.KINECT, (1, -1): CameraFrame.OPTICAL}
 
 
 # -------------------------------------------------------------------------------------------- rows to frames
@@ -407,25 +402,25 @@ class RawSkeleton:
         shoulders = [f"shoulder_{side}" for side in ("left", "right") if f"shoulder_{side}" in self.points]
         upper = [(JointName("shoulder", ""), self.position[joint]) for joint in shoulders]
         upright = _up_axis([*self.rest, *upper])
-        if (own := conventions.frame) is not None:
-            other = {CameraFrame.KINECT: (1, -1), CameraFrame.OPTICAL: (1, 1)}.get(own)
-            if upright is None or upright != other:
+        own, up, why = (
+            conventions.frame,
+            upright or conventions.up,
+            " (the body is then upright in most frames)",
+        )
+        if own is not None:
+            if own not in _CAMERAS.values() or upright not in _CAMERAS or _CAMERAS[upright] is own:
                 return own, None
-            self._note_axes(upright, ", not the usual ones (the body is then upright in most frames)")
-            return _frame_of(*upright, camera=True), None
-        axis, sign = upright or conventions.up or (-1, 0)
-        if not sign:
+            why = f", not the usual ones{why}"
+        elif upright is None:
+            why = ", as usual in this format"
+        if up is None:
             self.notes.append("It is not known which axis is up: neither the file nor the body shows it.")
             return None, None
-        down = -sign * np.eye(3)[axis]
-        if upright is None:
-            self._note_axes((axis, sign), ", as usual in this format")
-            return None, down
-        self._note_axes(upright, " (the body is then upright in most frames)")
-        return _frame_of(*upright, camera=False), down
-
-    def _note_axes(self, up: tuple[int, int], why: str) -> None:
-        self.notes.append(f"Assumed axes: {'xyz'[up[0]]} {'up' if up[1] > 0 else 'down'}{why}.")
+        axis, sign = up
+        self.notes.append(f"Assumed axes: {'xyz'[axis]} {'up' if sign > 0 else 'down'}{why}.")
+        if own is not None:
+            return _CAMERAS[up], None
+        return CameraFrame.ZUP if up == (2, 1) else None, -sign * np.eye(3)[axis]
 
     def _times(self) -> tuple[FloatArray, float | None, float | None]:
         """What distinguishes frames, its unit in seconds (None: no times), the rate without times."""

@@ -21,7 +21,7 @@ from .imu import (
     unit_of,
     with_halves_joined,
 )
-from .joints import find_joint_columns, program_of
+from .joints import find_joint_columns, has_arm, program_of
 from .skeletons import Conventions, RawSkeleton, SkeletonTable
 from .table import Format, begins, shown
 from .units import ACCELERATION, ANGULAR_VELOCITY, METRES, plain_unit
@@ -117,7 +117,7 @@ def _text(entry: Any, key: str) -> str:
 def _xdf_skeletons(stream: _Stream, path: Path) -> list[SkeletonTable]:
     """Bodies of a stream whose labels name joints."""
     columns = find_joint_columns(stream.labels)
-    if not columns.has_arm():
+    if not has_arm(columns.axes):
         return []
     values = stream.values.astype(float)
     raw = RawSkeleton(path, time=stream.t_s, time_unit="s")
@@ -137,7 +137,7 @@ def _imus(streams: list[_Stream], path: Path) -> tuple[list[ImuTable], list[str]
     halves: list[ImuTable] = []
     reasons: list[str] = []
     for stream in streams:
-        if find_joint_columns(stream.labels).has_arm():
+        if has_arm(find_joint_columns(stream.labels).axes):
             continue
         for sensor in find_sensors(stream.labels, stream.types, f"{stream.name} {stream.kind}"):
             table, why = _imu(stream, sensor)

@@ -302,7 +302,7 @@ LIMITS: dict[str, tuple[Callable[[Path], Path], str]] = {
         lambda folder: text(
             folder / "a.json", '[{"pose_keypoints_2d":' + "[" * 200_000 + "]" * 200_000 + "}]"
         ),
-        "nested too deeply",
+        "cut off or damaged",
     ),
 }  # fmt: skip
 
