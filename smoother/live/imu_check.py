@@ -52,14 +52,12 @@ class ImuCheck:
     """Judges samples one after the other; what it has seen decides what is usual."""
 
     def __init__(self) -> None:
-        self._largest = np.zeros(6)
         self._repeats = np.array([0.5, 0.5])
 
     def learn(self, acc: FloatArray, gyro: FloatArray) -> None:
         """Take in sound samples (n, 3) each, as what is usual."""
         if len(acc) < 2:
             return
-        self._largest = np.maximum(self._largest, np.abs(np.hstack([acc, gyro])).max(axis=0))
         weight = min(len(acc) / 500.0, 1.0)
         share = [float(_same(each).mean()) for each in (acc, gyro)]
         self._repeats = (1.0 - weight) * self._repeats + weight * np.array(share)
@@ -89,7 +87,7 @@ class ImuCheck:
                 ("repeats a value", held[column]),
                 (f"is out of range{sensor.units}", too_large | _on_average(size > large, usual_s, large_s)),
                 ("does not show gravity: are its units m/s^2?", _on_average(size < small, usual_s, small_s)),
-                ("is clipped", _clipped(values, self._largest[3 * column :][:3], sensor.clipped)),
+                ("is clipped", _clipped(values, sensor.clipped)),
             ):
                 if rows.any():
                     variance[rows] = (sensor.density**2 * each_s)[rows]
@@ -137,14 +135,11 @@ def _over_runs(rows: BoolArray, values: FloatArray) -> FloatArray:
     return mean
 
 
-def _clipped(values: FloatArray, largest: FloatArray, floor: float) -> BoolArray:
-    """Samples (n,) of which one axis repeats a large value, as only a limit of the sensor explains."""
-    size = np.abs(values)
+def _clipped(values: FloatArray, floor: float) -> BoolArray:
+    """Samples (n,) of which one axis repeats a large value twice, as only a limit of the sensor explains."""
     again = np.zeros(values.shape, bool)
-    again[1:] = (values[1:] == values[:-1]) & (size[1:] > floor)
-    thrice = np.zeros(values.shape, bool)
-    thrice[2:] = again[2:] & again[1:-1]
-    again = thrice | (again & (size >= largest))
+    again[1:] = (values[1:] == values[:-1]) & (np.abs(values[1:]) > floor)
+    again[1:] &= again[:-1]
     again[:-1] |= again[1:]
     return np.asarray(again.any(axis=1))
 
