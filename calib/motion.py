@@ -51,6 +51,7 @@ class ForearmFrame:
     length_m: float  # Elbow to wrist
     length_sigma_m: float  # Elbow to wrist
     distance_m: float  # Of the IMU from the line between elbow and wrist
+    away: FloatArray  # (3,): unit vector from that line to the IMU in {A}
     distance_sigma_m: float  # Its standard deviation
     roll_sigma_rad: float  # Of the angle about the forearm's axis; inf where the IMU is too near to the line
     R_F_A: FloatArray | None  # (3, 3): none where the roll or the direction is not known well enough
@@ -84,6 +85,7 @@ def forearm_frame(calibration: ArmCalibration) -> ForearmFrame | None:
         length_m=length,
         length_sigma_m=float(np.linalg.norm(sigma * along)),
         distance_m=distance,
+        away=away,
         distance_sigma_m=float(share @ off),
         roll_sigma_rad=roll,
         R_F_A=np.stack([away, along, across]) if is_known else None,

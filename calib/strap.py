@@ -337,9 +337,6 @@ def mounted_on(recovery: Recovery, radius: Length | None = None) -> Mounted:
             f"{recovery.name}: how the sensor sits on the forearm is not known; elbow and wrist must be"
             " tracked"
         )
-    elbow = arm.lever_arms["elbow"].position_m
-    foot = elbow - (elbow @ frame.direction) * frame.direction
-    away = -foot / max(float(np.linalg.norm(foot)), 1e-9)
     own = radius or USUAL_RADIUS
     weight = own.sigma_m**-2, max(frame.distance_sigma_m, 1e-3) ** -2
     distance = (weight[0] * own.value_m + weight[1] * frame.distance_m) / sum(weight)
@@ -348,7 +345,7 @@ def mounted_on(recovery: Recovery, radius: Length | None = None) -> Mounted:
         t_s=recovery.t_s - recovery.clock_offset_s,
         R_K_A=Rotation.from_quat(recovery.quaternion, scalar_first=True).as_matrix(),
         origin_ns=recovery.origin_ns,
-        from_core=distance * away,
+        from_core=distance * frame.away,
         sigma_m=float(np.hypot(sum(weight) ** -0.5, distance * roll) / np.sqrt(2)),
         along=frame.direction,
         radius_m=float(np.clip(distance, 0.02, 0.06)) if radius is None else radius.value_m,

@@ -229,6 +229,8 @@ def _scene(recording: Recording, graph: Recovery, orientation: str, samples: sli
     R_K_A, R_frames = ((alignment.at(t) * attitude.at(t)).as_matrix() for t in (imu.t_s, frame_t))
     attitude_sigma = np.sqrt(np.trace(alignment.covariance, axis1=1, axis2=2) / 3.0)
     gravity, estimates = GRAVITY * down, graph.estimates
+    places, count = imu_positions(joints, used, R_frames, calibration)  # the mean over joints
+    seen = (count > 0) & enough_joints(used, needed)
     return Scene(
         imu=imu,
         R_K_A=R_K_A,
@@ -238,22 +240,13 @@ def _scene(recording: Recording, graph: Recovery, orientation: str, samples: sli
         frame_t=frame_t,
         joints=joints,
         camera_joints=camera_joints,
-        point=_point(joints, used, R_frames, calibration, needed),
+        point=np.where(seen[:, None], places, np.nan),
         point_sigma_m=_point_sigma(estimates.camera_sigma_m, used),
         gaps=tuple(gap for gap in graph.gaps if gap.end_s > imu.t_s[0] and gap.start_s < imu.t_s[-1]),
         calibration=calibration,
         point_effective_sigma_m=_point_sigma(estimates.camera_effective_sigma_m, used),
         rows=rows,
     )
-
-
-def _point(
-    joints: FloatArray, used: BoolArray, R_K_A: FloatArray, calibration: ArmCalibration, needed: int
-) -> FloatArray:
-    """The IMU's position (f, 3) at visible frames: mean over joints of joint - R_K_A lever; nan elsewhere."""
-    places, count = imu_positions(joints, used, R_K_A, calibration)
-    good = (count > 0) & enough_joints(used, needed)
-    return np.where(good[:, None], places, np.nan)
 
 
 def _point_sigma(sigma_m: dict[str, float] | None, used: BoolArray) -> float:
