@@ -12,12 +12,17 @@ from scenes import ALONE, Scene, answer, moving
 from calib.motion import ArmEstimates, calibrate_motion
 from smoother import Recovery
 from smoother.array_types import FloatArray
+from smoother.calibration import ArmCalibration
 from smoother.evaluation.validate import validate
 from smoother.measurements.clock import LARGEST_OFFSET_S, Clock, constant_clock
+from smoother.measurements.outliers import reject_by_camera
+from smoother.measurements.segment import split_into_segments
 from smoother.measurements.timestamps import synthetic_stamps
 from smoother.recording import Recording
+from smoother.runtime.pool import Pool
 from smoother.selfcal.clock_fit import SYNTHETIC_SIGMA_S, ClockScore, refined_clock
 from smoother.selfcal.pairing import coarse_offset, find_pairing, pair
+from smoother.selfcal.rounds import self_calibrate
 from smoother.simulation import SimulatedArm
 
 
@@ -88,7 +93,9 @@ def test_made_up_stamps_are_as_uncertain_as_a_dropped_frame() -> None:
     t = made.recording.arm.t_s
     spread = np.linspace(t[0], t[-1], len(t))
     assert synthetic_stamps(spread)
-    (clock,) = calibrated(later(made, t - spread)).self_calibration.clocks
+    recording, *_ = pair(later(made, t - spread))
+    segments = [reject_by_camera(segment) for segment in split_into_segments(recording, 0)]
+    (clock,) = self_calibrate(segments, ArmCalibration(), ALONE, Pool(1, 0)).clocks
     left, unmended = (float(np.sqrt(np.mean(x**2))) for x in (spread + clock.at(spread) - t, spread - t))
     assert clock.local_sigma_s >= SYNTHETIC_SIGMA_S
     assert left < 0.7 * unmended and left < 3 * clock.local_sigma_s
