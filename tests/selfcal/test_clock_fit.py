@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 from scenes import ALONE, Scene, answer, moving
 
-from calib.motion import ArmEstimates, calibrate_motion
 from smoother import Recovery
 from smoother.array_types import FloatArray
 from smoother.calibration import ArmCalibration
@@ -59,8 +58,12 @@ def test_stamps_that_somebody_made_up(stamps: FloatArray, made_up: bool) -> None
     assert synthetic_stamps(stamps) is made_up
 
 
-def calibrated(recording: Recording) -> ArmEstimates:
-    return calibrate_motion([replace(recording, truth=None)], None, ALONE)
+def found_clock(recording: Recording) -> Clock:
+    """The clock of a recording's excerpts."""
+    recording, coarse, _ = pair(recording)
+    segments = [reject_by_camera(segment) for segment in split_into_segments(recording, 0)]
+    (clock,) = self_calibrate(segments, ArmCalibration(), ALONE, Pool(1, 0)).clocks
+    return clock.after(coarse)
 
 
 @pytest.mark.slow
@@ -71,7 +74,7 @@ def test_a_clock_that_runs_fast() -> None:
     """
     made, skew = moving(1, "white", 300.0), 300e-6
     t = made.recording.arm.t_s
-    (clock,) = calibrated(later(made, -skew * t)).self_calibration.clocks
+    clock = found_clock(later(made, -skew * t))
     error = clock.at(t * (1.0 + skew)) + skew * t
     assert clock.skew == pytest.approx(-300e-6, abs=10e-6)  # found: within 3e-6
     assert np.sqrt(np.mean(error**2)) < 0.002
@@ -93,9 +96,7 @@ def test_made_up_stamps_are_as_uncertain_as_a_dropped_frame() -> None:
     t = made.recording.arm.t_s
     spread = np.linspace(t[0], t[-1], len(t))
     assert synthetic_stamps(spread)
-    recording, *_ = pair(later(made, t - spread))
-    segments = [reject_by_camera(segment) for segment in split_into_segments(recording, 0)]
-    (clock,) = self_calibrate(segments, ArmCalibration(), ALONE, Pool(1, 0)).clocks
+    clock = found_clock(later(made, t - spread))
     left, unmended = (float(np.sqrt(np.mean(x**2))) for x in (spread + clock.at(spread) - t, spread - t))
     assert clock.local_sigma_s >= SYNTHETIC_SIGMA_S
     assert left < 0.7 * unmended and left < 3 * clock.local_sigma_s
