@@ -24,9 +24,8 @@ from smoother.linalg import robust_sigma, runs, sphere, unit
 from smoother.recording import ImuStream
 from smoother.units import GRAVITY
 
-from .file import CalibrationFile
+from .file import CalibrationFile, sensor_name
 from .protocol import Answer, Check
-from .sensor import sensor_name
 
 #: Directions that the sphere is looked at, some 4 degrees apart; cells to count coverage in, some 20.
 _GRID, _CELLS = 2000, 100

@@ -26,18 +26,21 @@ from smoother.errors import CalibrationError
 from smoother.linalg import nearest_rotation, skew, unit
 
 from .file import CalibrationFile, Section, checked, toml_document
-from .images import Blobs, View, check_size, find_blobs
-from .intrinsics import Intrinsics
-from .plane import (
+from .images import (
+    Blobs,
     Frame,
     Panel,
     Plane,
+    View,
+    check_size,
+    find_blobs,
     fit_plane,
     on_plane,
     panel_regions,
     robust_plane,
     strip,
 )
+from .intrinsics import Intrinsics
 from .protocol import Answer, Check, graded
 
 #: A panel that is larger, or whose markers are nearer, was not measured in metres.

@@ -21,14 +21,12 @@ from smoother.linalg import nearest_rotation, skew, unit
 from smoother.recording import CameraFrame, ImuStream, Recording
 from smoother.rotation import chained
 
-from .file import CalibrationFile, Section, Vector, checked
-from .images import View
+from .file import CalibrationFile, Section, Vector, checked, corrected_streams, sensor_of
+from .images import Panel, View
 from .imu import Rests, find_rests
 from .intrinsics import Intrinsics
 from .panel import SeenPanel, see_panel
-from .plane import Panel
 from .protocol import Answer, Check, graded
-from .sensor import corrected_streams, sensor_of
 
 #: A rest this near to a pose's time is the pose's, s; it is averaged over what lies so near.
 REACH_S = 1.0

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from .definitions import JOINT_ANGLES, JointAngle
-from .found import angles_by_joints, shoulder_angles
-from .mounting import ForearmMounting, forearm_mounting
+from .found import ForearmMounting, angles_by_joints, forearm_mounting, shoulder_angles
 from .table import AngleTable, joint_angles
 
 __all__ = [

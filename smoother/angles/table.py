@@ -22,8 +22,16 @@ from .definitions import (
     WRIST,
     JointAngle,
 )
-from .found import SHOULDER_NAMES, Angles, Found, angles_by_joints, shoulder_angles, wrist_angles
-from .mounting import ForearmMounting, forearm_mounting
+from .found import (
+    SHOULDER_NAMES,
+    Angles,
+    ForearmMounting,
+    Found,
+    angles_by_joints,
+    forearm_mounting,
+    shoulder_angles,
+    wrist_angles,
+)
 
 if TYPE_CHECKING:
     import pandas

@@ -25,7 +25,7 @@ from ..measurements.timestamps import dejitter, split_at_pauses
 from ..recording import JOINTS, JointTracks, Recording
 from ..rotation import Rotation
 from ..runtime.store import large_array
-from .lifting import lifted
+from .rig import lifted
 
 #: The IMU's heading is taken as constant over this time, s.
 BLOCK_S = 40.0

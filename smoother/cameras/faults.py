@@ -12,8 +12,8 @@ from ..array_types import FloatArray
 from ..linalg import nearest_rotation
 from ..recording import CameraPose
 from ..rotation import Rotation
-from .overlap import Overlap
 from .placing import Placement, residuals, start, weights
+from .rig import Overlap
 
 #: A camera that sees the forearm together with the first one for less than this is not placed, s.
 LEAST_S = 3.0

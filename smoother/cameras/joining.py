@@ -11,13 +11,22 @@ from ..errors import SolveError
 from ..recording import FIRST_CAMERA, JOINTS, Camera, CameraPose, JointTracks, Recording
 from ..runtime.store import batches, large_array
 from .alone import lift_alone
-from .clocks import candidate_offsets
 from .faults import LEAST_S, fault_of, moved_from, never_together
 from .keypoint_places import clock_of_known_place, placed_keypoints
-from .lifting import depth_by_points, depth_by_rays, lifted
-from .overlap import Overlap, overlap
 from .placing import Placement, place
-from .rig import CameraRig, RelativeClock, RigCamera, first_camera, joint_centre
+from .rig import (
+    CameraRig,
+    Overlap,
+    RelativeClock,
+    RigCamera,
+    candidate_offsets,
+    depth_by_points,
+    depth_by_rays,
+    first_camera,
+    joint_centre,
+    lifted,
+    overlap,
+)
 
 #: Where the joints are nearer than this, as a share of how far they move, no other clock is tried.
 SURE_SHARE = 0.25

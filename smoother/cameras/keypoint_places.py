@@ -15,11 +15,9 @@ from ..array_types import FloatArray
 from ..linalg import nearest_rotation, skew
 from ..recording import JOINTS, Camera, CameraPose, JointTracks
 from ..rotation import Rotation
-from .clocks import candidate_offsets
 from .faults import LEAST_S, Move, move_between, never_together, parts_of
-from .overlap import Overlap, overlap
 from .placing import OFFSET_M
-from .rig import RelativeClock, RigCamera
+from .rig import Overlap, RelativeClock, RigCamera, candidate_offsets, overlap
 
 #: Samples of one block share their error, s, and errors of joints in space last this long.
 BLOCK_S = 3.0

@@ -16,8 +16,7 @@ from ..array_types import BoolArray, FloatArray
 from ..linalg import nearest_rotation, skew
 from ..recording import JOINTS, CameraPose, JointTracks
 from ..rotation import Rotation
-from .overlap import Overlap, overlap
-from .rig import RelativeClock
+from .rig import Overlap, RelativeClock, overlap
 
 #: A joint's constant error against the other camera's, m per axis, before the recording speaks.
 OFFSET_M = 0.013

@@ -198,7 +198,7 @@ def magnetometer(
 
 def _load(path: Path, name: str | None, output: Path) -> tuple[ImuStream, list[str]]:
     """The stream to calibrate, and what there is to know of its file."""
-    from calib.sensor import sensors_in
+    from calib.file import sensors_in
 
     from ..io.recording.read import read_imu
 
@@ -258,7 +258,7 @@ def cameras(
 
     Example: unocclude calibrate cameras session.mcap -o cal.toml
     """
-    from calib.camera_poses import calibrate_cameras
+    from calib.intrinsics import calibrate_cameras
 
     held(output)
     recordings = [load_arm(path, **which.chosen)[0] for path in files]

@@ -17,9 +17,8 @@ from .load import ConfigInput, Which, load_arm, refuse_twice
 
 if TYPE_CHECKING:
     from calib.clock import MotionClock, Receptions
-    from calib.images import View
+    from calib.images import Panel, View
     from calib.intrinsics import Intrinsics
-    from calib.plane import Panel
     from calib.sound import Beep
 
 

@@ -341,7 +341,7 @@ magnetometer = _for_calibration("TurningMagnetometer", _magnetometer)
 
 def write_sensor(output: Path, stream: ImuStream, truth: dict[str, Any], force: bool) -> dict[str, Any]:
     """Write the recording of a sensor alone; its truth under its name."""
-    from calib.sensor import sensor_name
+    from calib.file import sensor_name
 
     from ..io import write_recording
     from ..io.recording.write import as_session

@@ -14,8 +14,8 @@ from typing import Any
 
 import numpy as np
 
+from ..angles.definitions import wrapped_deg
 from ..array_types import FloatArray
-from ..joint_angles import wrapped_deg
 
 #: Half width of the limits of agreement in standard deviations.
 LIMITS = 1.96

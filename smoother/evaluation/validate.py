@@ -9,11 +9,10 @@ from typing import Any
 
 import numpy as np
 
-from ..angles.definitions import ANGLE_TITLES
+from ..angles.definitions import ANGLE_TITLES, ANGLES, arm_angles, defined, forearm_axes, recovery_angles
 from ..array_types import BoolArray, FloatArray
 from ..error_radius import pooled_radius
 from ..errors import RecordingError
-from ..joint_angles import ANGLES, arm_angles, defined, forearm_axes, recovery_angles
 from ..linalg import unit
 from ..measurements.visibility import Gap
 from ..recording import Truth

@@ -7,8 +7,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from ..angles.definitions import wrapped_deg
 from ..array_types import BoolArray, FloatArray, IntArray
-from ..joint_angles import wrapped_deg
 from ..linalg import runs
 from .definitions import PERCENTILES, zone_key
 from .measure import Figure, Reach, share_of

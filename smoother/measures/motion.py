@@ -8,9 +8,9 @@ from functools import cached_property
 
 import numpy as np
 
+from ..angles.definitions import SINGULAR_DEG, arm_angles, defined, forearm_axes, torso_axes
 from ..angles.found import SHOULDER_NAMES, humerus_angles
 from ..array_types import BoolArray, FloatArray
-from ..joint_angles import SINGULAR_DEG, arm_angles, defined, forearm_axes, torso_axes
 from ..linalg import by_columns, interpolate, median_rate_hz, nearest, runs, unit
 from ..result import Recovery
 from .definitions import MEASURED_ANGLES

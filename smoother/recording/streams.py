@@ -52,7 +52,7 @@ class JointTracks:
     focal_share : float
         Of a camera without depth: standard error of the focal length, as a part of it.
     ray_origin_m : ndarray, shape (c, 3), m, optional
-        Where the rays of each camera begin in {K}, once a depth was put on them (`cameras.lifting`): then
+        Where the rays of each camera begin in {K}, once a depth was put on them (`cameras.rig`): then
         only what is across a ray was measured. A row of nan is of a depth camera; None where all are.
     """
 

@@ -6,10 +6,10 @@ import numpy as np
 import plotly.graph_objects as go
 
 from ..angles import AngleTable
+from ..angles.definitions import arm_angles
 from ..array_types import BoolArray, FloatArray
 from ..error_radius import error_radius
 from ..evaluation.validate import sample_errors
-from ..joint_angles import arm_angles
 from ..recording import JOINTS, CameraFrame, Truth
 from ..result import Recovery
 from .player import Point

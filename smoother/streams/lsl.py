@@ -22,9 +22,9 @@ from typing import Any
 
 import numpy as np
 
+from ..angles.definitions import arm_angles
 from ..array_types import FloatArray
 from ..errors import UnoccludeError
-from ..joint_angles import arm_angles
 from ..live.answers import LiveEstimate, LiveOutput, LiveState
 from ..recording import JOINTS
 from ..runtime.packages import extra_module

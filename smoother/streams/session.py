@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from calib.file import CalibrationFile, known_arm
-from calib.sensor import SensorCalibration, sensor_of
+from calib.file import CalibrationFile, SensorCalibration, known_arm, sensor_of
 
 from ..body import FOREARM
 from ..calibration import ArmCalibration

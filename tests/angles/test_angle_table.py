@@ -14,11 +14,11 @@ from made_results import recovery
 from scipy.spatial.transform import Rotation
 
 from smoother.angles import JOINT_ANGLES
+from smoother.angles.definitions import arm_angles, forearm_axes, torso_axes, wrapped_deg
 from smoother.angles.found import UPPER_ARM_SHARE, direction_variance
 from smoother.array_types import FloatArray
 from smoother.calibration import ArmCalibration, LeverArm, SegmentMounting
 from smoother.io.export.tables import export_csv
-from smoother.joint_angles import arm_angles, forearm_axes, torso_axes, wrapped_deg
 from smoother.linalg import unit
 from smoother.result import Estimates, Recovery, SegmentMotion, TrunkMotion
 
@@ -309,7 +309,7 @@ def test_known_angles(side: str) -> None:
 def test_sigma_is_that_of_drawn_errors(monkeypatch: pytest.MonkeyPatch) -> None:
     """Turns of both IMUs and of the forearm's roll, drawn 4000 times: a standard deviation to 2.3 %."""
     sigma_rad, count, rng = 0.02, 4000, np.random.default_rng(1)
-    monkeypatch.setattr("smoother.angles.mounting.CALIBRATED_DEG", 3.0)  # 15 are not quite linear
+    monkeypatch.setattr("smoother.angles.found.CALIBRATED_DEG", 3.0)  # 15 are not quite linear
     made = arm_with_hand(np.full(1, 40.0), np.full(1, 15.0), sigma_rad=sigma_rad)
     table = made.angles()
     many = made.rows(np.zeros(count, int))

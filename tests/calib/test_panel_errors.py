@@ -11,12 +11,12 @@ from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
 from calib import panel
+from calib.images import Frame
 from calib.panel import (
     PanelSolution,
     PoseData,
     solve,
 )
-from calib.plane import Frame
 from smoother.array_types import FloatArray
 from smoother.errors import CalibrationError
 

@@ -14,7 +14,7 @@ from panel_scene import LENS, PANEL, Held, blobs_of, held
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
-from calib.images import find_blobs
+from calib.images import Frame, Panel, find_blobs, fit_plane, on_plane
 from calib.intrinsics import Intrinsics
 from calib.panel import (
     NotIdentified,
@@ -25,11 +25,10 @@ from calib.panel import (
     identify_spots,
     kabsch,
 )
-from calib.plane import Frame, Panel, fit_plane, on_plane
 from smoother.array_types import FloatArray
 from smoother.errors import CalibrationError
 from smoother.simulation.panel import PanelSimulation
-from tools.accuracy import panel
+from tools.accuracy import calibrations as panel
 
 ANGLE = st.floats(0.0, 360.0)
 

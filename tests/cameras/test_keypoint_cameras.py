@@ -15,8 +15,7 @@ from scipy.spatial.transform import Rotation
 from smoother.baselines.registry import recover
 from smoother.cameras import join_cameras
 from smoother.cameras.keypoint_places import clock_of_known_place, placed_keypoints
-from smoother.cameras.lifting import depth_by_rays
-from smoother.cameras.rig import RelativeClock
+from smoother.cameras.rig import RelativeClock, depth_by_rays
 from smoother.cli.run import run
 from smoother.errors import SolveError
 from smoother.recording import FOCAL_CALIBRATED, FOCAL_DATA_SHEET, JOINTS, CameraPose

@@ -10,10 +10,9 @@ import pytest
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
-from smoother.cameras.clocks import candidate_offsets
 from smoother.cameras.joining import join_cameras, placed_camera
 from smoother.cameras.placing import OFFSET_M, place
-from smoother.cameras.rig import RelativeClock
+from smoother.cameras.rig import RelativeClock, candidate_offsets
 from smoother.measurements.visibility import seen_by_any
 from smoother.recording import CameraPose, JointState
 from smoother.simulation import ArmSimulation, SimulatedArm, simulate_arm

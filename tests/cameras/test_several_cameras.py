@@ -8,8 +8,8 @@ from functools import cache
 import numpy as np
 import pytest
 
-from calib.camera_poses import calibrate_cameras, camera_poses, with_camera_poses
 from calib.file import CalibrationFile
+from calib.intrinsics import calibrate_cameras, camera_poses, with_camera_poses
 from smoother.baselines.scene import of_best_camera
 from smoother.cameras import join_cameras
 from smoother.errors import CalibrationError

@@ -15,8 +15,7 @@ from results import made
 from simulated_points import PointSimulation, simulate_point
 
 import smoother.runtime.store
-from calib.file import read_calibration
-from calib.sensor import corrected
+from calib.file import corrected, read_calibration
 from smoother.cli.run import NOT_TRUSTED, run
 from smoother.io import read_recording, read_recovery, write_recording, write_recovery
 from smoother.recording import Recording
@@ -145,10 +144,10 @@ def test_an_imu_is_corrected_part_by_part(
         f'[imu."{recording.imu.name.removeprefix("/imu/")}".gyroscope]\noffset = [0.01, 0.02, -0.03]\n'
     )
     calibration = read_calibration(tmp_path / "cal.toml")
-    monkeypatch.setattr("calib.sensor._SAMPLES", 10**9)
+    monkeypatch.setattr("calib.file._SAMPLES", 10**9)
     whole = corrected(recording, calibration)
     assert not np.array_equal(whole.imu.acc, recording.imu.acc)
-    monkeypatch.setattr("calib.sensor._SAMPLES", samples)
+    monkeypatch.setattr("calib.file._SAMPLES", samples)
     parts = corrected(recording, calibration)
     for name in ("t_s", "acc", "gyro"):
         np.testing.assert_allclose(getattr(parts.imu, name), getattr(whole.imu, name), rtol=1e-14)

@@ -10,8 +10,7 @@ from arms import make_recording, make_recovery
 from scipy.spatial.transform import Rotation
 
 from smoother.angles import ForearmMounting, angles_by_joints, shoulder_angles
-from smoother.calibration import ArmCalibration, SegmentMounting
-from smoother.joint_angles import (
+from smoother.angles.definitions import (
     ANGLES,
     arm_angles,
     defined,
@@ -19,6 +18,7 @@ from smoother.joint_angles import (
     torso_axes,
     wrapped_deg,
 )
+from smoother.calibration import ArmCalibration, SegmentMounting
 from smoother.result import Recovery, SegmentMotion
 
 DOWN = np.array([0.0, -1.0, 0.0])  # a level Kinect: x to the camera's left, y up, z away from it

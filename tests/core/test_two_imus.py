@@ -10,9 +10,9 @@ from scenes import Scene, answer, blind, moving, recovered
 from scipy.spatial.transform import Rotation
 
 from smoother.angles import shoulder_angles
+from smoother.angles.definitions import arm_angles, wrapped_deg
 from smoother.io.recording.names import role, role_among
 from smoother.io.recording.streams import ImuSamples
-from smoother.joint_angles import arm_angles, wrapped_deg
 from smoother.recording import JOINTS, ImuStream
 from smoother.result import Recovery
 from smoother.simulation import ArmSimulation, SimulatedArm, simulate_arm

@@ -7,9 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from calib.images import Blobs
+from calib.images import Blobs, Panel, Plane, fit_plane, on_plane
 from calib.intrinsics import Intrinsics
-from calib.plane import Panel, Plane, fit_plane, on_plane
 
 LENS = Intrinsics(512, 424, 365.0, 366.0, 254.0, 205.0)
 PANEL = Panel(

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from measured_arms import minimum_jerk, recovery_of, simulated, with_draws
 
-from smoother.joint_angles import forearm_axes, recovery_angles
+from smoother.angles.definitions import forearm_axes, recovery_angles
 from smoother.measures import MeasureSettings, measure
 from smoother.measures.definitions import BY_MOVEMENT
 from smoother.measures.figures import log_dimensionless_jerk, spectral_arc_length, velocity_peaks

@@ -17,7 +17,7 @@ from smoother.selfcal.pairing import find_pairing
 from smoother.selfcal.session import find_straps
 from smoother.simulation import SimulatedArm
 from smoother.smoothing import smooth
-from tools.accuracy.sessions import FOREIGN, made_session, trials_of
+from tools.accuracy.pairing import FOREIGN, made_session, trials_of
 
 COUNT = 10
 ALONE = Config.model_validate({"windows": {"processes": 1}})

@@ -13,7 +13,7 @@ from smoother.io import read_recording, write_recording
 from smoother.study.folder import StudyFolder
 from smoother.study.inputs import find_entries
 from smoother.study.sessions import with_sessions
-from tools.accuracy.sessions import made_session, trials_of
+from tools.accuracy.pairing import made_session, trials_of
 
 COUNT, SEED = 6, 3
 

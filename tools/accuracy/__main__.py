@@ -9,14 +9,11 @@ from __future__ import annotations
 import argparse
 
 from tools.accuracy import (  # noqa: F401
-    angles,
     calibrations,
     live,
     measures,
     oracle,
     pairing,
-    panel,
-    sessions,
 )
 from tools.accuracy.check import CHECKS
 from tools.reliability import setup_errors  # noqa: F401

@@ -1,4 +1,6 @@
-"""How well measures hold, and changes of them between sessions: `measures`, `movements`, `progress`.
+"""Joint angles and measures against the truth, and changes between sessions.
+
+`angles`: errors of joint angles with their sigmas, by preset, in gaps and in view.
 
 `measures`, for each preset: how often the 95 % interval of a measure contains the truth's, its rms error and
 its bias; occlusions are those of the simulated body. The truth is measured by the same functions: a session's
@@ -20,16 +22,20 @@ from __future__ import annotations
 
 import argparse
 import math
+import os
 import sys
 from collections import Counter, defaultdict
 from collections.abc import Collection, Iterator
+from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
-from itertools import combinations
+from functools import partial
+from itertools import combinations, product
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from smoother.angles.definitions import SHOULDER_TRUNK, arm_angles, forearm_axes, wrapped_deg
 from smoother.evaluation.measure_agreement import same_samples
 from smoother.evaluation.metrics import truth_at
 from smoother.evaluation.progress import (
@@ -41,6 +47,7 @@ from smoother.evaluation.progress import (
     without_like_movements,
 )
 from smoother.evaluation.words import is_main
+from smoother.linalg import interpolate
 from smoother.measures import Measure, MeasureSettings, measure
 from smoother.measures.definitions import BY_MOVEMENT
 from smoother.measures.measure import Reach
@@ -48,11 +55,23 @@ from smoother.measures.measuring import SESSION, Measuring
 from smoother.measures.motion import motion_of
 from smoother.recording import Truth
 from smoother.result import Recovery
-from smoother.simulation import ArmSimulation, simulate_arm
-from smoother.simulation.arm import SimulatedArm, draw_person, random_streams, record_arm
+from smoother.rotation import Rotation
+from smoother.simulation import ArmSimulation, SimulatedArm, simulate_arm
+from smoother.simulation.arm import draw_person, random_streams, record_arm
 from smoother.simulation.motion import FLEXION
 from smoother.smoothing import smooth
-from tools.accuracy.check import DRAWS, Z_95, check, error_table, option, seeds_option, table
+from tools.accuracy.check import (
+    CHANGES,
+    DRAWS,
+    PRESETS,
+    Z_95,
+    changes,
+    check,
+    error_table,
+    option,
+    seeds_option,
+    table,
+)
 
 MEASURED = ("realistic", "azure")
 #: How far a straight elbow bends, rad.
@@ -283,3 +302,61 @@ def movements(options: argparse.Namespace) -> Iterator[str]:
             f" {len(BY_MOVEMENT)} measures: cannot be assessed {total['unknown']}, compared {total['pairs']},"
             f" clear {total['other_called']}, in the wrong direction {total['wrong']}"
         )
+
+
+#: The protocols that every seed of a preset is measured on.
+PROTOCOLS = ({}, {"protocol": "random", "duration_s": 30.0})
+
+
+def angle_errors(case: tuple[str, dict[str, Any], int], more: dict[str, Any], imus: int) -> list[Any]:
+    """Errors of every angle that a recovery of an arm with IMUs on upper arm and trunk has, degrees."""
+    preset, protocol, seed = case
+    side = "left" if seed % 2 else "right"
+    config = {"imus": "wrist,upper-arm,trunk", "side": side, "trunk_turn_deg": 5.0} | protocol | more
+    made = simulate_arm(ArmSimulation.preset(preset, **config), seed=seed)
+    recorded = replace(made.recording, truth=None, trunk=None)
+    if made.recording.trunk is not None:  # a skeleton of two arms, without the IMU
+        recorded = replace(recorded, opposite=made.recording.trunk.other_arm)
+    if imus == 1:
+        recorded = replace(recorded, further_imus={})
+    recovery = smooth(recorded, processes=1)
+    table, true, errors = recovery.angles(), true_angles(made, recovery.t_s), []
+    place = np.where(recovery.occluded, "gaps", "in view")
+    for angle in table.angles:
+        off, sigma = wrapped_deg(table.values[angle.name] - true[angle.name]), table.sigmas[angle.name]
+        known = np.isfinite(off) & np.isfinite(sigma)
+        labels = {"preset": preset, "angle": angle.name, "place": place[known]}
+        errors.append(labels | {"off": off[known], "sigma": sigma[known]})
+    return errors
+
+
+def true_angles(made: SimulatedArm, t_s: np.ndarray) -> dict[str, np.ndarray]:
+    """The angles of a simulated arm at some times (n,), deg, by the names of the table."""
+    truth, side = made.recording.truth, made.recording.side
+    assert truth is not None and made.calibration.R_F_A is not None
+    joints = {name: interpolate(truth.t_s, place, t_s) for name, place in truth.joints.items()}
+    quaternion = Rotation.from_matrix(made.motion.imu_pose(t_s)[0]).as_quat(scalar_first=True)
+    axes = forearm_axes(quaternion, made.calibration.R_F_A)
+    angles = arm_angles(joints, len(t_s), axes, side, made.parameters["gravity"])
+    if made.trunk_motion is not None:
+        R_K_T = made.trunk_motion.thorax(t_s)
+        in_T = {name: np.einsum("nji,nj->ni", R_K_T, place) for name, place in joints.items()}
+        down, forward = np.array([0.0, -1.0, 0.0]), np.array([1.0, 0.0, 0.0])
+        to_trunk = arm_angles(in_T, len(t_s), None, side, down, forward=forward)
+        angles |= {angle.name: to_trunk[angle.name.removesuffix("_trunk")] for angle in SHOULDER_TRUNK}
+    return angles
+
+
+@check(
+    option("--presets", nargs="+", default=list(PRESETS), choices=PRESETS, help="cameras"),
+    option("--imus", type=int, choices=(1, 2), default=1, help="worn on the arm [1]"),
+    CHANGES,
+    seeds_option("6"),
+)
+def angles(options: argparse.Namespace) -> Iterator[str]:
+    """Errors of joint angles in gaps and in view, degrees, and how many lie inside their 95 % intervals."""
+    cases = [*product(options.presets, PROTOCOLS, options.seeds)]
+    job = partial(angle_errors, more=changes(options), imus=options.imus)
+    with ProcessPoolExecutor(os.cpu_count()) as workers:
+        found = [each for errors in workers.map(job, cases) for each in errors]
+    yield from error_table(found, "preset, angle, place")

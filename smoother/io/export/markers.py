@@ -12,9 +12,9 @@ from typing import Any
 
 import numpy as np
 
+from ...angles.definitions import torso_axes
 from ...array_types import FloatArray
 from ...errors import UnoccludeError
-from ...joint_angles import torso_axes
 from ...linalg import nearest
 from ...recording import JOINTS, JointState
 from ...result import Recovery

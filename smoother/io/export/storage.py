@@ -6,9 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 
+from ...angles.definitions import defined, recovery_angles, wrapped_deg
 from ...array_types import FloatArray
 from ...errors import UnoccludeError
-from ...joint_angles import defined, recovery_angles, wrapped_deg
 from ...linalg import median_rate_hz, nearest
 from ...result import Recovery
 from ...result.untrusted import untrusted_sentences

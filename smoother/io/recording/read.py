@@ -317,9 +317,8 @@ def read_arms(
     remedy = remedy or Remedy()
     if calibration_file is None:
         return [(remedy.applied(one), None) for one in _read(path, reading, alone=alone)]
-    from calib.camera_poses import camera_poses, with_camera_poses
-    from calib.file import known_arm, read_calibration
-    from calib.sensor import corrected
+    from calib.file import corrected, known_arm, read_calibration
+    from calib.intrinsics import camera_poses, with_camera_poses
     from calib.world import with_gravity
 
     calibration = read_calibration(calibration_file)

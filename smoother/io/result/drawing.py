@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ...angles.definitions import torso_axes
 from ...array_types import FloatArray, IntArray
-from ...joint_angles import torso_axes
 from ...recording import JOINTS
 from ...result import Recovery
 from ...rotation import Rotation

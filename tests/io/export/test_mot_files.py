@@ -13,9 +13,9 @@ from scipy.interpolate import CubicSpline
 from scipy.ndimage import gaussian_filter1d
 from scipy.spatial.transform import Rotation
 
+from smoother.angles.definitions import torso_axes, wrapped_deg
 from smoother.errors import UnoccludeError
 from smoother.io.export.prepare import prepare_export
-from smoother.joint_angles import torso_axes, wrapped_deg
 from smoother.result import Recovery
 
 TOOL = Path(__file__).parents[3] / "tools" / "opensim_check.py"
