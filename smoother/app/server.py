@@ -1,4 +1,4 @@
-"""The app's addresses: what each answers, and what it does with the folder."""
+"""The app's server: who is let in, its addresses, what each does with the folder; one a folder."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ import json
 import os
 import secrets
 import shutil
+import socket
 import threading
 from collections.abc import AsyncIterator, Awaitable, Callable
 from contextlib import asynccontextmanager, nullcontext, suppress
@@ -16,8 +17,10 @@ from typing import Any
 
 import anyio
 from starlette.applications import Starlette
+from starlette.middleware import Middleware
+from starlette.middleware.base import BaseHTTPMiddleware, RequestResponseEndpoint
 from starlette.requests import ClientDisconnect, Request
-from starlette.responses import FileResponse, JSONResponse, Response
+from starlette.responses import FileResponse, JSONResponse, PlainTextResponse, Response
 from starlette.routing import Mount, Route
 from starlette.staticfiles import StaticFiles
 
@@ -25,23 +28,69 @@ from .. import __version__
 from ..errors import UnoccludeError
 from ..io.tables.recording_toml import read_templates, template_text
 from ..io.tables.video import is_model
-from . import steps, views
+from ..runtime.local_requests import LocalDoor, is_token, joined
+from . import steps
 from .folder import (
     AppError,
     AppFolder,
     Choices,
+    JobDesk,
     KeptRecording,
     changed,
     file_name,
     link_file,
     one_line,
     read_kept,
+    refuse_busy,
     slug,
     write_json,
     write_kept,
 )
-from .guard import REPORTS, guard
-from .jobs import JobDesk, refuse_busy
+
+#: Pages of the app: its own files alone, and no other address.
+OWN_PAGES = (
+    "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data:; connect-src 'self';"
+    " frame-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
+)
+#: Reports bring their own script and style. They run in a sandbox: nothing of it reaches the app.
+REPORTS = (
+    "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; img-src data: blob:;"
+    " font-src data:; base-uri 'none'; form-action 'none'; frame-ancestors 'self';"
+    " sandbox allow-scripts allow-downloads allow-modals"
+)
+_HEADERS = {
+    "content-security-policy": OWN_PAGES,
+    "x-content-type-options": "nosniff",
+    "referrer-policy": "no-referrer",
+    "cross-origin-resource-policy": "same-origin",
+    "cross-origin-opener-policy": "same-origin",
+    "cache-control": "no-store",
+}
+NO_TOKEN = "Open the address that `unocclude app` printed; it contains the token of this page.\n"
+WRONG_HOST = "This page is served to this computer alone, under 127.0.0.1.\n"
+OTHER_SITE = "Refused: the request came from another site.\n"
+
+
+def guard(token: str, port: int) -> Middleware:
+    """Let requests through that may come: the first with the token, all others with its cookie."""
+    door, cookie = LocalDoor(port), f"unocclude-{port}"
+
+    async def answer(request: Request, go_on: RequestResponseEndpoint) -> Response:
+        reads, headers = request.method in ("GET", "HEAD"), joined(request.headers.items())
+        is_first = request.scope["path"] == "/" and reads
+        with_token = is_first and is_token(request.query_params.get("token", ""), token)
+        refusal = "" if with_token or is_token(request.cookies.get(cookie, ""), token) else NO_TOKEN
+        if why := door.refusal(headers, not reads, by_address=with_token):
+            refusal = WRONG_HOST if why == "host" else OTHER_SITE
+        response = PlainTextResponse(refusal, 403) if refusal else await go_on(request)
+        for name, value in _HEADERS.items():
+            response.headers.setdefault(name, value)
+        if with_token and not refusal:
+            response.set_cookie(cookie, token, httponly=True, samesite="strict")
+        return response
+
+    return Middleware(BaseHTTPMiddleware, dispatch=answer)
+
 
 WEB = Path(__file__).parent / "web"
 #: Bytes of a request's JSON at most.
@@ -63,19 +112,19 @@ def make_app(folder: AppFolder, desk: JobDesk, token: str, port: int) -> Starlet
 
     one = "/api/recordings/{id}"
     answers: list[tuple[str, str, Callable[[_Asked], Any]]] = [
-        ("GET", "/api/state", lambda asked: views.overview(asked.folder, __version__)),
+        ("GET", "/api/state", lambda asked: steps.overview(asked.folder, __version__)),
         ("POST", "/api/recordings", _add),
         ("GET", one, _one),
         ("PATCH", one, _change),
         ("DELETE", one, _remove),
-        ("GET", f"{one}/streams", lambda asked: views.streams(asked.folder, asked.id)),
+        ("GET", f"{one}/streams", lambda asked: steps.streams(asked.folder, asked.id)),
         ("DELETE", f"{one}/files/{{name}}", _drop_file),
         ("POST", f"{one}/jobs", _begin),
         ("POST", f"{one}/cancel", lambda asked: asked.desk.cancel(asked.place)),
         ("POST", f"{one}/template", _template),
         ("POST", "/api/batch", _batch),
         ("POST", "/api/comparisons", _compare),
-        ("GET", "/api/comparisons/{id}", lambda asked: views.comparison(asked.folder, asked.id)),
+        ("GET", "/api/comparisons/{id}", lambda asked: steps.comparison(asked.folder, asked.id)),
         ("POST", "/api/comparisons/{id}/cancel", lambda asked: asked.desk.cancel(asked.comparison)),
         ("GET", "/results/comparisons/{id}/{name}", _comparison_result),
         ("GET", "/results/{id}/{name:path}", _result),
@@ -166,7 +215,7 @@ def _add(asked: _Asked) -> Any:
 
 
 def _one(asked: _Asked) -> Any:
-    return views.recording(asked.folder, asked.id)
+    return steps.recording(asked.folder, asked.id)
 
 
 def _change(asked: _Asked) -> Any:
@@ -310,7 +359,7 @@ def _comparison_result(asked: _Asked) -> Response:
 
 def _result(asked: _Asked) -> Response:
     exported = [f"exports/{each}" for each in steps.EXPORTS.values()]
-    return _file(asked, asked.place, (*views.DOWNLOADS, steps.recording_of(asked.place), *exported))
+    return _file(asked, asked.place, (*steps.DOWNLOADS, steps.recording_of(asked.place), *exported))
 
 
 def _file(asked: _Asked, place: Path, known: tuple[str, ...]) -> Response:
@@ -323,3 +372,75 @@ def _file(asked: _Asked, place: Path, known: tuple[str, ...]) -> Response:
         policy = {"content-security-policy": REPORTS}
         return FileResponse(path, media_type="text/html", headers=policy, filename=taken)
     return FileResponse(path, media_type="application/octet-stream", filename=path.name)
+
+
+#: The only address where it is served.
+ADDRESS = "127.0.0.1"
+#: Connections at a time: a browser opens 6, and a process may have 256 files open (macOS). Those that ask
+#: nothing are closed after this time, s.
+MOST_CONNECTIONS, IDLE_S = 64, 5
+
+
+def serve(folder: AppFolder, port: int | None, ready: Callable[[str], None]) -> None:
+    """Serve a folder until the process is stopped."""
+    import uvicorn
+    from filelock import FileLock, Timeout
+
+    token = secrets.token_urlsafe(24)  # of this start alone
+
+    class Announcing(uvicorn.Server):
+        async def startup(self, sockets: list[socket.socket] | None = None) -> None:
+            await super().startup(sockets)
+            ready(f"http://{ADDRESS}:{number}/?token={token}")
+
+    try:
+        with FileLock(folder.hidden / "server.lock", timeout=0), _listening(port or 0) as listener:
+            number = int(listener.getsockname()[1])
+            config = uvicorn.Config(
+                make_app(folder, JobDesk(folder), token, number),
+                http="h11",
+                limit_concurrency=MOST_CONNECTIONS,
+                timeout_keep_alive=IDLE_S,
+                log_config=None,
+                log_level="critical",
+                access_log=False,
+                server_header=False,
+                timeout_graceful_shutdown=3,
+                ws="none",
+            )
+            try:
+                with suppress(KeyboardInterrupt):  # Ctrl-C is how it ends
+                    Announcing(config).run(sockets=[listener])
+            finally:
+                with suppress(OSError):
+                    (folder.hidden / "open.html").unlink()
+    except Timeout:
+        raise UnoccludeError(
+            f"{folder.path} is open in another `unocclude app`; use its page, or end it first"
+        ) from None
+
+
+def _listening(port: int) -> socket.socket:
+    """A socket that listens on this computer's own address alone."""
+    listener = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
+    if os.name == "posix":  # elsewhere it would let two programs share the port
+        listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+    try:
+        listener.bind((ADDRESS, port))
+        listener.listen(MOST_CONNECTIONS)
+    except (OSError, OverflowError):
+        listener.close()
+        raise UnoccludeError(f"port {port} is in use; give another --port, or none") from None
+    return listener
+
+
+def redirect_file(folder: AppFolder, address: str) -> Path:
+    """A file for its owner alone that opens an address: other users can read a browser's command line."""
+    path = folder.hidden / "open.html"
+    with suppress(OSError):
+        path.unlink()
+    text = f'<!doctype html><meta http-equiv="refresh" content="0;url={address}"><title>unocclude</title>'
+    handle = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
+    with os.fdopen(handle, "w", encoding="utf-8") as file:
+        file.write(text)
+    return path

@@ -134,8 +134,7 @@ app = _group(
     demo="app demo",
     recordings="info check match repair cut",
     smooth="smooth",
-    evaluation="validate compare gaps benchmark",
-    measures="measures progress",
+    evaluation="validate compare gaps benchmark measures progress",
     export="export methods view",
     batch="batch",
     live="live",
@@ -169,8 +168,7 @@ _imports = _group(
 app.add_typer(_imports, name="import")
 _calibrations = _group(
     "Measure once what does not change; write a calibration file.",
-    calibrate="motion imu magnetometer cameras forearm",
-    calibrate_rig="clock panel world",
+    calibrate="motion imu magnetometer cameras forearm clock panel world",
 )
 app.add_typer(_calibrations, name="calibrate")
 _simulations = _group(

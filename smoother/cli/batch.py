@@ -86,9 +86,7 @@ def batch(
     from ..measures.definitions import FEWEST_DRAWS
     from ..result.draws import USUAL_DRAWS
     from ..study.inputs import find_entries
-    from ..study.job import StudySettings
-    from ..study.run import run_study, study_folder
-    from ..study.workers import cluster, local
+    from ..study.run import StudySettings, cluster, local, run_study, study_folder
     from .config import read_config
 
     too_few = 0 < (draws or 0) < FEWEST_DRAWS
@@ -138,7 +136,7 @@ def batch(
     if reports:
         write_reports(rows, folder.path, processes or 0, force)
     if page is not None:
-        from ..report.study import write_study
+        from ..report.pages import write_study
         from ..study.progress import long_rows, persons_of
 
         names = ["recording", "status", "recorded_day", "measures"]
@@ -158,7 +156,7 @@ def batch(
 
 def write_reports(rows: pa.Table, folder: Path, processes: int, anew: bool) -> None:
     """Write the report of each result of a study that has none, or one that is older than the result."""
-    from ..report.study import report_of
+    from ..report.pages import report_of
     from ..runtime.pool import Pool
 
     todo = []

@@ -87,7 +87,7 @@ def app(
     for name, package in (("uvicorn", "uvicorn"), ("starlette", "starlette")):
         extra_module(name, package, "app")
     from ..app.folder import AppFolder
-    from ..app.serving import redirect_file, serve
+    from ..app.server import redirect_file, serve
 
     place = AppFolder(Path.home() / FOLDER if folder is None else folder)
 

@@ -362,7 +362,7 @@ def strap(
 
     from ..calibration import Length
     from ..io.rig.strap import check_images
-    from ..report.calibration_page import strap_verdict
+    from ..report.pages import strap_verdict
     from ..smoothing import smooth
     from ..strap_search.search import import_strap
 

@@ -237,7 +237,7 @@ class TrialInput(ArmInput):
         if self.session is None:
             yield self
             return
-        from ..study.sessions import calibrate_session, is_trial, trials_in, write_arms
+        from ..study.inputs import calibrate_session, is_trial, trials_in, write_arms
 
         own = recording_file.resolve()
         if not is_trial(own, self.chosen):

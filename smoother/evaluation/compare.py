@@ -17,8 +17,7 @@ from ..runtime.pool import Pool, Progress
 from ..table import Table, tabulated
 from .gaps import Method
 from .metrics import lag_s, truth_at
-from .reference import ReferenceAlignment
-from .truth import truth_notes
+from .reference import ReferenceAlignment, truth_notes
 from .validate import PARTS, SENSOR, Validation, validate
 
 

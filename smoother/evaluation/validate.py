@@ -31,9 +31,8 @@ from .metrics import (
     squared_sigmas,
     truth_at,
 )
-from .reference import ReferenceAlignment
+from .reference import ReferenceAlignment, truth_notes
 from .statistics import Agreement, agreement
-from .truth import truth_notes
 from .words import limits_words, said, with_interval
 
 _said = partial(said, "reference")

@@ -25,8 +25,8 @@ from ..table import Table
 from . import tables, traces
 from .player import player, points
 from .sheet import Fold, Html, Page, PageSection, capitalised, caption, notes, phrase, rendered, trust_badge
-from .style import MOST_POINTS, decimate
 from .summary import below, box
+from .traces import MOST_POINTS, decimate
 
 #: An arm's recording, answer, and what it was held against, where it was.
 Arm = tuple[Recording | None, Recovery] | tuple[Recording | None, Recovery, Validation | None, Truth | None]

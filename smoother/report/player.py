@@ -16,7 +16,7 @@ from ..recording import CameraFrame, Truth
 from ..result import Recovery
 from ..result.untrusted import untrusted_times
 from .sheet import Html, PageSection, data_block
-from .style import axis_names, decimate
+from .traces import axis_names, decimate
 
 SENSOR = "sensor"
 #: Most camera samples of a point that are drawn.

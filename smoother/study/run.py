@@ -1,27 +1,380 @@
-"""A study from its recordings to its results; what was done before is not done again."""
+"""A study from its recordings to its results: by processes of this machine, or a Dask scheduler's workers.
+
+What was done before is not done again. On this machine a process does one recording at a time; one that takes
+too long, or dies, stops no other.
+"""
 
 from __future__ import annotations
 
+import logging
+import multiprocessing
 import os
+import socket
+import threading
 import time
-from collections.abc import Callable, Sequence
-from contextlib import AbstractContextManager
-from dataclasses import dataclass, field
-from datetime import datetime
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import (
+    FIRST_COMPLETED,
+    Executor,
+    Future,
+    ProcessPoolExecutor,
+    ThreadPoolExecutor,
+    wait,
+)
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import AbstractContextManager, contextmanager, suppress
+from dataclasses import dataclass, field, replace
+from datetime import UTC, datetime
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from .. import __version__
-from .folder import FAILED, Row, StudyFolder, text_hash
-from .inputs import Entry, config_hash, file_hash
-from .job import Job, StudySettings
-from .sessions import with_sessions
-from .workers import Workers, rows_of
+from ..config import Config
+from ..errors import (
+    CalibrationError,
+    RecordingError,
+    SolveError,
+    UnoccludeError,
+    debugging,
+    is_out_of_memory,
+    sentence_of,
+)
+from ..io.recording.choose import Selection
+from ..result import is_of_arm
+from ..runtime.inputs import check_input
+from ..runtime.pool import check_allowance, end_workers, prepare_worker, starting_processes
+from .folder import DONE, FAILED, Row, StudyFolder, figures_of_arms, measure_rows, text_hash
+from .inputs import Entry, config_hash, file_hash, relative_day, with_sessions, without_places
 
 if TYPE_CHECKING:
     import pyarrow as pa
+    from distributed import Client
+
+
+@dataclass(frozen=True)
+class StudySettings:
+    """How the recordings of a study are recovered."""
+
+    config: Config = field(default_factory=Config)  # Its number of processes does not matter
+    selection: Selection = field(default_factory=Selection)  # What to take of recordings with several of it
+    calibration: str = ""  # File for all recordings that have none of their own; "" without one
+    again: bool = False  # Compute everything anew
+    retry_failed: bool = False  # Try again what failed before by the recording itself
+    time_limit_s: float = 0.0  # What one recording may take on this machine; 0 = no limit
+    measures: bool = False  # Measure what is recovered: rows contain it
+    draws: int = 0  # Motions to draw for the intervals of the measures
+
+
+@dataclass(frozen=True)
+class Job:
+    """All that a worker needs to know; plain values, so that it travels between machines."""
+
+    name: str  # Of the recording in the study, with its ending; the output has the same
+    source: str  # Path of the recording, absolute
+    folder: str  # The study's folder, absolute
+    word: str  # The study's word, by which the worker checks that it sees the same folder
+    settings: StudySettings  # Of the study
+    config_hash: str  # Of what of them counts
+    calibration: str = ""  # Path of the calibration file, absolute, or ""
+    calibration_hash: str = ""  # SHA-256 of that file, or ""
+    version: str = __version__  # Of the program that started the study
+
+    @property
+    def hashes(self) -> tuple[str, str, str]:
+        """What a result depends on besides the recording."""
+        return self.config_hash, self.calibration_hash, self.version
+
+    def row(self, status: str, input_hash: str = "", **more: object) -> Row:
+        """A row of the results about this recording."""
+        row: Row = {
+            "id": text_hash(self.name, input_hash, *self.hashes)[:32],
+            "recording": self.name,
+            "status": status,
+            "retry": False,
+            "input_hash": input_hash,
+            "config_hash": self.config_hash,
+            "calibration": Path(self.calibration).name,
+            "calibration_hash": self.calibration_hash,
+            "version": self.version,
+            "finished": datetime.now(UTC).replace(tzinfo=None),
+            **more,
+        }
+        # no paths: the name in the study, "." for the study's folder, else the last name
+        names = {self.source: self.name, self.folder: ".", str(Path(self.source).parent): ""}
+        if self.calibration:
+            calibration = Path(self.calibration)
+            names = {str(calibration.parent): "", **names, self.calibration: calibration.name}
+        for column in ("error", "verdict", "note_texts", "damage"):
+            text = row.get(column)
+            if isinstance(text, str):
+                row[column] = without_places(text, names)
+            elif text:
+                row[column] = [without_places(each, names) for each in text]
+        return row
+
+    def failed(self, sentence: str) -> Row:
+        """The row of a recording that failed by its surroundings."""
+        return self.row(FAILED, error=sentence, retry=True)
+
+
+def run_job(job: Job) -> Row:
+    """Recover a recording and put result and row into the study's folder; never raises an error.
+
+    The row of a failure is left to the caller: this machine may not see the folder.
+    """
+    began = time.perf_counter()
+    input_hash, folder = "", StudyFolder(Path(job.folder))
+    try:
+        _check_machine(job, folder)
+        input_hash = file_hash(job.source)
+        return _same(job, folder, input_hash) or _recover(job, folder, input_hash, began)
+    except Exception as error:
+        if debugging():
+            raise
+        more = {"error": sentence_of(error), "retry": _may_pass(error)}
+        return job.row(FAILED, input_hash, **more, seconds=time.perf_counter() - began)
+
+
+def _check_machine(job: Job, folder: StudyFolder) -> None:
+    """Refuse work that this machine could not do, or whose result could not be found."""
+    host, output = socket.gethostname(), folder.output(job.name)
+    if job.version == __version__ and folder.word() == job.word:
+        check_input(job.source, RecordingError)
+        if os.path.isdir(job.source):
+            raise RecordingError(f"{job.source} is a folder; name the recordings in it")
+    wrong = {
+        f"{host} has unocclude {__version__} and the study was started with {job.version};"
+        " install the same version on all machines": job.version != __version__,
+        f"{host} does not see the study's folder {folder.path}; share it with all workers under this path": (
+            folder.word() != job.word
+        ),
+        f"{host} does not see {job.source}; share the recordings with all workers under the same path": (
+            not os.path.isfile(job.source)
+        ),
+        f"{host} does not see the calibration {job.calibration}; share it under the same path": (
+            job.calibration and not os.path.isfile(job.calibration)
+        ),
+        f"{output} is the recording itself (a link); give -o another folder": (
+            output.exists() and os.path.exists(job.source) and os.path.samefile(output, job.source)
+        ),
+    }
+    for sentence in (sentence for sentence, is_so in wrong.items() if is_so):
+        raise _Surroundings(sentence)
+
+
+def _same(job: Job, folder: StudyFolder, input_hash: str) -> Row | None:
+    """The earlier row of this very content, whose output is as it was written; None without one."""
+    row = None if job.settings.again else folder.row(job.name)
+    if row is None or row["id"] != job.row(DONE, input_hash)["id"]:
+        return None
+    if row["status"] != DONE:
+        return None if row["retry"] or job.settings.retry_failed else row
+    output = folder.output(job.name)
+    return row if output.is_file() and file_hash(output) == row["output_hash"] else None
+
+
+def _recover(job: Job, folder: StudyFolder, input_hash: str, began: float) -> Row:
+    from calib.motion import with_given
+
+    from ..io import write_recovery
+    from ..io.recording.read import read_arms
+    from ..measures import measure
+    from ..several_arms import smooth_arms
+
+    if job.calibration and file_hash(job.calibration) != job.calibration_hash:
+        raise _Surroundings(f"{job.calibration} was changed while the study ran; start it again")
+    settings, output = job.settings, folder.output(job.name)
+    windows = settings.config.windows.model_copy(update={"processes": 1})  # a recording a process
+    config = settings.config.model_copy(update={"windows": windows})
+    arms = read_arms(job.source, job.calibration or None, truth=False, **settings.selection)
+    recordings, calibrations = [arm[0] for arm in arms], [arm[1] for arm in arms]
+    results = []
+    for recovery in smooth_arms(recordings, calibrations, config, draws=settings.draws):
+        recording, calibration = next(arm for arm in arms if is_of_arm(recovery, arm[0]))
+        results.append((recording, with_given(recovery, calibration)))
+    answers = [recovery for _, recovery in results]
+    measured = [measure(recovery) for recovery in answers] if settings.measures else None
+    # the result is that of `smooth --draws 0`
+    answers = [replace(recovery, draws=None) for recovery in answers]
+    output.parent.mkdir(parents=True, exist_ok=True)
+    write_recovery(answers, output, source=job.source, force=True)
+    row = job.row(
+        DONE,
+        input_hash,
+        input_bytes=os.stat(job.source).st_size,
+        output=job.name,
+        output_hash=file_hash(output),
+        output_bytes=os.stat(output).st_size,
+        **figures_of_arms(results),
+        measures=None if measured is None else measure_rows(measured),
+        recorded_day=relative_day(
+            job.word, job.name.rpartition("/")[0].partition("/")[0], answers[0].origin_ns
+        ),
+        seconds=time.perf_counter() - began,
+    )
+    folder.write_row(row)
+    return row
+
+
+class _Surroundings(UnoccludeError):
+    """The machine or its folders are at fault, not the recording."""
+
+
+def _may_pass(error: Exception) -> bool:
+    """Whether the surroundings of a recording are at fault, so that its failure may pass."""
+    if isinstance(error, UnoccludeError):
+        return not isinstance(error, RecordingError | CalibrationError | SolveError)
+    return isinstance(error, OSError) or is_out_of_memory(error)
+
+
+#: How long a scheduler may take to answer, and how long to wait for its first worker, s.
+CONNECT_S, FIRST_WORKER_S = 10.0, 120.0
+_TICK_S = 0.5
+_LATE = "it took longer than a recording may; give more time (--time-limit), or cut it"
+_DIED = (
+    "the processes that worked on it died one after the other; perhaps there is not enough memory: use fewer"
+    " of them a machine (--processes)"
+)
+
+#: What does jobs, by which function, and how many of them it can take.
+Workers = tuple[Executor, Callable[[Job], Row | None], Callable[[], int]]
+_own = threading.local()
+_starting = threading.Lock()
+_started: list[ProcessPoolExecutor] = []
+_ended = threading.Event()
+
+
+def _prepare() -> None:
+    """Prepare a process of a study: what a library prints is not for the terminal."""
+    prepare_worker()
+    if not debugging():
+        null = os.open(os.devnull, os.O_WRONLY)
+        os.dup2(null, 1)
+        os.dup2(null, 2)
+
+
+def run_apart(job: Job) -> Row | None:
+    """Do a job in this thread's own process; None where that died."""
+    try:
+        with _starting, starting_processes():
+            if _ended.is_set():
+                return None
+            if getattr(_own, "process", None) is None:
+                context = multiprocessing.get_context("spawn")
+                _own.process = ProcessPoolExecutor(1, context, _prepare)
+                _started.append(_own.process)
+            future = _own.process.submit(run_job, job)
+        return future.result(job.settings.time_limit_s or None)
+    except (BrokenProcessPool, TimeoutError) as error:
+        end_workers(_own.process)
+        _own.process = None
+        return job.failed(_LATE) if isinstance(error, TimeoutError) else None
+
+
+@contextmanager
+def local(processes: int = 0) -> Iterator[Workers]:
+    """Processes of this machine."""
+    check_allowance()
+    count = processes or os.cpu_count() or 1
+    _ended.clear()
+    with ThreadPoolExecutor(count) as threads:
+        try:
+            yield threads, run_apart, lambda: count
+        finally:  # after an error or Ctrl-C in the middle of what they are doing
+            threads.shutdown(wait=False, cancel_futures=True)
+            with _starting:
+                _ended.set()
+                for process in _started:
+                    end_workers(process)
+                _started.clear()
+
+
+@contextmanager
+def cluster(scheduler: str) -> Iterator[Workers]:
+    """The workers of a Dask scheduler."""
+    client = _connect(scheduler)
+
+    def slots() -> int:
+        if client.status == "running":
+            with suppress(OSError, TimeoutError):
+                return 2 * max(1, sum(client.nthreads().values()))
+        raise UnoccludeError(
+            f"the scheduler at {scheduler} went away; the same command continues when it is back"
+        )
+
+    try:
+        yield client.get_executor(pure=False), run_job, slots
+    finally:
+        client.close(timeout=CONNECT_S)
+
+
+def _connect(scheduler: str) -> Client:
+    from distributed import Client
+
+    if not debugging():  # what matters of Dask's messages is said in our words
+        for name in list(logging.root.manager.loggerDict):
+            if name.partition(".")[0] in ("distributed", "tornado", "asyncio"):
+                logging.getLogger(name).setLevel(logging.CRITICAL + 1)
+    try:
+        client = Client(scheduler, timeout=CONNECT_S, set_as_default=False)
+    except (OSError, ValueError, TimeoutError) as error:
+        raise UnoccludeError(
+            f"no Dask scheduler responds at {scheduler}; start one with `dask scheduler` and give its"
+            " address, such as tcp://10.0.0.1:8786"
+        ) from error
+    try:
+        client.wait_for_workers(1, timeout=FIRST_WORKER_S)
+    except TimeoutError as error:
+        client.close(timeout=CONNECT_S)
+        raise UnoccludeError(
+            f"the scheduler at {scheduler} has no worker; start some with `dask worker {scheduler}`"
+        ) from error
+    return client
+
+
+def rows_of(jobs: Iterator[Job], workers: Workers) -> Iterator[Row | None]:
+    """The row of each job as it ends, None now and then meanwhile.
+
+    A recording whose process died is tried once more, alone, after the others.
+    """
+    executor, work, slots = workers
+    running: dict[Future[Row | None], Job] = {}
+    again: list[Job] = []
+    retried: set[str] = set()
+    while True:
+        while len(running) < slots() and (job := next(jobs, None)) is not None:
+            running[executor.submit(work, job)] = job
+        if not running:
+            if not again:
+                return
+            job = again.pop(0)
+            retried.add(job.name)
+            running[executor.submit(work, job)] = job
+        done, _ = wait(running, _TICK_S, FIRST_COMPLETED)
+        if not done:
+            yield None
+        for future in done:
+            job = running.pop(future)
+            row = _row(future, job)
+            if row is None and job.name not in retried:
+                again.append(job)
+            else:
+                yield row or job.failed(_DIED)
+
+
+def _row(future: Future[Any], job: Job) -> Row | None:
+    """The row of a job that has ended; None where its process died, or went away."""
+    error = None if future.cancelled() else future.exception()
+    if future.cancelled() or type(error).__name__ == "KilledWorker":
+        return None
+    if isinstance(error, ImportError):
+        return job.failed(f"a worker lacks a package ({error}); install the same unocclude on all machines")
+    if error is not None:
+        return job.failed(f"a worker could not do it: {type(error).__name__}: {' '.join(str(error).split())}")
+    row: Row | None = future.result()
+    return row
 
 
 @dataclass

@@ -12,8 +12,7 @@ pytest.importorskip("starlette", reason="the extra `app` is not installed")
 from local_page import DAY_S, HOST, PORT, TOKEN, Page, write_session
 from starlette.testclient import TestClient
 
-from smoother.app.folder import AppFolder
-from smoother.app.jobs import JobDesk
+from smoother.app.folder import AppFolder, JobDesk
 from smoother.app.server import make_app
 
 

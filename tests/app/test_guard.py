@@ -14,8 +14,7 @@ from local_page import HOST, PORT, TOKEN, Page
 from local_program import Program, environment, program_words
 from starlette.testclient import TestClient
 
-from smoother.app.folder import AppError, AppFolder, file_name
-from smoother.app.jobs import JobDesk
+from smoother.app.folder import AppError, AppFolder, JobDesk, file_name
 from smoother.app.server import make_app
 
 

@@ -18,10 +18,10 @@ import pytest
 from local_page import Page, own_table
 from local_program import ROOT, Program, environment
 
-from smoother.app import jobs, serving
+from smoother.app import folder as jobs
+from smoother.app import server
 from smoother.app.folder import AppFolder, KeptRecording
-from smoother.app.steps import stamp
-from smoother.app.views import in_page_words
+from smoother.app.steps import in_page_words, stamp
 from smoother.errors import UnoccludeError
 
 
@@ -117,7 +117,7 @@ def test_each_start_has_a_secret_of_its_own(tmp_path: Path):
         seen.append(urlsplit(program.address))
         assert program.close() == 0
     assert seen[0].query != seen[1].query
-    file = serving.redirect_file(folder, "http://127.0.0.1:1/?token=abc")
+    file = server.redirect_file(folder, "http://127.0.0.1:1/?token=abc")
     assert (
         stat.S_IMODE(file.stat().st_mode) == 0o600 and "url=http://127.0.0.1:1/?token=abc" in file.read_text()
     )
@@ -131,7 +131,7 @@ def test_no_command_outlives_its_killed_server(tmp_path: Path):
     words = ["demo", "-o", "demo", "--processes", "2"]
     program = (
         "import sys, time; from pathlib import Path; from smoother.app.folder import AppFolder;"
-        " from smoother.app.jobs import JobDesk; desk = JobDesk(AppFolder(Path(sys.argv[1])));"
+        " from smoother.app.folder import JobDesk; desk = JobDesk(AppFolder(Path(sys.argv[1])));"
         " desk.add(Path(sys.argv[2]), 'demo', [{'name': 'demo', 'argv': sys.argv[3:]}]); time.sleep(300)"
     )
     run = [sys.executable, "-c", program, tmp_path, place, *words]

@@ -16,8 +16,7 @@ from starlette.testclient import TestClient
 from typer.testing import CliRunner
 
 from smoother.app import server
-from smoother.app.folder import AppFolder, KeptRecording, write_json
-from smoother.app.jobs import JobDesk
+from smoother.app.folder import AppFolder, JobDesk, KeptRecording, write_json
 from smoother.app.server import make_app
 from smoother.app.steps import describe_steps, import_steps
 from smoother.cli.app import app

@@ -64,7 +64,7 @@ def test_settings_are_read_and_checked(folder: Path, capsys: pytest.CaptureFixtu
 
 
 def test_what_is_not_to_be_trusted_is_said_first(capsys: pytest.CaptureFixture[str]):
-    from smoother.cli.measures import print_arm
+    from smoother.cli.evaluation import print_arm
     from smoother.measures import measure
 
     doubtful = Estimates(trusted=False, reasons=("the sides are swapped",), cause="the sides are swapped")

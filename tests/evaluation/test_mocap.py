@@ -13,8 +13,8 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from smoother.errors import CalibrationError, RecordingError, UnoccludeError
-from smoother.evaluation.mocap.frame import stated_frame
-from smoother.evaluation.mocap.markers import (
+from smoother.evaluation.mocap.alignment import stated_frame
+from smoother.evaluation.mocap.motion import (
     fill_on_plate,
     find_markers,
     find_shape,
@@ -23,8 +23,8 @@ from smoother.evaluation.mocap.markers import (
     map_by_names,
     plate_axes,
     read_marker_map,
+    smoothed,
 )
-from smoother.evaluation.mocap.motion import smoothed
 from smoother.evaluation.reference import read_reference
 from smoother.evaluation.validate import validate
 from smoother.io.export.markers import write_trc

@@ -15,8 +15,7 @@ from scipy.spatial.transform import Rotation
 
 from smoother.cli.run import run
 from smoother.errors import UnoccludeError
-from smoother.evaluation.benchmark import find_trials
-from smoother.evaluation.datasets import CALIBRATION, DATASETS, BenchmarkTrial
+from smoother.evaluation.benchmark import CALIBRATION, DATASETS, BenchmarkTrial, find_trials
 from smoother.simulation import ArmSimulation, simulate_arm
 
 #: From a Kinect's axes (y up) to BROAD's (z up).

@@ -14,7 +14,7 @@ from smoother.errors import RecordingError
 from smoother.evaluation import metrics
 from smoother.evaluation.compare import compare
 from smoother.evaluation.mocap.motion import _exchanged
-from smoother.evaluation.truth import read_truth, truth_notes
+from smoother.evaluation.reference import read_truth, truth_notes
 from smoother.evaluation.validate import validate
 from smoother.recording import Truth
 from smoother.result import Recovery

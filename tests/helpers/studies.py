@@ -17,7 +17,7 @@ from unittest.mock import patch
 import duckdb
 
 from smoother.cli.run import run
-from smoother.study.job import _recover
+from smoother.study.run import _recover
 
 NAMES = ("day1/a.mcap", "day1/b.mcap", "day2/c.mcap", "day2/d.mcap")
 BROKEN = "day2/broken.mcap"
@@ -129,9 +129,9 @@ class Instead:
     what: str
 
     def __call__(self, mine: Any) -> Any:
-        from smoother.study.job import run_job
+        from smoother.study.run import run_job
 
-        with patch("smoother.study.job._recover", self.instead):
+        with patch("smoother.study.run._recover", self.instead):
             return run_job(mine)
 
     def instead(self, mine: Any, *rest: Any) -> Any:

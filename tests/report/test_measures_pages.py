@@ -16,8 +16,7 @@ from smoother.errors import UnoccludeError
 from smoother.evaluation.progress import PersonProgress
 from smoother.measures import BothArms
 from smoother.measures.symmetry import COMPARED
-from smoother.report.measures import measures_page
-from smoother.report.progress import progress_page
+from smoother.report.pages import measures_page, progress_page
 from smoother.study.inputs import SessionEntry
 from smoother.study.progress import progress_of
 

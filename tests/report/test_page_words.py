@@ -19,8 +19,8 @@ from smoother.evaluation.words import measure_words
 from smoother.measures.definitions import MEASURED_ANGLES, definitions
 from smoother.report import write_report
 from smoother.report.sheet import PLOTLY
-from smoother.report.style import decimate
 from smoother.report.summary import summary
+from smoother.report.traces import decimate
 from smoother.result import Estimates
 
 

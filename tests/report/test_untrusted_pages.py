@@ -15,8 +15,7 @@ from results import made
 from smoother.evaluation.advice import advice
 from smoother.report import write_arms_report, write_report
 from smoother.report.player import MOST_BYTES, played_arm
-from smoother.report.style import UNTRUSTED
-from smoother.report.traces import coordinates, uncertainty
+from smoother.report.traces import UNTRUSTED, coordinates, uncertainty
 from smoother.result import Estimates, Pairing, Recovery, SelfCheck, UntrustedInterval
 
 BODY = UntrustedInterval(9.0, 12.0, ("another <person's> joints",))

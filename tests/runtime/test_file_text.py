@@ -12,7 +12,7 @@ from calib.intrinsics import read_intrinsics
 from smoother.cli.config import read_config
 from smoother.errors import UnoccludeError
 from smoother.evaluation.measure_agreement import read_mdc_toml
-from smoother.evaluation.mocap.markers import read_marker_map
+from smoother.evaluation.mocap.motion import read_marker_map
 from smoother.io.tables.recording_toml import read_description
 from smoother.runtime.inputs import toml_text
 

@@ -18,7 +18,7 @@ from calib.panel import read_panel
 from smoother.cli import run as cli_run
 from smoother.cli.config import read_config
 from smoother.errors import UnoccludeError
-from smoother.evaluation.mocap.markers import read_marker_map
+from smoother.evaluation.mocap.motion import read_marker_map
 from smoother.io import describe, open_recording, read_recording, read_recovery
 from smoother.io.datasets import import_utd_mhad
 from smoother.io.files import ImuFiles, import_files

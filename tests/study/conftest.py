@@ -11,8 +11,7 @@ from studies import BROKEN, NAMES
 from smoother.io import write_recording
 from smoother.simulation import ArmSimulation, simulate_arm
 from smoother.study.inputs import config_hash
-from smoother.study.job import Job, StudySettings, run_job
-from smoother.study.run import study_folder
+from smoother.study.run import Job, StudySettings, run_job, study_folder
 
 
 @pytest.fixture(scope="session")
@@ -49,4 +48,4 @@ def job(made: Path, tmp_path: Path) -> Job:
 @pytest.fixture
 def in_here(monkeypatch: pytest.MonkeyPatch) -> None:
     """Do a study's jobs here: what is tested is not the processes."""
-    monkeypatch.setattr("smoother.study.workers.run_apart", run_job)
+    monkeypatch.setattr("smoother.study.run.run_apart", run_job)

@@ -10,10 +10,9 @@ import pytest
 from studies import BROKEN, NAMES, batch, query, start_batch, state, until_stopped
 
 from smoother.errors import UnoccludeError
-from smoother.study import workers
+from smoother.study import run as workers
 from smoother.study.inputs import find_entries
-from smoother.study.job import Job, StudySettings
-from smoother.study.run import run_study, study_folder
+from smoother.study.run import Job, StudySettings, run_study, study_folder
 
 
 @pytest.fixture(scope="module")

@@ -26,11 +26,10 @@ from studies import (
 )
 
 from smoother.runtime.outputs import temporary_name
-from smoother.study import workers
+from smoother.study import run as workers
 from smoother.study.folder import DONE, FAILED
 from smoother.study.inputs import find_entries
-from smoother.study.job import Job, StudySettings, run_job
-from smoother.study.run import run_study, study_folder
+from smoother.study.run import Job, StudySettings, run_job, run_study, study_folder
 
 
 @pytest.mark.slow

@@ -12,14 +12,14 @@ from studies import NAMES, batch, query, state
 
 from smoother.study.folder import MEASURE_FIELDS
 from smoother.study.inputs import relative_day
-from smoother.study.job import run_job
+from smoother.study.run import run_job
 
 
 @pytest.fixture(autouse=True, scope="module")
 def here() -> Iterator[None]:
     """Do the work in this process: starting others takes longer than the work."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("smoother.study.workers.run_apart", run_job)
+        patch.setattr("smoother.study.run.run_apart", run_job)
         yield
 
 

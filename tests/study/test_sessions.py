@@ -11,8 +11,7 @@ from smoother.cli.run import run
 from smoother.config import Config
 from smoother.io import read_recording, write_recording
 from smoother.study.folder import StudyFolder
-from smoother.study.inputs import find_entries
-from smoother.study.sessions import with_sessions
+from smoother.study.inputs import find_entries, with_sessions
 from tools.accuracy.pairing import made_session, trials_of
 
 COUNT, SEED = 6, 3

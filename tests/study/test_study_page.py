@@ -16,7 +16,7 @@ import pytest
 from smoother.cli.run import NOT_TRUSTED, run
 from smoother.errors import UnoccludeError
 from smoother.evaluation.progress import group_measures
-from smoother.report.study import write_study
+from smoother.report.pages import write_study
 from smoother.study.folder import COLUMNS, schema
 from smoother.study.progress import long_rows, persons_of
 from smoother.study.run import Tally, study_folder

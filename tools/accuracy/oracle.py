@@ -28,7 +28,7 @@ from scipy.spatial.transform import Rotation
 from calib.motion import calibrate_motion
 from smoother.array_types import FloatArray
 from smoother.calibration import ArmCalibration
-from smoother.evaluation.datasets import open_utd, utd_files
+from smoother.evaluation.benchmark import open_utd, utd_files
 from smoother.evaluation.gaps import hide, place_gaps
 from smoother.evaluation.metrics import CHI2_95_3, rotation_error, squared_sigmas
 from smoother.evaluation.validate import sample_errors

@@ -37,7 +37,7 @@ import numpy as np
 
 from calib.motion import calibrate_motion
 from smoother.errors import RecordingError
-from smoother.evaluation.datasets import open_smartfallmm, open_utd, smartfallmm_trials, utd_files
+from smoother.evaluation.benchmark import open_smartfallmm, open_utd, smartfallmm_trials, utd_files
 from smoother.matching import METHODS, SURE_FROM, ImuMatch, decide, limbs_of, pair_evidence
 from smoother.matching.match import assign
 from smoother.measurements.visibility import occluded_at

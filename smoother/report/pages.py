@@ -1,0 +1,727 @@
+"""Pages of tables: of a calibration, of measures and their progress, of methods compared, of a study."""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+from urllib.parse import quote
+
+import numpy as np
+import plotly.graph_objects as go
+
+from calib.protocol import Answer
+
+from ..array_types import FloatArray
+from ..evaluation.compare import Comparison
+from ..evaluation.gaps import GapTable
+from ..evaluation.progress import (
+    MOSTLY_RECOVERED,
+    SESSIONS_VARY,
+    PersonProgress,
+    Series,
+    SessionValue,
+    group_measures,
+)
+from ..evaluation.summary import worst_of
+from ..evaluation.words import (
+    first_of,
+    interval,
+    is_main,
+    measure_table,
+    measure_words,
+    quantity,
+    scaled,
+    shown_unit,
+)
+from ..linalg import robust_sigma
+from ..measurements.visibility import Gap
+from ..measures import BothArms, Measure, Measures
+from ..recording import Recording
+from ..runtime.csv_rows import write_rows
+from ..runtime.outputs import writing
+from ..table import Table, tabulated
+from .sheet import (
+    ALARM,
+    NO_DIAGNOSIS,
+    Html,
+    Page,
+    PageSection,
+    badge,
+    capitalised,
+    caption,
+    explained,
+    label,
+    limits,
+    notes,
+    rendered,
+    trust_badge,
+)
+from .traces import (
+    BAND,
+    CAMERA,
+    TRUTH,
+    VISIBLE,
+    axis_names,
+    curve,
+    dots,
+    dress,
+    interval_bars,
+    over_time,
+    values_with_intervals,
+)
+
+if TYPE_CHECKING:
+    import pyarrow as pa
+
+    from ..io.rig.strap import StrapFound
+
+
+def calibration_page(title: str, answer: Answer, remarks: Iterable[str] = ()) -> Page:
+    """The page of an answer; `remarks` are of its input."""
+    subtitle = f"Grade: {answer.grade}. Sigma is one standard deviation; quaternions are qw, qx, qy, qz."
+    return Page(
+        title,
+        subtitle,
+        [answer.sentence],
+        [
+            PageSection("What to record next", sentences=answer.next),
+            *map(rendered, answer.tables()),
+            PageSection("What else was found", sentences=answer.findings),
+            PageSection("What stayed open", sentences=answer.open_questions or ["Nothing stayed open."]),
+            notes(remarks),
+        ],
+    )
+
+
+#: A strap that wanders along the forearm by more than this part of it was at times something else.
+WANDER = 0.06
+
+
+def strap_verdict(search: StrapFound) -> list[str]:
+    """How often and how well the strap was seen."""
+    total = len(search.reasons)
+    good = np.array([not reason for reason in search.reasons], dtype=bool)
+    if not good.any():
+        worst = max(search.counts, key=lambda name: search.counts[name]) if total else "there are no images"
+        return [f"the strap was found in none of {total} images: {worst}"]
+    sigma = 1e3 * float(np.sqrt(np.mean(np.median(search.sigma_m[good], axis=0) ** 2)))
+    middle = float(np.median(search.along[good]))
+    wander = float(robust_sigma(search.along[good] - middle))
+    sentences = [
+        f"the strap was found in {int(good.sum())} of {total} images ({100 * good.mean():.0f} %), the"
+        f" sensor's place to {sigma:.0f} mm per axis",
+        f"it sits at {100 * middle:.0f} % of the way from elbow to wrist, +- {100 * wander:.1f} % from"
+        " image to image",
+    ]
+    if wander > WANDER:
+        sentences.append("that is too much for a tight strap: something else was sometimes detected instead")
+    return sentences
+
+
+#: Measures of the main table, and sentences of the limits.
+MOST_MAIN, MOST_LIMITS = 10, 6
+#: Angles whose range is drawn.
+RANGES = ("elbow_flexion", "shoulder_elevation", "pronation")
+#: What the hand may reach.
+REACHED = {
+    "hand_to_mouth_reached": "hand to mouth",
+    "hand_to_head_reached": "hand to head",
+    "hand_behind_back_reached": "hand behind the back",
+}
+#: What is drawn of each movement, and under which heading.
+BY_MOVEMENT = {"hand_peak_speed_m_s": "How fast the hand was", "sparc": "How smoothly the hand moved"}
+#: More movements are not drawn one by one.
+MOST_MOVEMENTS = 24
+
+
+def measures_page(measures_by_arm: Sequence[Measures], pairs: Sequence[BothArms] = ()) -> Page:
+    """The page of a recording's measures."""
+    arms = list(measures_by_arm)
+    names = ", ".join(dict.fromkeys(arm.name for arm in arms))
+    length_s = max((arm.end_s - arm.start_s for arm in arms), default=math.nan)
+    labels = " and ".join(arm.arm_label for arm in arms) or "no arm"
+    return Page(
+        f"Measures of {names or 'a recording'}",
+        f"{capitalised(labels)}, {length_s:.0f} s" if math.isfinite(length_s) else labels,
+        _measures_verdict(arms),
+        _measures_sections(arms, pairs),
+    )
+
+
+def _measures_verdict(arms: Sequence[Measures]) -> Iterator[str]:
+    for arm in arms:
+        who = f"{capitalised(arm.arm_label)}: "
+        if arm.trusted is False:
+            yield f"{who}{arm.verdict or 'Not to be trusted.'} Do not use these numbers"
+        elif arm.verdict:
+            yield f"{who}{arm.verdict}"
+    known = [row for arm in arms for row in arm.session if row.is_known]
+    if not known:
+        yield "Nothing could be measured; the reasons are below"
+    elif all(arm.n_draws == 0 for arm in arms):
+        yield (
+            "The values have no intervals: their uncertainty is unknown. Recover the recording with"
+            " draws (smooth --draws 64)"
+        )
+    main = (each.recovered_share for each in known if is_main(each.key))
+    if shares := [round(100 * share) for share in main if math.isfinite(share)]:
+        least, most = min(shares), max(shares)
+        part = f"{most} %" if least == most else f"Between {least} % and {most} %"
+        yield f"{part} of each value comes from recovered time"
+    yield NO_DIAGNOSIS
+
+
+def _measures_sections(arms: Sequence[Measures], pairs: Sequence[BothArms]) -> Iterator[PageSection]:
+    trusted = all(arm.trusted is not False for arm in arms)
+    symmetry = pairs[0].rows if len(arms) == 2 and len(pairs) == 1 and trusted else ()
+    yield _ranges(arms)
+    yield _reach(arms)
+    for key, heading in BY_MOVEMENT.items():
+        yield _by_movement(arms, key, heading)
+    known = [row.key for arm in arms for row in arm.session if row.is_known and row.key not in REACHED]
+    for arm in arms:
+        main = filter(None, map(arm.by_key.get, first_of(list(dict.fromkeys(known)), MOST_MAIN)))
+        table = measure_table(f"The main measures{_of(arm, arms)}", "measure", main)
+        yield rendered(table, caption("The main measures"))
+    alike = measure_table(
+        "Right against left, in percent", "0 = alike, above it the right has more", symmetry
+    )
+    yield rendered(alike)
+    yield limits((sentence for arm in arms for sentence in _limits(arm, _of(arm, arms))), MOST_LIMITS)
+    keys = [row.key for arm in arms for row in arm.session if row.is_known and is_main(row.key)]
+    words = ["interval", "recovered", *(["symmetry"] if symmetry else [])]
+    yield explained([*words, *(["unknown"] if REACHED.keys() & set(keys) else [])], keys)
+
+
+def _of(arm: Measures, arms: Sequence[Measures]) -> str:
+    """Which arm, where there are several."""
+    return f", {arm.arm_label.replace(' arm', '')}" if len(arms) > 1 else ""
+
+
+def _ranges(arms: Sequence[Measures]) -> PageSection:
+    """The smallest and the largest angle of each joint, each with its interval."""
+    figure, names = go.Figure(), []
+    for angle, arm in ((angle, arm) for angle in RANGES for arm in arms):
+        low, high, whole = (arm.by_key.get(f"{angle}_{what}_deg") for what in ("min", "max", "range"))
+        if low is None or high is None or whole is None or not (low.is_known and high.is_known):
+            continue
+        about = capitalised(whole.name.removesuffix(", range") + _of(arm, arms))
+        names.append(f"{label(about)}<br><b>{interval(low.value, high.value, 'deg')}</b>")
+        bar = go.Bar(x=[high.value - low.value], y=names[-1:], base=[low.value], orientation="h")
+        figure.add_trace(bar.update(marker_color=VISIBLE, marker_opacity=0.45, width=0.4))
+        bars = interval_bars(
+            *([getattr(end, part) for end in (low, high)] for part in ("value", "low", "high"))
+        )
+        ends = go.Scatter(x=[low.value, high.value], y=names[-1:] * 2, mode="markers", error_x=bars)
+        figure.add_trace(ends.update(marker_color=VISIBLE))
+    if not names:
+        return PageSection()
+    figure.update_xaxes(ticksuffix="°", rangemode="tozero").update_yaxes(autorange="reversed")
+    return PageSection(
+        "How far the joints moved", plot=dress(figure, 60 + 42 * len(names), head=5, showlegend=False)
+    )
+
+
+def _reach(arms: Sequence[Measures]) -> PageSection:
+    """What the hand reached where the draws agree, how near it came, and the volume that it swept."""
+
+    def reached(arm: Measures, key: str) -> Html:
+        row, distance = arm.by_key.get(key), arm.by_key.get(key.replace("_reached", "_distance_m"))
+        word = "cannot be assessed"
+        if row is not None and row.has_interval and row.low == row.high:
+            word = "reached" if row.value >= 1 else "not reached"
+        is_away = distance is not None and distance.is_known and distance.value > 0
+        return badge(word) + (f" {measure_words(distance)} away" if is_away else "")
+
+    def any_known(key: str) -> bool:
+        return any((row := arm.by_key.get(key)) is not None and row.is_known for arm in arms)
+
+    rows = [[words, *(reached(arm, key) for arm in arms)] for key, words in REACHED.items() if any_known(key)]
+    if any_known(volume := "hand_reach_hull_l"):
+        rows.append(["reach volume", *(measure_words(arm.by_key.get(volume)) for arm in arms)])
+    columns = ["goal", *(arm.arm_label for arm in arms)]
+    return rendered(Table("Where the hand reached", columns, rows))
+
+
+def _by_movement(arms: Sequence[Measures], key: str, heading: str) -> PageSection:
+    """A measure over the movements of each arm, with its intervals."""
+    panels, most = [], max((len(arm.movements) for arm in arms), default=0)
+    for arm in arms:
+        found = [arm.of("movement", place).get(key) for place in range(len(arm.movements))]
+        rows = [row for row in found if row is not None][:MOST_MOVEMENTS]
+        if not any(row.is_known for row in rows):
+            continue
+        values = ([getattr(row, part) for row in rows] for part in ("value", "low", "high"))
+        figure = go.Figure(values_with_intervals((1 + (row.movement or 0) for row in rows), *values))
+        figure.update_xaxes(title_text="movement", dtick=max(1, len(rows) // 12))
+        title = Html("<h3>{}</h3>").format(capitalised(arm.arm_label)) if len(arms) > 1 else Html("")
+        panels.append((title, dress(figure, 170, head=8, showlegend=False)))
+    more = f" The first {MOST_MOVEMENTS} of {most} movements are drawn." if most > MOST_MOVEMENTS else ""
+    return PageSection(heading, caption(heading, more=more), panels=panels)
+
+
+def _limits(arm: Measures, mark: str) -> Iterator[str]:
+    """What limits an arm's numbers: what is not known and why, what comes from recovered samples."""
+
+    def listed(rows: Sequence[Measure]) -> str:
+        names = [row.name for row in rows]
+        return (
+            ", ".join(names) if len(names) <= 2 else f"{names[0]} and {len(names) - 1} measures more"
+        ) + mark
+
+    main = [row for row in arm.session if is_main(row.key)]
+    if doubtful := [row for row in main if row.is_known and row.note]:
+        most = 100 * max(row.untrusted_share for row in doubtful)
+        yield f"{listed(doubtful)}: up to {most:.0f} % of it comes from gaps that are not trusted"
+    unknown = [row for row in main if not row.is_known and row.note]
+    for note in dict.fromkeys(row.note for row in unknown):
+        yield f"{listed([row for row in unknown if row.note == note])} cannot be assessed: {note}"
+    if weak := [row for row in main if row.is_known and row.recovered_share > MOSTLY_RECOVERED]:
+        yield f"More than half of {listed(weak)} comes from recovered time"
+    yield from arm.notes
+
+
+#: Figures of the page of progress, and rows of its table.
+MOST_FIGURES, MOST_CHANGES = 5, 16
+
+
+def progress_page(progress: PersonProgress) -> Page:
+    """The page of a person's sessions."""
+    sides = list(dict.fromkeys(each.side for each in progress.series if each.side))
+    arms = f"{' and '.join(sides).capitalize()} arm{'s' if len(sides) > 1 else ''}, " if sides else ""
+    count = len(progress.sessions)
+    names = [
+        f"{_short(name)} (day {day:.0f})" if math.isfinite(day) else _short(name)
+        for name, day in zip(progress.sessions, progress.days, strict=True)
+    ]
+    named = ", ".join(names if count <= 8 else [*names[:3], "…", *names[-3:]])
+    return Page(
+        f"Progress of {progress.person}",
+        f"{arms}{count} session{'s' if count != 1 else ''}: {named}",
+        [*progress.sentences(), NO_DIAGNOSIS, SESSIONS_VARY],
+        _progress_sections(progress),
+    )
+
+
+def _progress_sections(progress: PersonProgress) -> Iterator[PageSection]:
+    main = [each for each in progress.main if any(math.isfinite(value.value) for value in each.values)]
+    keys = first_of(list(dict.fromkeys(each.key for each in main)), MOST_FIGURES)
+    shown = [each for key in keys for each in main if each.key == key][:MOST_FIGURES]
+    if shown:
+        about = caption("Several sessions" if len(progress.sessions) > 1 else "One session")
+        yield PageSection("The main measures", about, panels=[_panel(each, progress) for each in shown])
+    more = len(progress.changed) - MOST_CHANGES
+    left = f" {more} measures more are in the tables (--csv)." if more > 0 else ""
+    yield rendered(progress.table("All changes", MOST_CHANGES), caption("All changes", more=left))
+    yield limits([*progress.left_out, *progress.notes, *progress.limits], MOST_LIMITS)
+    terms = ["interval", "recovered", *(["clear", "unclear", "unknown"] if progress.changed else [])]
+    if any(math.isfinite(change.mdc95) for _, change in progress.changed):
+        terms.append("mdc")
+    yield explained(terms, [each.key for each in (*shown, *progress.main)])
+
+
+def _panel(series: Series, progress: PersonProgress) -> tuple[Html, go.Figure]:
+    """A measure over the sessions with its intervals, under its name, and whether it changed."""
+    unit, change = shown_unit(series.unit), series.change
+    title = Html("<h3>{}{}</h3>").format(progress.label(series), f" ({unit})" if unit else "")
+    if change is not None:
+        found = quantity(change.difference, series.unit, signed=True)
+        between = interval(change.low, change.high, series.unit, signed=True)
+        said = f"{found} ({between})" if between else found if math.isfinite(change.difference) else ""
+        title += Html("<p>{} {}</p>").format(badge(change.word), said)
+    by_name = {value.session: value for value in series.values}
+    values = [by_name.get(name, SessionValue("", math.nan, math.nan)) for name in progress.sessions]
+    numbers = [
+        [scaled(getattr(each, part), series.unit) for each in values] for part in ("value", "low", "high")
+    ]
+    low, high = numbers[1][0], numbers[2][0]
+    figure = go.Figure(values_with_intervals(range(len(values)), *numbers).update(marker_size=8))
+    if len(values) > 1 and math.isfinite(low):
+        figure.add_hrect(low, high, fillcolor=BAND, line_width=0, layer="below")
+    every = range(0, len(values), max(1, math.ceil(len(values) / 12)))
+    names = [label(_short(progress.sessions[place], 9)) for place in every]
+    figure.update_xaxes(tickvals=list(every), ticktext=names)
+    return title, dress(figure, 150, head=8, showlegend=False)
+
+
+def _short(text: str, most: int = 24) -> str:
+    return text if len(text) <= most else f"{text[: most - 1]}…"
+
+
+#: Colour and plotly dash of each method; strong methods in strong colours.
+STYLES: dict[str, tuple[str, str]] = {
+    "graph": ("#D55E00", "solid"),
+    "rts": ("#0072B2", "solid"),
+    "gaussian-process": ("#009E73", "solid"),
+    "linear-drift": ("#CC79A7", "solid"),
+    "ukf": ("#56B4E9", "dash"),
+    "multirate-kalman": ("#B8860B", "dash"),
+    "kalman": ("#7F5AA8", "dash"),
+    "pchip": ("#777777", "dot"),
+    "camera-only": ("#444444", "dot"),
+    "hold": ("#B0B0B0", "dot"),
+}
+#: For a method without a style of its own.
+PLAIN = ("#777777", "solid")
+
+
+def line_of(method: str) -> dict[str, object]:
+    """Plotly's line for a method."""
+    colour, dash = STYLES.get(method, PLAIN)
+    return {"color": colour, "dash": dash, "width": 3.2 if method == "graph" else 1.5}
+
+
+#: Gaps drawn at most.
+MOST_GAPS = 6
+#: Time shown on both sides of a gap, s.
+AROUND_S = 0.6
+
+
+def comparison_page(compared: Sequence[tuple[Recording, Comparison]]) -> Page:
+    """The comparisons of a recording's arms on one page, arm by arm."""
+    recording, first = compared[0]
+    names = [f"{capitalised(one.arm_label)}: " if len(compared) > 1 else "" for one, _ in compared]
+    arms = f", {len(compared)} arms" if len(compared) > 1 else f", {len(first.graph.gaps)} gaps"
+    return Page(
+        first.alignment.titled(f"Methods compared: {recording.name}"),
+        f"{len(first.methods)} methods{arms}; the {_point(first)} compared with the truth.",
+        [f"{name}{text}" for name, (_, one) in zip(names, compared, strict=True) for text in _compared(one)],
+        [
+            replace(section, heading=f"{name}{section.heading}")
+            for name, (recording, one) in zip(names, compared, strict=True)
+            for section in _of_arm(one, recording)
+        ],
+    )
+
+
+def _compared(comparison: Comparison) -> list[str]:
+    """What the comparison says, in sentences."""
+    errors = comparison.rms_m
+    if not errors:
+        return ["No method has a result that can be compared with the truth."]
+    ranked = ", ".join(f"{name} {100 * error:.1f}" for name, error in errors.items())
+    sentences = [f"Error of the {_point(comparison)} {comparison.where}, rms, cm: {ranked}."]
+    others = {name: error for name, error in errors.items() if name != "graph"}
+    if "graph" in errors and others:
+        nearest = min(others, key=lambda name: others[name])
+        sentences.append(
+            f"The error of {nearest}, the best other method, is {others[nearest] / errors['graph']:.2f} times"
+            " that of the graph. All methods are given the calibration and the clock that the graph found."
+        )
+    return [*sentences, f"{comparison.camera_words}."]
+
+
+def _of_arm(comparison: Comparison, recording: Recording) -> Iterator[PageSection]:
+    """The sections about one arm."""
+    for what, table in zip(("errors", "joints", "lag"), comparison.tables, strict=True):
+        yield rendered(table, caption(f"Methods: {what}"))
+    longest = sorted(comparison.graph.gaps, key=lambda gap: -gap.length_s)[:MOST_GAPS]
+    for gap in sorted(longest, key=lambda gap: gap.start_s):
+        heading = f"Gap at {gap.start_s:.2f} s, {gap.length_s:.2f} s long"
+        yield PageSection(heading, caption("Methods: one gap"), in_gap(comparison, recording, gap))
+    not_drawn = len(comparison.graph.gaps) - len(longest)
+    more = [f"{not_drawn} gaps more are not drawn: the longest are"] if not_drawn else []
+    yield notes([*more, *recording.notes, *comparison.notes])
+
+
+def in_gap(comparison: Comparison, recording: Recording, gap: Gap) -> go.Figure:
+    """Coordinates of the compared point and every method's error, in one gap and a little around it."""
+    shown = (comparison.graph.t_s >= gap.start_s - AROUND_S) & (comparison.graph.t_s <= gap.end_s + AROUND_S)
+    t, true = comparison.graph.t_s[shown], comparison.reference[shown]
+    joint = "strap" if comparison.point == "sensor" else comparison.point
+    offset = comparison.graph.clock_offset_s if np.isfinite(comparison.graph.clock_offset_s) else 0.0
+    at = recording.arm.t_s + offset
+    tracked = recording.arm.tracked(joint) & (at >= gap.start_s - AROUND_S) & (at <= gap.end_s + AROUND_S)
+    camera = recording.arm.joint(joint)[tracked]
+    answered = reversed(comparison.validated.items())
+    paths = {name: each.path[shown] for name, each in answered if each.point == comparison.point}
+
+    def lines(values: dict[str, FloatArray]) -> list[go.Scatter]:  # the best on top of the others
+        drawn = {name: {"name": name, "mode": "lines", "line": line_of(name)} for name in values}
+        return [go.Scatter(x=t, y=value, **drawn[name]) for name, value in values.items()]
+
+    rows = []
+    for axis, title in enumerate(axis_names(recording.camera_frame)):
+        seen = dots(at[tracked], camera[:, axis], "camera", CAMERA, 4)
+        known = curve(t, true[:, axis], "truth", TRUTH, 1.6, "dash")
+        answers = lines({name: path[:, axis] for name, path in paths.items()})
+        rows.append((f"{title}, m", [seen, *answers, known]))
+    errors = {name: 100 * np.linalg.norm(path - true, axis=1) for name, path in paths.items()}
+    rows.append(("error, cm", lines(errors)))
+    plot = over_time(replace(comparison.graph, gaps=(gap,)), rows, 170, head=90)
+    plot.update_yaxes(rangemode="tozero", row=4, col=1)
+    return plot.update_layout(legend={"traceorder": "reversed"}, modebar={"orientation": "v"})
+
+
+def _point(comparison: Comparison) -> str:
+    return "forearm sensor" if comparison.point == "sensor" else comparison.point
+
+
+#: By length of gap (s), rising, and method: `GapGroup.spread`.
+Spreads = dict[float, dict[str, dict[str, Any]]]
+
+
+def gap_curves_page(table: GapTable, name: str, remarks: Sequence[str] = ()) -> Page:
+    """The errors in hidden gaps on one page."""
+    spreads = {
+        length: {method: group.spread for method, group in table.lengths[length].items()}
+        for length in sorted(table.lengths)
+    }
+    gaps = sum(len(next(iter(methods.values())).rows) for methods in table.lengths.values())
+    against = table.reference
+    reference = (
+        "the truth" if against == "truth" else f"what the camera saw of the {against}, its noise included"
+    )
+    return Page(
+        f"Error against gap length: {name}",
+        f"{gaps} gaps were made where the camera saw the arm, and recovered; compared with {reference}.",
+        gap_verdict(spreads),
+        [
+            PageSection("Error against gap length", plot=curves(spreads)),
+            rendered(table.table()),
+            notes(dict.fromkeys((*remarks, *table.notes))),
+        ],
+    )
+
+
+def gap_verdict(spreads: Spreads) -> list[str]:
+    """How long a gap can be trusted, and to what, in sentences."""
+    sentences, before = [], 0.0
+    for limit_cm in (1, 2, 5, 10):
+        longest = 0.0  # up to which the upper quartile stays within the limit at every length, s
+        for length, methods in spreads.items():
+            graph = methods.get("graph")
+            if graph is None or graph["high_m"] is None or graph["high_m"] > limit_cm / 100:
+                break
+            if graph["failed"] > graph["gaps"] / 4:
+                break
+            longest = length
+        if longest > before:
+            before = longest
+            sentences.append(
+                f"Up to {longest:g} s the graph recovers three of four gaps to {limit_cm} cm rms or better"
+            )
+    if not sentences and any("graph" in methods for methods in spreads.values()):
+        sentences.append("The graph does not recover three of four gaps to 10 cm rms at any of these lengths")
+    return sentences or ["The table has the errors of each method."]
+
+
+def curves(spreads: Spreads) -> go.Figure:
+    """Median of the gaps' rms against their length, with the quartiles as bars."""
+    plot = go.Figure()
+    names = list(dict.fromkeys(name for methods in spreads.values() for name in methods))
+    for place, name in enumerate(reversed(names)):  # the first on top of the others
+        known = {
+            length: spread
+            for length, methods in spreads.items()
+            if (spread := methods.get(name)) is not None and spread["median_m"] is not None
+        }
+        if not known:
+            continue
+        median, low, high = (
+            [100 * (spread[part] or np.nan) for spread in known.values()]
+            for part in ("median_m", "low_m", "high_m")
+        )
+        shift = 1.0 if name == "graph" else 1.012 ** (place - len(names) / 2)  # bars beside each other
+        line = line_of(name)
+        bars = interval_bars(median, low, high) | {"color": line["color"], "thickness": 1}
+        trace = go.Scatter(x=[length * shift for length in known], y=median, name=label(name), line=line)
+        plot.add_trace(trace.update(mode="lines+markers", error_y=bars))
+    ticks = [f"{length:g}" for length in spreads]
+    plot.update_xaxes(type="log", title_text="gap, s", tickvals=list(spreads), ticktext=ticks)
+    plot.update_yaxes(type="log", title_text="error in a gap, rms, cm", exponentformat="none")
+    dress(plot, 620, head=70)
+    return plot.update_layout(legend={"traceorder": "reversed"}, showlegend=True)
+
+
+#: Rows of the table of recordings, and of failures; measures in it; notes of the results.
+MOST_RECORDINGS, MOST_SHOWN, MOST_NOTES = 200, 4, 20
+
+
+def write_study(
+    rows: pa.Table,
+    path: str | os.PathLike[str],
+    folder: str | os.PathLike[str],
+    *,
+    persons: Mapping[str, str] | None = None,
+    long: Sequence[Mapping[str, Any]] = (),
+    force: bool = False,
+) -> None:
+    """Write the page of a study."""
+    import pyarrow.compute as pc
+
+    recovered = rows.filter(pc.equal(rows["status"], "done"))
+    failed = rows.filter(pc.equal(rows["status"], "failed"))
+    failures = [(row["recording"], row["error"]) for row in failed.slice(0, MOST_RECORDINGS).to_pylist()]
+    sections = [rendered(Table("Failed", ("recording", "why"), failures))]
+    if len(recovered):
+        shown = worst_of(recovered, MOST_RECORDINGS).to_pylist()
+        sections.append(_recordings(shown, len(recovered), persons or {}, Path(path), Path(folder)))
+        if long:
+            file = Path(path).with_name(f"{Path(path).stem}_measures.csv")
+            with (
+                writing(file, force=True) as temporary,
+                open(temporary, "w", newline="", encoding="utf-8") as to,
+            ):
+                write_rows(to, [list(long[0]), *(row.values() for row in long)])
+            sections.append(_group(group_measures(long), file.name))
+        texts = pc.list_flatten(recovered["note_texts"].combine_chunks()).value_counts().to_pylist()
+        counted = sorted(texts, key=lambda note: (-note["counts"], note["values"]))
+        sentences = [f"{note['counts']} x: {note['values']}" for note in counted[:MOST_NOTES]]
+        sections.append(PageSection("Notes in the results", sentences=sentences))
+    distrusted = recovered.filter(pc.equal(recovered["trusted"], False))
+    Page(
+        "Study",
+        f"{len(rows)} recordings",
+        _study_verdict(len(rows), recovered, len(failed), len(distrusted)),
+        sections,
+        tone=ALARM if len(distrusted) else "",
+    ).write(path, force)
+
+
+def _study_verdict(count: int, recovered: pa.Table, failed: int, distrusted: int) -> Iterator[str]:
+    import pyarrow.compute as pc
+
+    yield f"{len(recovered)} of {count} recordings were recovered, {failed} failed"
+    if not len(recovered):
+        return
+    if distrusted:
+        yield f"Not to be trusted: {distrusted} of them; do not use these figures. The table begins with them"
+    sound = recovered.filter(pc.fill_null(recovered["trusted"], True))
+    partly = pc.and_(pc.is_valid(sound["trusted"]), pc.greater(sound["gaps_untrusted"], 0))
+    if several := pc.sum(partly).as_py():
+        yield f"Gaps that are not to be trusted: in {several} of the others"
+    recorded, occluded, spent = (
+        pc.sum(recovered[name]).as_py() or 0.0 for name in ("duration_s", "occluded_s", "seconds")
+    )
+    yield (
+        f"{_duration(recorded)} of recordings, {100 * occluded / max(recorded, 1e-9):.1f} % of it occluded;"
+        f" one process needed {_duration(spent)}, {recorded / max(spent, 1e-9):.3g} times real time"
+    )
+    error = 100 * sound["error_95_m"].drop_null().to_numpy()
+    if len(error):
+        half, most = np.percentile(error, [50, 95])
+        yield (
+            f"in the gaps of a recording the sensor is within {half:.1f} cm in 95 of 100 cases (median of the"
+            f" recordings; {most:.1f} cm at their 95th percentile, {error.max():.1f} cm in the worst one)"
+        )
+
+
+def _duration(seconds: float) -> str:
+    if seconds < 90:
+        return f"{seconds:.0f} s"
+    return f"{seconds / 60:.0f} min" if seconds < 5400 else f"{seconds / 3600:.1f} h"
+
+
+def _recordings(
+    rows: Sequence[dict[str, Any]], count: int, persons: Mapping[str, str], path: Path, folder: Path
+) -> PageSection:
+    """The recordings, each with a link to its report, or to its result where it has none."""
+    measured = [each for row in rows for each in row["measures"] or ()]
+    shown = {each["key"]: each for each in measured}
+    columns: dict[str, Callable[[dict[str, Any]], object]] = {
+        "recording": lambda row: _named(row, path, folder),
+        "person": lambda row: persons.get(row["recording"]),
+        "verdict": _trust,
+        "self-check: recovered to within": _self_check,
+        "within, cm (95 %)": lambda row: None if row["trusted"] is False else _scaled(row["error_95_m"], 100),
+        "longest gap, s": lambda row: _scaled(row["gap_longest_s"]),
+        "gaps": lambda row: row["gaps"],
+        "occluded, s": lambda row: _scaled(row["occluded_s"]),
+        "length, s": lambda row: _scaled(row["duration_s"]),
+    }
+    for key in first_of([each["key"] for each in measured], MOST_SHOWN):
+        columns[_with_unit(shown[key])] = partial(_measured, key)
+    rest = count - len(rows)
+    others = f" The other {rest} are among the results." if rest else ""
+    return rendered(tabulated("Recordings", rows, columns), caption("Recordings", rest=others))
+
+
+def _with_unit(measure: Mapping[str, Any]) -> str:
+    return f"{measure['name']}, {measure['unit']}".removesuffix(", ")
+
+
+def _named(row: dict[str, Any], path: Path, folder: Path) -> Html:
+    """A recording's name, which leads to its report where there is one."""
+    page = report_of(row["output"])
+    target = os.path.abspath(folder / (page if (folder / page).is_file() else str(row["output"])))
+    try:
+        link = quote(Path(os.path.relpath(target, os.path.abspath(path.parent))).as_posix())
+    except ValueError:  # another drive
+        link = Path(target).as_uri()
+    return Html('<a href="{}">{}</a>').format(link, row["recording"])
+
+
+def _self_check(row: dict[str, Any]) -> str | None:
+    """What the self-check found and what was stated of it, and its sentence under the pointer."""
+    found, stated = row["self_check_95_m"], row["self_check_stated_95_m"]
+    if found is None or stated is None:
+        return row["self_check"] or None
+    words = f"{100 * found:.1f} cm (stated: {100 * stated:.1f})"
+    return Html('<span title="{}">{}</span>').format(row["self_check"] or "", words)
+
+
+def report_of(output: str) -> str:
+    """The name of a recording's report, beside its result."""
+    return Path(output).with_suffix(".html").as_posix()
+
+
+def _measured(key: str, row: dict[str, Any]) -> str | None:
+    """A measure of each arm, with its interval."""
+    known = [
+        each
+        for each in row["measures"] or ()
+        if each["key"] == key and each["value"] is not None and each["trusted"] is not False
+    ]
+    sides = ("" if (row["arms"] or 1) < 2 else f"{each['side']} " for each in known)
+    values = (_between(each["value"], each["low"], each["high"]) for each in known)
+    return "; ".join(f"{side}{value}" for side, value in zip(sides, values, strict=True)) or None
+
+
+def _between(value: float | None, low: float | None, high: float | None, sign: str = "") -> str | None:
+    """A value with its interval in brackets, as far as they are known."""
+    if value is None or not math.isfinite(value):
+        return None
+    known = low is not None and high is not None and math.isfinite(low)
+    return f"{value:{sign}.3g}" + (f" ({low:{sign}.3g} to {high:{sign}.3g})" if known else "")
+
+
+def _trust(row: dict[str, Any]) -> str:
+    """Whether a recording's result is to be trusted, as a word in its colour, and why it is not."""
+    word = trust_badge(row["trusted"], row["gaps"], row["gaps_untrusted"])
+    if row["trusted"] is False:
+        return word + f" {str(row['verdict'] or '').removeprefix('Not to be trusted: ')}"
+    return word if row["gaps_untrusted"] else row["verdict"] or word
+
+
+def _scaled(value: float | None, factor: float = 1.0) -> str | None:
+    return None if value is None or not np.isfinite(value) else f"{factor * value:.3g}"
+
+
+def _group(measures: list[dict[str, Any]], file: str) -> PageSection:
+    """Mean, spread and change of each measure over the persons."""
+
+    def spread(which: str) -> Callable[[dict[str, Any]], object]:
+        return lambda each: (
+            f"{each[which][1]:.3g}" + (f" ({each[which][2]:.2g})" if math.isfinite(each[which][2]) else "")
+            if each[which][0]
+            else None
+        )
+
+    columns: dict[str, Callable[[dict[str, Any]], object]] = {
+        "arm": lambda each: each["side"] or None,
+        "task": lambda each: each["task"] or None,
+        "measure": _with_unit,
+        "persons": lambda each: each["first"][0],
+        "mean (SD)": spread("first"),
+        "last session, mean (SD)": spread("last"),
+        "persons with both": lambda each: each["last"][0],
+        "change (95 % interval)": lambda each: _between(each["change"], each["low"], each["high"], "+"),
+    }
+    about = caption("The group", link=quote(file), file=file)
+    return rendered(tabulated("The group", measures, columns), about)
