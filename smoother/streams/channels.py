@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import RecordingError
-from ..io.tables.imu import SensorChannels, find_sensors, joint_label, kind_of, stem_of
+from ..io.tables.imu import Sensors, channel_labels, find_sensors, kind_of, stem_of
 from ..io.tables.joints import find_joint_columns, program_of, words_of
 from ..io.tables.skeletons import kinect_states, share_states, without_origin
 from ..io.tables.units import ACCELERATION, ANGULAR_VELOCITY, METRES, plain_unit
@@ -52,20 +52,14 @@ class StreamLabels:
     @classmethod
     def of(cls, info: Any) -> StreamLabels:
         """From a full `pylsl.StreamInfo`."""
-        labels, types, units = [], [], []
-        channel = info.desc().child("channels").child("channel")
-        for _ in range(info.channel_count()):
-            kind = channel.child_value("type")
-            marker = channel.child_value("marker") or channel.child_value("object")
-            label = channel.child_value("label") or channel.child_value("name")
-            labels.append(joint_label(marker, kind) or label)
-            types.append(kind)
-            units.append(channel.child_value("unit"))
-            channel = channel.next_sibling("channel")
+        channels = [info.desc().child("channels").child("channel")]
+        while len(channels) < info.channel_count():
+            channels.append(channels[-1].next_sibling("channel"))
+        labels, types, units = channel_labels(channel.child_value for channel in channels)
         return cls(info.name(), info.type(), labels, types, units, info.channel_format() == _STRINGS)
 
     @property
-    def sensors(self) -> list[SensorChannels]:
+    def sensors(self) -> Sensors:
         """The IMUs' sensors among its channels."""
         return find_sensors(self.labels, self.types, f"{self.name} {self.kind}")
 
@@ -116,9 +110,9 @@ class ImuChannels:
         stream.check_numbers()
         wanted, sensors = [half] if half else list(_SENSORS), stream.sensors
         _check_one_of_each(stream, sensors)
-        whole = [sensor for sensor in sensors if set(wanted) <= sensor.axes.keys()]
+        whole = {name: axes for name, axes in sensors.items() if set(wanted) <= axes.keys()}
         if not whole:
-            there = {kind for sensor in sensors for kind in sensor.axes}
+            there = {kind for axes in sensors.values() for kind in axes}
             lacks = [f"{kind}_x, {kind}_y, {kind}_z" for kind in wanted if kind not in there]
             raise stream.refused(
                 f"cannot be used as {_SENSORS[half][0] if half else 'IMU'}: {stream.shown};"
@@ -126,11 +120,11 @@ class ImuChannels:
                 " their units, in one stream or in two (--gyro names the second)."
             )
         if len(whole) > 1:
-            names = printable(", ".join(sensor.name for sensor in whole))
+            names = printable(", ".join(whole))
             raise stream.refused(
                 f"contains several IMUs ({names}); send that of the forearm in a stream of its own."
             )
-        axes = {kind: at for kind, at in whole[0].axes.items() if kind in (*wanted, "mag")}
+        axes = {kind: at for kind, at in next(iter(whole.values())).items() if kind in (*wanted, "mag")}
         units = {}
         for kind in wanted:
             what, known, such_as = _SENSORS[kind]
@@ -150,7 +144,7 @@ class ImuChannels:
 
 def is_accelerometer(stream: StreamLabels) -> bool:
     """Whether it has an IMU's accelerometer and no gyroscope."""
-    kinds = {kind for sensor in stream.sensors for kind in sensor.axes}
+    kinds = {kind for axes in stream.sensors.values() for kind in axes}
     return not stream.is_text and kinds & _SENSORS.keys() == {"acc"}
 
 
@@ -159,10 +153,10 @@ def belongs(name: str, kind: str, to_name: str) -> bool:
     return kind_of(words_of(f"{name} {kind}")) == "gyro" and stem_of(name) == stem_of(to_name)
 
 
-def _check_one_of_each(stream: StreamLabels, sensors: Sequence[SensorChannels]) -> None:
+def _check_one_of_each(stream: StreamLabels, sensors: Sensors) -> None:
     """Refuse a stream with two sensors of a kind of which it does not show which belong together."""
     for kind, (what, *_) in _SENSORS.items():
-        used = [at for sensor in sensors for at in sensor.axes.get(kind, ())]
+        used = [at for axes in sensors.values() for at in axes.get(kind, ())]
         spare = [
             label
             for at, label in enumerate(stream.labels)

@@ -11,11 +11,18 @@ import numpy as np
 
 from ...array_types import FloatArray
 from ...errors import RecordingError
-from .imu import Columns, SensorChannels, find_sensors, holds_gravity, kind_of_unit, unit_of, usual_size
-from .joints import JointColumns, find_joint_columns, has_arm, words_of
+from .imu import Columns, Sensors, find_sensors, holds_gravity, kind_of_unit, unit_of, usual_size
+from .joints import (
+    JointColumns,
+    find_joint_columns,
+    has_arm,
+    stated_time_unit,
+    time_among,
+    time_column,
+    words_of,
+)
 from .skeletons import unit_by_arm
 from .table import DeviceTable, shown
-from .time_columns import stated_time_unit, time_among, time_column
 from .units import ACCELERATION, SECONDS, SENSOR_RATES, gravity_unit, in_seconds, split_unit, time_unit
 
 #: How a reason begins that is made up.
@@ -97,7 +104,7 @@ def guess_sensor(table: DeviceTable, usual_gyro: str = "") -> Guess:
     force = None
     if "acc" in axes:
         values = table.vectors(axes["acc"])
-        unit, why = unit_of("acc", values, table.unit(axes["acc"][0]))
+        unit, why = unit_of("acc", values, table.units[axes["acc"][0]])
         if unit and holds_gravity(values * ACCELERATION[unit]):
             guess.set("accelerometer_unit", unit, why)
             force = values * ACCELERATION[unit]
@@ -110,7 +117,7 @@ def guess_sensor(table: DeviceTable, usual_gyro: str = "") -> Guess:
             guess.set("accelerometer_unit", unit or "m/s^2", f"{UNKNOWN}: it reads {size} as a rule", said)
     if "gyro" in axes:
         values = table.vectors(axes["gyro"])
-        unit, why = unit_of("gyro", values, table.unit(axes["gyro"][0]), usual_gyro, force, t_s, rate)
+        unit, why = unit_of("gyro", values, table.units[axes["gyro"][0]], usual_gyro, force, t_s, rate)
         size = why or f"it reads up to {np.nanpercentile(np.abs(values), 99):.3g}"
         guess.set("gyroscope_unit", unit, size, "" if why else _NO_GYRO_UNIT)
     for kind, missing in (("acc", "accelerometer"), ("gyro", "gyroscope")):
@@ -136,7 +143,7 @@ def bare_vector(table: DeviceTable) -> Columns | None:
     return next(((x, y, z) for x, y, z in triples if min(x, y, z) >= 0), None)
 
 
-def sensors_of(table: DeviceTable) -> list[SensorChannels]:
+def sensors_of(table: DeviceTable) -> Sensors:
     """Sensors among the columns of a table by names and units; counts of a converter are none."""
     names = [split_unit(name)[0] for name in table.names] or list(table.labels)
     names = ["" if re.search(r"(raw|uncal)$", name, re.IGNORECASE) else name for name in names]
@@ -146,15 +153,15 @@ def sensors_of(table: DeviceTable) -> list[SensorChannels]:
 def sensors_named(table: DeviceTable) -> dict[str, Columns]:
     """Columns of accelerometer, gyroscope and magnetometer by names and units; those of one sensor first."""
     axes: dict[str, Columns] = {}
-    for sensor in sorted(sensors_of(table), key=lambda sensor: not {"acc", "gyro"} <= sensor.axes.keys()):
-        axes = {**sensor.axes, **axes}
+    for own in sorted(sensors_of(table).values(), key=lambda own: not {"acc", "gyro"} <= own.keys()):
+        axes = {**own, **axes}
     return {kind: axes[kind] for kind in ("acc", "gyro", "mag") if kind in axes}
 
 
 def _sensor_axes(table: DeviceTable, guess: Guess) -> dict[str, Columns]:
     axes = sensors_named(table)
     for kind, columns in axes.items():
-        unit = table.unit(columns[0])
+        unit = table.units[columns[0]]
         by_unit = bool(unit) and kind_of_unit(unit) == kind
         guess.reasons[kind[0] + "x"] = f"unit {unit}" if by_unit else f"name {table.name(columns[0])}"
     bare = None if axes else bare_vector(table)
@@ -301,8 +308,8 @@ def _time_unit(table: DeviceTable, column: int, least: float) -> tuple[str, str]
         return "", ""
     stated = stated_time_unit(table, column)
     unit = time_unit(stated, values) or ""
-    if (unit and unit == stated) or (not unit and stated and table.unit(column)):
-        return unit or stated, f"stated ({table.unit(column) or stated})"
+    if (unit and unit == stated) or (not unit and stated and table.units[column]):
+        return unit or stated, f"stated ({table.units[column] or stated})"
     typical = float(np.median(step))
     return unit, unit and f"steps of {typical:g} make {1 / (typical * SECONDS[unit]):.1f} samples per second"
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -21,6 +21,8 @@ from .table import shown
 from .units import ACCELERATION, ANGULAR_VELOCITY, gravity_unit, plain_unit, unit_of_rest
 
 Columns = tuple[int, int, int]
+#: Columns of x, y, z of `acc`, `gyro`, `mag` by what their labels call the sensor ("" where they do not).
+Sensors = dict[str, dict[str, Columns]]
 
 
 @dataclass
@@ -38,6 +40,7 @@ class ImuTable:
     units: str = ""  # As written in the file, for the line that is said of it ("m/s^2, deg/s")
     notes: list[str] = field(default_factory=list)  # What was decided or dropped in reading, a sentence each
     made_of: tuple[str, ...] = ()  # Streams of the file that contain a half each
+    assumed: bool = False  # A gyroscope only because a vector without a name shows no gravity
 
     def __len__(self) -> int:
         return next((len(each) for each in (self.acc, self.gyro, self.t_s) if each is not None), 0)
@@ -80,14 +83,6 @@ _NOISE = _words(
 )
 
 
-@dataclass(frozen=True)
-class SensorChannels:
-    """Channels (from 0) of one sensor."""
-
-    name: str  # What the labels call it, "" where they do not
-    axes: dict[str, Columns]  # Columns of x, y, z of `acc`, `gyro`, `mag`
-
-
 def kind_of(words: Sequence[str]) -> str:
     """What words speak of: `acc`, `gyro`, `mag`, or ""."""
     present = set(words)
@@ -107,7 +102,7 @@ def kind_of_unit(unit: str) -> str:
 
 def find_sensors(
     labels: Sequence[str], types: Sequence[str] = (), stream: str = "", units: Sequence[str] = ()
-) -> list[SensorChannels]:
+) -> Sensors:
     """Sensors among the channels of a stream, or the columns of a table."""
     groups: dict[str, dict[str, dict[str, int]]] = {}
     of_stream, count = kind_of(words_of(stream)), len(labels)
@@ -129,23 +124,31 @@ def find_sensors(
             by_letter = {*_LETTERS} if letters and not kind_of(words) else set()
             name = " ".join(w for w in words if not _says_what(w) and w != axis and w not in by_letter)
             groups.setdefault(name, {}).setdefault(kind, {}).setdefault(axis, at)
-    found = []
+    found: Sensors = {}
     for name, kinds in groups.items():
         axes: dict[str, Columns] = {}
         for kind, by_axis in kinds.items():
             if signs := next((signs for signs in ("xyz", "012", "123") if {*signs} <= by_axis.keys()), ""):
                 axes[kind] = (by_axis[signs[0]], by_axis[signs[1]], by_axis[signs[2]])
         if axes.keys() & {"acc", "gyro"}:
-            found.append(SensorChannels(name, axes))
+            found[name] = axes
     return found
 
 
-def joint_label(marker: str, kind: str) -> str:
-    """A channel's label of a marker (or object) and the channel's type in the MoCap meta-data of XDF."""
-    kind = kind.lower()
-    if marker and kind.startswith("position") and kind[-1:] in "xyz":
-        return f"{marker}_{kind[-1]}"
-    return f"{marker}_{kind}" if marker and kind in ("confidence", "trackingstate") else ""
+def channel_labels(channels: Iterable[Callable[[str], str]]) -> tuple[list[str], list[str], list[str]]:
+    """Labels, types and units of a stream's channels, by what each states; as the MoCap meta-data have it."""
+    labels, types, units = [], [], []
+    for stated in channels:
+        kind, marker = stated("type").lower(), stated("marker") or stated("object")
+        own = ""  # a joint's name and its axis put together
+        if marker and kind.startswith("position") and kind[-1:] in "xyz":
+            own = f"{marker}_{kind[-1]}"
+        elif marker and kind in ("confidence", "trackingstate"):
+            own = f"{marker}_{kind}"
+        labels.append(own or stated("label") or stated("name"))
+        types.append(stated("type"))
+        units.append(stated("unit"))
+    return labels, types, units
 
 
 def stem_of(name: str) -> str:
@@ -389,6 +392,7 @@ def paired(tables: list[ImuTable], source: str) -> ImuTable:
     """One IMU of tables that each contain a part of it, on the gyroscope's times."""
     if len(tables) == 1 and tables[0].acc is not None and tables[0].gyro is not None:
         return tables[0]
+    tables = _told_apart(tables)
     acc, gyro = _only(tables, "acc", source), _only(tables, "gyro", source)
     if acc is gyro:
         raise RecordingError(f"{source}: one file contains the whole sensor already; name it alone.")
@@ -424,6 +428,25 @@ def paired(tables: list[ImuTable], source: str) -> ImuTable:
     return in_shown_units(table)
 
 
+#: A gyroscope, deg/s, reads at least so many times what an accelerometer that is shaken does in g.
+_SHAKEN = 30.0
+
+
+def _told_apart(tables: list[ImuTable]) -> list[ImuTable]:
+    """Of two vectors without names, each too shaken to show gravity alone, the first is what reads 1 g."""
+    if len(tables) != 2 or not all(table.assumed for table in tables):
+        return tables
+    written = [table.gyro / ANGULAR_VELOCITY[table.units] for table in tables if table.gyro is not None]
+    force, turns = (0, 1) if usual_size(written[0]) < usual_size(written[1]) else (1, 0)
+    size = usual_size(written[force])
+    if gravity_unit(size) != "g" or usual_size(written[turns]) < _SHAKEN * size:
+        return tables
+    note = f"Of the two files it reads about 1 g as a rule ({size:.2f}): taken as the accelerometer instead."
+    notes = [*tables[force].notes, note]
+    acc = replace(tables[force], acc=written[force] * STANDARD_GRAVITY, gyro=None, units="g", notes=notes)
+    return [acc, tables[turns]]
+
+
 def _only(tables: list[ImuTable], part: str, source: str) -> ImuTable:
     """The one table that has a part."""
     name = {"acc": "accelerometer", "gyro": "gyroscope"}[part]
@@ -433,10 +456,13 @@ def _only(tables: list[ImuTable], part: str, source: str) -> ImuTable:
     if not having:
         said = dict.fromkeys(note for table in tables for note in table.notes if note.startswith(UNUSED))
         unused = f" ({' '.join(said).rstrip('.')})" if said else ""
-        raise RecordingError(
-            f"{source} has no {name} that is recognised{unused}; export it as well and name both files:"
-            " --imu forearm_right=acc.csv,gyro.csv."
-        )
+        remedy = "export it as well and name both files: --imu forearm_right=acc.csv,gyro.csv."
+        if len(tables) > 1:
+            remedy = (
+                "name its columns and unit in a recording.toml: [imu.forearm_right] with file = [.., ..],"
+                " columns = [{t = 1, ax = 2, ..}, {t = 1, gx = 2, ..}] and accelerometer_unit."
+            )
+        raise RecordingError(f"{source} has no {name} that is recognised{unused}; {remedy}")
     acc, gyro = ([each.name for each in _having(tables, kind)] for kind in ("acc", "gyro"))
     command = ""
     if acc and gyro and ", " not in source:

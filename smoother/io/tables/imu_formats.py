@@ -15,9 +15,9 @@ from ...array_types import FloatArray, IntArray
 from ...errors import RecordingError
 from .columns import ImuKeys, imu_by_columns
 from .guess import Guess, bare_vector, guess_sensor, sensors_named, sensors_of
-from .imu import UNUSED, Columns, ImuTable, SensorChannels, unit_of, usual_size
+from .imu import UNUSED, Columns, ImuTable, unit_of, usual_size
+from .joints import seconds, time_column
 from .table import DeviceTable, FileHead, Format, plain_label, read_table, shown
-from .time_columns import seconds, time_column
 from .units import ACCELERATION, ANGULAR_VELOCITY, plain_unit, time_unit
 
 
@@ -68,7 +68,7 @@ def _read(path: Path, device: Device) -> list[ImuTable]:
     table.refuse_nameless(most=1)  # one more is a counter or a comment of some exporter
     if device.read is not None or not device.lacks:
         return (device.read or _read_named)(table, device)
-    sensors = [each for each in sensors_of(table) if {"acc", "gyro"} <= each.axes.keys()]
+    sensors = [axes for axes in sensors_of(table).values() if {"acc", "gyro"} <= axes.keys()]
     found = [_sensor(table, device, each) for each in sensors]
     if not found and (imu := _of_increments(table, device)) is not None:
         found = [imu]
@@ -79,10 +79,9 @@ def _read(path: Path, device: Device) -> list[ImuTable]:
     return found
 
 
-def _sensor(table: DeviceTable, device: Device, sensor: SensorChannels) -> ImuTable:
+def _sensor(table: DeviceTable, device: Device, axes: dict[str, Columns]) -> ImuTable:
     """One sensor with both vectors."""
-    acc, gyro, mag = (sensor.axes.get(kind) for kind in ("acc", "gyro", "mag"))
-    assert acc is not None and gyro is not None
+    acc, gyro, mag = axes["acc"], axes["gyro"], axes.get("mag")
     common = commonprefix([table.names[at] for at in (*acc, *gyro)])  # noqa: RUF071 (of names)
     imu = _empty(table, device, re.sub(r"[^/_]*$", "", common).rstrip("/_"))
     if mag is not None and np.isfinite(field := table.vectors(mag)).all():
@@ -90,7 +89,7 @@ def _sensor(table: DeviceTable, device: Device, sensor: SensorChannels) -> ImuTa
     imu.acc, acc_unit = _in_si(table, "acc", acc, device.acc_unit)
     imu.gyro, gyro_unit = _in_si(table, "gyro", gyro, device.gyro_unit)
     imu.units = f"{acc_unit}, {gyro_unit}"
-    if not device.acc_unit and acc_unit != "m/s^2" and not table.unit(acc[0]):
+    if not device.acc_unit and acc_unit != "m/s^2" and not table.units[acc[0]]:
         imu.notes.append(f"The accelerometer states no unit; it reads gravity in {acc_unit}.")
     return imu
 
@@ -117,7 +116,7 @@ def _empty(table: DeviceTable, device: Device, name: str) -> ImuTable:
 def _in_si(table: DeviceTable, kind: str, columns: Columns, usual: str = "") -> tuple[FloatArray, str]:
     """Three columns in SI units (n, 3), and their unit."""
     known = ACCELERATION if kind == "acc" else ANGULAR_VELOCITY
-    values, stated = table.vectors(columns), table.unit(columns[0])
+    values, stated = table.vectors(columns), table.units[columns[0]]
     if plain_unit(stated) and plain_unit(stated) not in known:
         raise RecordingError(
             f"{table.path} states the unit '{shown(stated, 40)}' of {shown(table.name(columns[0]), 60)};"
@@ -387,6 +386,7 @@ def _read_named(table: DeviceTable, device: Device) -> list[ImuTable]:
         )
     keys = ImuKeys.model_validate({**guess.keys, "file": table.path.name})
     imu = imu_by_columns(table, guess.columns, keys)
+    imu.assumed = bare is not None and imu.acc is None
     said = [f"{name} = {column}" for name, column in guess.columns.items()]
     units = [f"{value} ({guess.reasons.get(key, '')})" for key, value in guess.keys.items() if value != "iso"]
     imu.notes.insert(0, f"Its columns were taken as {', '.join(said)}; units: {', '.join(units) or 'none'}.")

@@ -27,6 +27,7 @@ from .joints import (
     joint_name,
     plain_words,
     program_of,
+    time_among,
 )
 from .skeletons import (
     AZURE_AXES,
@@ -39,7 +40,6 @@ from .skeletons import (
     unit_by_arm,
 )
 from .table import DeviceTable, FileHead, Format, begins, read_table
-from .time_columns import time_among
 from .units import CAMERA_RATES, time_unit
 
 

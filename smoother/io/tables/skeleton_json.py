@@ -6,13 +6,11 @@ import json
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from ...array_types import FloatArray
 from ...errors import RecordingError
 from ...recording import CameraFrame
 from .joints import AZURE, POINT_SETS, TIME_WORDS, column_named, joint_name, time_unit_of
@@ -67,15 +65,7 @@ def _first_number(value: Any, names: Iterable[str], default: float = NAN) -> flo
     return next((_number(there[name]) for name in names if name in there), default)
 
 
-_SHARES = [
-    "visibility",
-    "confidence",
-    "confidence_level",
-    "state",
-    "trackingstate",
-    "tracking_state",
-    "score",
-]
+_SHARES = "visibility confidence confidence_level state trackingstate tracking_state score".split()  # noqa: SIM905
 
 
 def _point_of(value: Any) -> Point:
@@ -105,40 +95,23 @@ def _points_by_name(value: Any, order: Sequence[str] | None = None) -> dict[str,
     return {name: _point_of(point) for name, point in zip(names, value, strict=False)}
 
 
-@dataclass
-class _Rows:
-    """What is gathered, one row per frame and body."""
+#: A row: what the frame states, its number, the body's, and points by name.
+_Row = tuple[Any, float, float, dict[str, Point]]
 
-    time: list[float] = field(default_factory=list)
-    frame: list[float] = field(default_factory=list)
-    body: list[float] = field(default_factory=list)
-    points: list[dict[str, Point]] = field(default_factory=list)
-    unit: str = ""  # Of `time`, where it is stated
 
-    def add(self, frame: Any, number: float, body: float, points: dict[str, Point]) -> None:
-        """A row of a body in a frame, by the frame's time."""
+def _raw(path: Path, rows: list[_Row]) -> RawSkeleton:
+    """The skeleton of rows of frames and bodies, on the frames' times."""
+    raw, times = RawSkeleton(path), []
+    for frame, *_ in rows:
         names = [str(key) for key in frame] if isinstance(frame, Mapping) else []
         at = column_named(names, TIME_WORDS)
-        self.time.append(NAN if at is None else _number(frame[names[at]]))
-        if at is not None:
-            self.unit = self.unit or time_unit_of(names[at])
-        self.frame.append(number)
-        self.body.append(body)
-        self.points.append(points)
-
-    def known_times(self) -> FloatArray | None:
-        """The times, where most rows have one and they go on."""
-        time = np.array(self.time)
-        known = np.isfinite(time)
-        return time if known.mean() > 0.5 and np.ptp(time[known]) > 0 else None
-
-    def raw(self, path: Path) -> RawSkeleton:
-        """The skeleton of all rows."""
-        raw = RawSkeleton(path, time_unit=self.unit, frame=np.array(self.frame))
-        for name in dict.fromkeys(name for row in self.points for name in row):
-            if joint_name(name) is not None:
-                raw.add(name, np.array([row.get(name, NOTHING) for row in self.points], dtype=float))
-        return raw
+        times.append(NAN if at is None else _number(frame[names[at]]))
+        raw.time_unit = raw.time_unit or ("" if at is None else time_unit_of(names[at]))
+    raw.time = np.array(times)
+    raw.frame, raw.body = np.array([row[1:3] for row in rows], dtype=float).reshape(-1, 2).T
+    for name in dict.fromkeys(name for row in rows for name in row[3]):
+        raw.add(name, np.array([row[3].get(name, NOTHING) for row in rows], dtype=float))
+    return raw
 
 
 # ------------------------------------------------------------------------------- body tracking of a Kinect
@@ -166,7 +139,7 @@ def _read_kinect_json(path: Path) -> list[SkeletonTable]:
             f"{path} should be {_KINECT_EXPECTED}, and has no list of frames; export it again."
         )
     order = [str(name) for name in names] if isinstance(names, list) and names else list(AZURE)
-    rows = _Rows()
+    rows: list[_Row] = []
     for count, frame in enumerate(frames):
         if not isinstance(frame, Mapping):
             continue
@@ -180,13 +153,10 @@ def _read_kinect_json(path: Path) -> list[SkeletonTable]:
             if levels is not None:
                 pairs = zip(points.items(), levels, strict=False)
                 points = {name: (*point[:3], _number(level)) for (name, point), level in pairs}
-            rows.add(frame, of_frame, of_body if 0 <= of_body < 2**32 - 1 else NAN, points)
+            rows.append((frame, of_frame, of_body if 0 <= of_body < 2**32 - 1 else NAN, points))
         if not there:
-            rows.add(frame, of_frame, NAN, {})
-    raw = rows.raw(path)
-    raw.time = np.array(rows.time) if np.isfinite(rows.time).any() else None
-    raw.body = np.array(rows.body)
-    return raw.skeletons(AZURE_AXES)
+            rows.append((frame, of_frame, NAN, {}))
+    return _raw(path, rows).skeletons(AZURE_AXES)
 
 
 KINECT_JSON = Format(
@@ -227,10 +197,10 @@ def _read_pose_json(path: Path) -> list[SkeletonTable]:
     """Frames of landmarks: in a list or by number, landmarks in a list or by name; or keypoints in images."""
     value = _read_json(path, _POSE_EXPECTED)
     rate = _first_number(value, _RATES)
-    rate_hz = rate if 1.0 <= rate <= 1000.0 else None
     frames = _frames_of(value)
     flat = _coco(value) or _openpose(frames)
-    rows, is_world = _Rows(), False
+    rows: list[_Row] = []
+    is_world = False
     for at, (key, frame) in enumerate(frames if flat is None else flat):
         number = _first_number(frame, _NUMBERS)
         digits = re.search(r"\d+(\.\d+)?", key)
@@ -238,17 +208,21 @@ def _read_pose_json(path: Path) -> list[SkeletonTable]:
         is_world |= world
         number = float(digits.group()) if digits else number if np.isfinite(number) else at
         named = _points_by_name(points) if flat is None else _keypoints(path, points)
-        rows.add(frame, number, 0.0, named)
-    if not any(rows.points):
+        rows.append((frame, number, 0.0, named))
+    if not any(row[3] for row in rows):
         raise RecordingError(f"{path} should be {_POSE_EXPECTED}, and no frame of it has points in space.")
-    raw = rows.raw(path)
-    raw.time, raw.rate_hz = rows.known_times(), rate_hz
+    raw = _raw(path, rows)
+    raw.rate_hz = rate if 1.0 <= rate <= 1000.0 else None
+    assert raw.time is not None and raw.frame is not None
+    known = np.isfinite(raw.time)
+    in_use = known.mean() > 0.5 and np.ptp(raw.time[known]) > 0  # most rows have one, and they go on
     if flat is not None:
-        raw.frame = np.array(rows.frame) - rows.frame[0]
-        if raw.time is not None and not (time_unit(rows.unit, raw.time, CAMERA_RATES) or rows.unit):
-            raw.time = None
+        raw.frame = raw.frame - raw.frame[0]
+        in_use = in_use and bool(raw.time_unit or time_unit("", raw.time, CAMERA_RATES))
+    raw.time = raw.time if in_use else None
+    if flat is not None:
         return raw.skeletons(Conventions(PIXELS, CameraFrame.OPTICAL))
-    names = {re.sub(r"[^a-z0-9]", "", name.lower()) for row in rows.points for name in row}
+    names = {re.sub(r"[^a-z0-9]", "", name.lower()) for row in rows for name in row[3]}
     if is_world or {"rightpinky", "leftpinky"} & names or raw.is_about_hips():
         return raw.landmarks(is_world)
     return raw.skeletons(Conventions(states="share"))

@@ -14,9 +14,8 @@ from ...errors import RecordingError
 from ...measurements.timestamps import begins_frames
 from ...recording import CameraFrame, JointState
 from ..recording.keypoints import states_of_scores
-from .joints import JointColumns, JointName, has_arm, joint_name
+from .joints import JointColumns, JointName, has_arm, joint_name, stated_time_unit
 from .table import DeviceTable, shown
-from .time_columns import stated_time_unit
 from .units import CAMERA_RATES, METRES, SECONDS, from_1970, time_unit
 
 States = NDArray[np.int8]  # `JointState` values

@@ -13,7 +13,6 @@ from collections import Counter
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
-from datetime import datetime, timedelta, timezone
 from functools import cached_property, lru_cache
 from itertools import islice, product
 from pathlib import Path
@@ -22,7 +21,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 
-from ...array_types import FloatArray
+from ...array_types import BoolArray, FloatArray
 from ...errors import RecordingError, UnoccludeError
 from ...runtime.inputs import check_input, marked_encoding
 from ...runtime.packages import extra_module
@@ -238,10 +237,6 @@ class DeviceTable:
         """The number that the preamble states of a subject; None where it states none above zero."""
         number = re.match(r"\d+(?:[.,]\d+)?", self.stated(*subjects))
         return (float(number.group().replace(",", ".")) or None) if number else None
-
-    def unit(self, column: int) -> str:
-        """Unit of a column as the file states it, "" where it does not."""
-        return self.units[column] if column < len(self.units) else ""
 
     def name(self, column: int) -> str:
         """Name of a column for messages."""
@@ -639,18 +634,13 @@ def _stripped(cells: list[str], least: int = 0) -> list[str]:
 
 # ---------------------------------------------------------------------------------------------------- dates
 
-_DATE = re.compile(
-    r"(?:(?P<y>\d{4})[-/.](?P<m>\d\d?)[-/.](?P<d>\d\d?)|(?P<a>\d\d?)(?P<mark>[-/.])(?P<b>\d\d?)[-/.](?P<Y>\d{4}))"
-    r"[ T_]+(?P<hour>\d\d?)[:.](?P<minute>\d\d)[:.](?P<second>\d\d)(?:[.,:_](?P<part>\d+))?"
-    r"\s*(?P<noon>[AaPp][Mm])?\s*(?:Z|UTC|GMT)?\s*(?:(?P<sign>[+-])(?P<zone>\d\d?):?(?P<minutes>\d\d)?)?"
+#: A date and a time, or a time of day alone.
+_DATE = (
+    r"^\s*(?:(?:(?P<y>\d{4})[-/.](?P<m>\d\d?)[-/.](?P<d>\d\d?)"
+    r"|(?P<a>\d\d?)(?P<mark>[-/.])(?P<b>\d\d?)[-/.](?P<Y>\d{4}))[ T_]+)?"
+    r"(?P<hour>\d\d?)(?P<colon>[:.])(?P<minute>\d\d)[:.](?P<second>\d\d)(?:[.,:_](?P<part>\d{1,15})\d*)?"
+    r"\s*(?P<noon>[AaPp][Mm])?\s*(?:Z|UTC|GMT)?\s*(?:(?P<sign>[+-])(?P<zone>\d\d?):?(?P<minutes>\d\d)?)?\s*$"
 )
-#: To the way of writing that Arrow reads: from 2026/01/31, 10:11:12,5, and a blank before +0100.
-_PLAINER = (
-    (r"^(\d{4})[/.](\d\d)[/.](\d\d)", r"\1-\2-\3"),
-    (r"(:\d\d),(\d{1,9})", r"\1.\2"),
-    (r"\s+([+-]\d\d:?\d\d|Z)$", r"\1"),
-)
-_TIME_OF_DAY = re.compile(r"(\d\d?):(\d\d):(\d\d)(?:[.,:_](\d+))?")
 _DAY_S = 86_400.0
 
 
@@ -659,42 +649,34 @@ def seconds_of_dates(cells: Sequence[str]) -> FloatArray:  # -> (n,) s
     import pyarrow as pa
     import pyarrow.compute as pc
 
-    text = pa.array(cells, pa.string())
-    for pattern, plain in _PLAINER:
-        text = pc.replace_substring_regex(text, pattern, plain)
-    for zone in (None, "UTC"):
-        try:
-            stamps = pc.cast(pc.cast(text, pa.timestamp("ns", zone)), pa.int64())
-        except pa.ArrowException:
-            continue
-        whole = stamps.to_numpy(zero_copy_only=False)
-        return whole // 1_000_000_000 + (whole % 1_000_000_000) * 1e-9
-    seconds = np.array([_seconds(cell.strip()) for cell in cells], dtype=float)
+    found = pc.extract_regex(pa.array(cells, pa.string()), _DATE)
+
+    def text(name: str) -> Any:
+        return pc.fill_null(pc.struct_field(found, name), "")
+
+    def number(name: str) -> FloatArray:
+        return np.asarray(pc.cast(pc.binary_join_element_wise("0", text(name), ""), pa.float64()))
+
+    def has(name: str, *what: str) -> BoolArray:
+        return np.asarray(pc.is_in(text(name), pa.array(what)))
+
+    is_american = has("mark", "/")  # 01/31/2026, and 31.01.2026 elsewhere
+    month = number("m") + np.where(is_american, number("a"), number("b"))
+    day = number("d") + np.where(is_american, number("b"), number("a"))
+    hour = np.where(has("noon", ""), number("hour"), number("hour") % 12 + 12 * has("noon", "pm", "PM", "Pm"))
+    zone = np.where(has("sign", "-"), -60, 60) * (60 * number("zone") + number("minutes"))
+    seconds = 3600 * hour + 60 * number("minute") + number("second")
+    months = (12 * (number("y") + number("Y") - 1970) + month - 1).astype("M8[M]")
+    date = months.astype("M8[D]") + (day - 1).astype(np.int64)
+    is_date = (date.astype("M8[M]") == months) & (month >= 1) & (month <= 12) & (seconds < _DAY_S)
+    is_dated = ~has("y", "") | ~has("mark", "")
+    seconds += np.where(is_dated, date.astype(np.int64) * _DAY_S - zone, 0.0)
+    seconds += number("part") / 10.0 ** np.asarray(pc.utf8_length(text("part")))
+    seconds[~np.where(is_dated, is_date, has("colon", ":"))] = np.nan
     if np.nanmax(seconds, initial=0.0) < 2 * _DAY_S:  # times of day: midnight passes
         steps = np.diff(seconds, prepend=seconds[:1])
         seconds = seconds + _DAY_S * np.cumsum(np.nan_to_num(steps) < -_DAY_S / 2)
     return seconds
-
-
-def _seconds(cell: str) -> float:
-    if of_day := _TIME_OF_DAY.fullmatch(cell):
-        hours, minutes, seconds, fraction = of_day.groups()
-        return int(hours) * 3600 + int(minutes) * 60 + int(seconds) + float(f"0.{fraction or 0}")
-    if (written := _DATE.fullmatch(cell)) is None:
-        return float("nan")
-    of = written.groupdict()
-    date = of["y"], of["m"], of["d"]
-    if of["y"] is None:  # 01/31/2026 as in America, 31.01.2026 elsewhere
-        date = (of["Y"], of["a"], of["b"]) if of["mark"] == "/" else (of["Y"], of["b"], of["a"])
-    hour = int(of["hour"]) % 12 + 12 * (of["noon"].lower() == "pm") if of["noon"] else int(of["hour"])
-    zone = timedelta(hours=int(of["zone"] or 0), minutes=int(of["minutes"] or 0))
-    year, month, day = map(int, date)
-    try:
-        at = timezone(-zone if of["sign"] == "-" else zone)
-        whole = datetime(year, month, day, hour, int(of["minute"]), int(of["second"]), tzinfo=at)
-    except ValueError:
-        return float("nan")
-    return whole.timestamp() + float(f"0.{of['part'] or 0}")
 
 
 # ------------------------------------------------------------------------------------------------ workbooks

@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 from contextlib import suppress
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -13,10 +14,10 @@ import numpy as np
 from ...errors import RecordingError
 from ...recording import CameraFrame
 from .imu import (
+    Columns,
     ImuTable,
-    SensorChannels,
+    channel_labels,
     find_sensors,
-    joint_label,
     stem_of,
     unit_of,
     with_halves_joined,
@@ -94,13 +95,8 @@ def _stream(entry: dict[str, Any]) -> _Stream | None:
         channels = [dict(channel) for channel in info["desc"][0]["channels"][0]["channel"]]
     except (KeyError, IndexError, TypeError, ValueError):
         channels = []
-    labels, types, units = [], [], []
-    for channel in (channels + [{}] * values.shape[1])[: values.shape[1]]:
-        types.append(_text(channel, "type"))
-        units.append(_text(channel, "unit"))
-        marker = _text(channel, "marker") or _text(channel, "object")
-        own = joint_label(marker, types[-1])  # a joint's name and its axis put together
-        labels.append(own or _text(channel, "label") or _text(channel, "name"))
+    channels = (channels + [{}] * values.shape[1])[: values.shape[1]]
+    labels, types, units = channel_labels(partial(_text, channel) for channel in channels)
     rate = 0.0
     with suppress(ValueError):
         rate = float(_text(info, "nominal_srate"))
@@ -139,8 +135,9 @@ def _imus(streams: list[_Stream], path: Path) -> tuple[list[ImuTable], list[str]
     for stream in streams:
         if has_arm(find_joint_columns(stream.labels).axes):
             continue
-        for sensor in find_sensors(stream.labels, stream.types, f"{stream.name} {stream.kind}"):
-            table, why = _imu(stream, sensor)
+        sensors = find_sensors(stream.labels, stream.types, f"{stream.name} {stream.kind}")
+        for name, axes in sensors.items():
+            table, why = _imu(stream, "_".join(filter(None, (stream.name, name.replace(" ", "_")))), axes)
             if why:
                 reasons.append(why)
             else:
@@ -151,17 +148,16 @@ def _imus(streams: list[_Stream], path: Path) -> tuple[list[ImuTable], list[str]
     return whole + joined, reasons + alone
 
 
-def _imu(stream: _Stream, sensor: SensorChannels) -> tuple[ImuTable, str]:
+def _imu(stream: _Stream, name: str, axes: dict[str, Columns]) -> tuple[ImuTable, str]:
     """A sensor's samples in SI units; or why its units are not known."""
-    name = "_".join(part for part in (stream.name, sensor.name.replace(" ", "_")) if part)
     values = np.where(np.abs(stream.values) < _DAMAGED, stream.values, np.nan)
-    vectors = {kind: values[:, columns].astype(float) for kind, columns in sensor.axes.items()}
+    vectors = {kind: values[:, columns].astype(float) for kind, columns in axes.items()}
     table = ImuTable(name, stream.t_s, None, None, vectors.get("mag"), stream.rate_hz)
     units = []
     for kind, known in (("acc", ACCELERATION), ("gyro", ANGULAR_VELOCITY)):
         if kind not in vectors:
             continue
-        stated = stream.units[sensor.axes[kind][0]]
+        stated = stream.units[axes[kind][0]]
         unit, why = unit_of(kind, vectors[kind], stated, "", table.acc, table.t_s, table.rate_hz)
         if not unit or (not why and unit == "rad/s"):
             return table, f"{name}: the unit of {kind} is not stated, and the motion does not show it"

@@ -196,7 +196,7 @@ def test_several_sensors_in_a_stream() -> None:
         f"{name}_{kind}_{axis}" for name in ("wrist", "trunk") for kind in ("acc", "gyro") for axis in "xyz"
     ]
     labels += ["wrist_quat_w", "wrist_quat_x", "wrist_quat_y", "wrist_quat_z"]
-    first, second = find_sensors(labels, [""] * len(labels), "Movella IMU")
-    assert (first.name, second.name) == ("wrist", "trunk")
-    assert first.axes == {"acc": (0, 1, 2), "gyro": (3, 4, 5)}
-    assert second.axes == {"acc": (6, 7, 8), "gyro": (9, 10, 11)}
+    assert find_sensors(labels, [""] * len(labels), "Movella IMU") == {
+        "wrist": {"acc": (0, 1, 2), "gyro": (3, 4, 5)},
+        "trunk": {"acc": (6, 7, 8), "gyro": (9, 10, 11)},
+    }
