@@ -114,32 +114,39 @@ def sensorlog(path: Path) -> None:
     _lines(path, ",".join(header), *(f"{s},{row}" for s, row in zip(stamps, body, strict=True)))
 
 
-def mvnx(path: Path) -> None:
-    """As MVN exports it with raw sensors."""
-    frames = "".join(
-        f'<frame time="{10 * k}" index="{k}" type="normal">'
-        f"<sensorAcceleration>{' '.join(f'{v:.6f}' for v in ACC[k])}</sensorAcceleration>"
-        f"<sensorAngularVelocity>{' '.join(f'{v:.6f}' for v in GYRO[k])}</sensorAngularVelocity></frame>"
-        for k in range(COUNT)
-    )
+def mvnx(
+    path: Path,
+    values: Sequence[tuple[str, np.ndarray]] = (("sensorAcceleration", ACC), ("sensorAngularVelocity", GYRO)),
+    labels: Sequence[str] = ("RightForeArm",),
+) -> None:
+    """As MVN exports it with these sensors, of which values have 3 columns each."""
+    frames = '<frame time="" type="identity"><orientation>1 0 0 0</orientation></frame>'
+    for k in range(COUNT):
+        cells = [f"<{name}>{' '.join(f'{v:.6f}' for v in row[k])}</{name}>" for name, row in values]
+        frames += f'<frame time="{10 * k}" index="{k}" type="normal">{"".join(cells)}</frame>'
+    named = "".join(f'<sensor label="{label}"/>' for label in labels)
     path.write_text(
         '<?xml version="1.0" encoding="UTF-8"?>\n<mvnx xmlns="http://www.xsens.com/mvn/mvnx" version="4">\n'
-        f'<subject label="A" frameRate="100"><sensors><sensor label="RightForeArm"/></sensors>'
-        f"<frames>{frames}</frames></subject></mvnx>"
+        f'<subject label="A" frameRate="100"><sensors>{named}</sensors><frames>{frames}</frames>'
+        "</subject></mvnx>"
     )
 
 
-def axivity(path: Path) -> None:
-    """As an AX6 writes it: 100 Hz, 8 g, 1000 deg/s."""
+#: Numbers of an AX6 at 8 g and 1000 deg/s.
+AX6 = np.hstack([DEG * 32768 / 1000, ACC / GRAVITY * 4096])
+
+
+def axivity(path: Path, counts: np.ndarray = AX6, axes: int = 6) -> None:
+    """As an AX6 writes these numbers of 16 bits at 100 Hz, 40 a block."""
     raw = bytearray(b"MD" + struct.pack("<H", 1020)) + bytes(1020)
-    counts = np.hstack([DEG * 32768 / 1000, ACC / GRAVITY * 4096])
-    for k in range(COUNT // 40):
+    for k in range(len(counts) // 40):
         second, part = divmod(7 + 0.4 * k, 1)
         stamp = 21 << 26 | 8 << 22 | 20 << 17 | 20 << 12 | 21 << 6 | int(second)
         fraction = 0x8000 | int(part * 32768)
+        # the firmware takes whole samples off the offset
         adjusted = -((((fraction & 0x7FFF) << 1) * 100) >> 16)
         light = 4 << 13 | 3 << 10 | 500
-        numbers = (508, fraction, 1, k, stamp, light, 0, 0, 200, 0x6A, 0x62, adjusted, 40)
+        numbers = (508, fraction, 1, k, stamp, light, 0, 0, 200, 0x6A, axes << 4 | 2, adjusted, 40)
         block = struct.pack("<2sHHIIIHHBBBBhH", b"AX", *numbers)
         block += np.rint(counts[40 * k : 40 * k + 40]).astype("<i2").tobytes()
         total = sum(struct.unpack("<255H", block)) & 0xFFFF

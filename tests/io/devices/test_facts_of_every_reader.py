@@ -43,26 +43,6 @@ def ros2(path: Path, topics: Topics) -> None:
                 bag.imu(topic, ns, "imu", acc[at], gyro[at], ns)
 
 
-def ros1(path: Path, topics: Topics) -> None:
-    from rosbags.rosbag1 import Writer as BagWriter
-    from rosbags.typesys import Stores, get_typestore
-
-    store = get_typestore(Stores.ROS1_NOETIC)
-    types, kind = store.types, "sensor_msgs/msg/Imu"
-    vector, nothing = types["geometry_msgs/msg/Vector3"], np.zeros(9)
-    with BagWriter(path) as bag:
-        for topic, (acc, gyro) in topics.items():
-            connection = bag.add_connection(topic, kind, typestore=store)
-            for at, ns in enumerate((ZERO + np.rint(T * 1e9)).astype(int).tolist()):
-                stamp = types["builtin_interfaces/msg/Time"](sec=ns // 10**9, nanosec=ns % 10**9)
-                head = types["std_msgs/msg/Header"](seq=0, stamp=stamp, frame_id="imu")
-                turn = types["geometry_msgs/msg/Quaternion"](x=0.0, y=0.0, z=0.0, w=1.0)
-                message = types[kind](
-                    head, turn, nothing, vector(*gyro[at]), nothing, vector(*acc[at]), nothing
-                )
-                bag.write(connection, ns, store.serialize_ros1(message, kind))
-
-
 def xdf(path: Path, topics: Topics) -> None:
     streams: list[dict[str, Any]] = []
     for topic, (acc, gyro) in topics.items():
@@ -75,7 +55,7 @@ def xdf(path: Path, topics: Topics) -> None:
 
 
 WRITERS: dict[str, Callable[[Path, Topics], None]] = {
-    "ros2.mcap": ros2, "ros1.bag": ros1, "lsl.xdf": xdf,
+    "ros2.mcap": ros2, "lsl.xdf": xdf,
 }  # fmt: skip
 ZEROS = np.zeros_like(ACC)
 HALVES = {"/camera/accel/sample": (ACC, ZEROS), "/camera/gyro/sample": (ZEROS, GYRO)}
