@@ -96,6 +96,36 @@ def trc(path: Path, names: dict[str, np.ndarray], unit: str = "m", rate: float =
     path.write_text("\n".join(lines) + "\n")
 
 
+def c3d(
+    path: Path,
+    position: np.ndarray,
+    *,
+    unit: str = "mm",
+    rate: float = 100.0,
+    labels: Sequence[str] = (),
+    segments: dict[str, np.ndarray] | None = None,
+) -> Path:
+    """Points (frames, points, 3) in the file's unit; origins (frames, 3) of segments beside them."""
+    import ezc3d
+
+    file, count = ezc3d.c3d(), position.shape[1]
+    parameters = file["parameters"]["POINT"]
+    parameters["RATE"]["value"], parameters["UNITS"]["value"] = [rate], [unit]
+    parameters["LABELS"]["value"] = list(labels) or [f"M{k}" for k in range(count)]
+    points = np.ones((4, count, len(position)))
+    points[:3] = np.moveaxis(position, (0, 1, 2), (2, 1, 0))
+    file["data"]["points"] = points
+    if segments:
+        poses = np.tile(np.eye(4)[:, :, None, None], (1, 1, len(segments), len(position)))
+        poses[:3, 3] = np.moveaxis(np.stack(list(segments.values())), 2, 0)
+        stated = {"USED": [len(segments)], "RATE": [rate], "RATIO": [1], "LABELS": list(segments)}
+        for name, value in stated.items():
+            file.add_parameter("ROTATION", name, value)
+        file["data"]["rotations"] = poses
+    file.write(str(path))
+    return path
+
+
 def landmarks(frames: int) -> np.ndarray:
     """World landmarks (frames, 33, 3): about the hips, x right, y down, z forward, m."""
     return np.round((parts(BLAZEPOSE, frames) - [0.0, 0.92, 0.0]) * [1.0, -1.0, 1.0], 6)

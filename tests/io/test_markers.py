@@ -5,9 +5,9 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
-import ezc3d
 import numpy as np
 import pytest
+import skeleton_files as made
 
 from smoother.errors import RecordingError
 from smoother.io.tables.markers import _refuse_cut_off, read_markers
@@ -41,20 +41,6 @@ def write(folder: Path, rows: str, unit: str = "mm", change=lambda text: text) -
     path = folder / "made.trc"
     text = HEAD.format(frames=len(rows.splitlines()), unit=unit) + "\n" + rows
     path.write_bytes(change(text).encode())
-    return path
-
-
-def make_c3d(path: Path, position: np.ndarray, *, unit: str = "mm", rate: float = 100.0, labels=None) -> Path:
-    """Points (frames, points, 3) in the file's unit."""
-    file = ezc3d.c3d()
-    count = position.shape[1]
-    file["parameters"]["POINT"]["RATE"]["value"] = [rate]
-    file["parameters"]["POINT"]["UNITS"]["value"] = [unit]
-    file["parameters"]["POINT"]["LABELS"]["value"] = labels or [f"M{k}" for k in range(count)]
-    points = np.ones((4, count, len(position)))
-    points[:3] = np.moveaxis(position, (0, 1, 2), (2, 1, 0))
-    file["data"]["points"] = points
-    file.write(str(path))
     return path
 
 
@@ -163,25 +149,25 @@ class TestC3d:
         position = rng.uniform(100, 900, (20, 3, 3))
         position[4, 1] = np.nan
         position[5, 2] = 0.0
-        found = read_markers(make_c3d(tmp_path / "a.c3d", position, labels=["A ", " B", "C"], rate=120.0))
+        found = read_markers(made.c3d(tmp_path / "a.c3d", position, labels=["A ", " B", "C"], rate=120.0))
         assert found.names == ("A", "B", "C")
         np.testing.assert_allclose(found.t_s, np.arange(20) / 120, atol=1e-9)
         assert np.isnan(found.position[4, 1]).all()
         assert np.isnan(found.position[5, 2]).all()
         assert np.isfinite(found.position).all(axis=2).sum() == 58
         np.testing.assert_allclose(found.position[3], position[3] / 1000, rtol=1e-6)  # single precision
-        in_metres = read_markers(make_c3d(tmp_path / "b.c3d", position / 1000, unit="m"))
+        in_metres = read_markers(made.c3d(tmp_path / "b.c3d", position / 1000, unit="m"))
         np.testing.assert_allclose(in_metres.position[3], position[3] / 1000, rtol=1e-6)
 
     def test_names_go_on_beyond_255(self, tmp_path):
         position = np.random.default_rng(1).uniform(1, 2, (4, 300, 3))
-        found = read_markers(make_c3d(tmp_path / "a.c3d", position))
+        found = read_markers(made.c3d(tmp_path / "a.c3d", position))
         assert found.names == tuple(f"M{k}" for k in range(300))
         np.testing.assert_allclose(found.position[:, 299], position[:, 299] / 1000, rtol=1e-6)
 
     def test_points_without_names_and_with_the_same(self, tmp_path):
         position = np.ones((4, 3, 3))
-        found = read_markers(make_c3d(tmp_path / "a.c3d", position, labels=["A", "A", ""]))
+        found = read_markers(made.c3d(tmp_path / "a.c3d", position, labels=["A", "A", ""]))
         assert found.names == ("A", "A_2", "unnamed_3")
         assert any("called A" in note for note in found.notes)
 
@@ -189,14 +175,14 @@ class TestC3d:
         (tmp_path / "no.c3d").write_text("nothing of the kind")
         with pytest.raises(RecordingError, match="not a C3D file"):
             read_markers(tmp_path / "no.c3d")
-        whole = make_c3d(tmp_path / "a.c3d", np.ones((50, 3, 3))).read_bytes()
+        whole = made.c3d(tmp_path / "a.c3d", np.ones((50, 3, 3))).read_bytes()
         (tmp_path / "cut.c3d").write_bytes(whole[:600])
         with pytest.raises(RecordingError, match=r"cut\.c3d"):
             read_markers(tmp_path / "cut.c3d")
         with pytest.raises(RecordingError, match="has no point"):
-            read_markers(make_c3d(tmp_path / "b.c3d", np.ones((5, 0, 3))))
+            read_markers(made.c3d(tmp_path / "b.c3d", np.ones((5, 0, 3))))
         with pytest.raises(RecordingError, match="unit of length is 'parsec'"):
-            read_markers(make_c3d(tmp_path / "c.c3d", np.ones((5, 3, 3)), unit="parsec"))
+            read_markers(made.c3d(tmp_path / "c.c3d", np.ones((5, 3, 3)), unit="parsec"))
         (tmp_path / "disguised.trc").write_bytes(whole)
         with pytest.raises(RecordingError, match="not a TRC file"):
             read_markers(tmp_path / "disguised.trc")

@@ -45,7 +45,7 @@ def slow_reading(raw: bytes) -> tuple[list[float], list[list[float]]]:
 
 def cwa(path: Path, blocks: int = 5, axes: int = 6) -> Path:
     """A file of our own, about level."""
-    numbers = np.random.default_rng(3).integers(-500, 500, (40 * blocks, 6)) + [0, 0, 0, 0, 0, 4096]
+    numbers = np.random.default_rng(3).integers(-500, 500, (40 * blocks, 6)) + np.array([0] * 5 + [4096])
     made.axivity(path, numbers, axes)
     return path
 

@@ -39,48 +39,36 @@ def test_ros1_bag(tmp_path: Path) -> None:
     assert_array_equal(body.position["wrist_right"][there], wanted[there])
     assert np.isnan(body.position["wrist_right"][20:25]).all()
     assert any("/joint_states: sensor_msgs/JointState contains angles" in note for note in body.notes)
-
-
-def test_ros1_bag_that_is_cut_off(tmp_path: Path) -> None:
-    path = tmp_path / "a.bag"
-    write_bag(path)
     path.write_bytes(path.read_bytes()[:5000])
-    with pytest.raises(RecordingError, match=r"a\.bag was recognised as ROS 1 bag, but is damaged"):
+    with pytest.raises(RecordingError, match="recognised as ROS 1 bag, but is damaged"):
         streams(path, "rosbag1")
 
 
-@pytest.mark.parametrize("schema", ["sensor_msgs/msg/Imu", "unocclude.Skeleton"])
-def test_mcap_with_json_is_refused_by_its_topic(tmp_path: Path, schema: str) -> None:
+@pytest.mark.parametrize(
+    ("schema", "encoding", "said"),
+    [
+        ("sensor_msgs/msg/Imu", "json", "/wrist: JSON messages are not read"),
+        ("unocclude.Skeleton", "json", "/wrist: JSON messages are not read"),
+        ("sensor_msgs/msg/JointState", "cdr", "has no IMU and no skeleton.*sensor_msgs/msg/JointState"),
+    ],
+)
+def test_mcap_of_messages_that_are_not_read(tmp_path: Path, schema: str, encoding: str, said: str) -> None:
     path = tmp_path / "a.mcap"
     with open(path, "wb") as file:
         writer = Writer(file)
         writer.start()
-        number = writer.register_schema(name=schema, encoding="jsonschema", data=b'{"type": "object"}')
-        channel = writer.register_channel(topic="/wrist", message_encoding="json", schema_id=number)
-        writer.add_message(channel, log_time=ZERO, data=b"{}", publish_time=ZERO)
+        kind = "jsonschema" if encoding == "json" else "ros2msg"
+        number = writer.register_schema(name=schema, encoding=kind, data=b'{"type": "object"}')
+        channel = writer.register_channel(topic="/wrist", message_encoding=encoding, schema_id=number)
+        writer.add_message(channel, ZERO, b"{}" if encoding == "json" else b"\0\1\0\0", ZERO)
         writer.finish()
-    with pytest.raises(RecordingError, match=r"a\.mcap: /wrist: JSON messages are not read"):
-        open_recording(path)
-    with pytest.raises(RecordingError, match="/wrist: JSON messages are not read"):
+    with pytest.raises(RecordingError, match=rf"a\.mcap.*{said}"):
         streams(path, "mcap")
-
-
-def test_mcap_with_joint_states_alone(tmp_path: Path) -> None:
-    path = tmp_path / "a.mcap"
-    with open(path, "wb") as file:
-        writer = Writer(file)
-        writer.start(profile="ros2")
-        schema = writer.register_schema(name="sensor_msgs/msg/JointState", encoding="ros2msg", data=b"")
-        channel = writer.register_channel(topic="/joint_states", message_encoding="cdr", schema_id=schema)
-        writer.add_message(channel, ZERO, b"\0\1\0\0", ZERO)
-        writer.finish()
-    with pytest.raises(
-        RecordingError, match=r"a\.mcap has no IMU and no skeleton.*sensor_msgs/msg/JointState"
-    ):
-        streams(path, "mcap")
-    assert any(
-        "/joint_states: sensor_msgs/JointState contains angles" in note for note in open_recording(path).notes
-    )
+    if encoding == "json":
+        with pytest.raises(RecordingError, match=rf"a\.mcap: {said}"):
+            open_recording(path)
+    else:
+        assert any("JointState contains angles" in note for note in open_recording(path).notes)
 
 
 def imu_stream(unit: tuple[str, str], labels: list[str], **more: Any) -> dict[str, Any]:
@@ -146,36 +134,24 @@ def test_xdf_without_units(tmp_path: Path, unit: tuple[str, str]) -> None:
     assert_allclose(imu.gyro, turning(1000, 100.0)[2], atol=1e-9)
     assert imu.units == ", ".join(unit)
     assert any("for gyro (it then rotates as gravity does" in note for note in imu.notes)
-
-
-def test_xdf_in_which_nothing_shows_the_unit(tmp_path: Path) -> None:
-    stream = imu_stream(("m/s^2", "rad/s"), ["ax", "ay", "az", "gx", "gy", "gz"])
-    stream["channels"] = [(label, "") for label, _ in stream["channels"]]
-    stream["values"] = np.tile([0.0, 9.81, 0.0, 0.01, 0.0, 0.0], (1000, 1))
-    path = tmp_path / "a.xdf"
+    stream["values"] = np.tile([0.0, 9.81, 0.0, 0.01, 0.0, 0.0], (1000, 1))  # nothing shows the unit
     made.xdf(path, [stream])
     with pytest.raises(RecordingError, match=r"a\.xdf.*unit of gyro is not stated.*and units"):
         streams(path, "xdf")
 
 
 def test_xdf_of_a_sensor_in_two_streams(tmp_path: Path) -> None:
-    t, acc, gyro = turning(1000, 100.0)
-    halves = [
-        {
-            "name": f"Phone {name}",
-            "type": name,
-            "rate": 100,
-            "t_s": t,
-            "values": values,
-            "channels": [("X", unit), ("Y", unit), ("Z", unit)],
-        }
-        for name, unit, values in (("Accelerometer", "m/s^2", acc), ("Gyroscope", "rad/s", gyro))
-    ]
-    path = tmp_path / "a.xdf"
-    made.xdf(path, halves)
-    _, (imu,) = streams(path, "xdf")
-    assert imu.acc is not None
-    assert imu.gyro is not None
+    whole = imu_stream(("m/s^2", "rad/s"), list("XYZXYZ"))
+    made.xdf(
+        tmp_path / "a.xdf",
+        [
+            {**whole, "name": f"Phone {name}", "type": name}
+            | {key: whole[key][rows] for key, rows in (("channels", at), ("values", (slice(None), at)))}
+            for name, at in (("Accelerometer", slice(3)), ("Gyroscope", slice(3, 6)))
+        ],
+    )
+    _, (imu,) = streams(tmp_path / "a.xdf", "xdf")
+    _, acc, gyro = turning(1000, 100.0)
     assert_allclose(imu.acc, acc[: len(imu.acc)], atol=1e-9)
     assert_allclose(imu.gyro, gyro[: len(imu.gyro)], atol=1e-9)
 

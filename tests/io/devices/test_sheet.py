@@ -121,13 +121,6 @@ def test_what_is_no_table_is_one_short_sentence(tmp_path: Path, text: str):
     assert str(error.value).isprintable()
 
 
-def test_a_column_of_words_is_no_number():
-    sheet = read("\n".join(["t,ax,ay,mood"] + [f"{k},1,2,good" for k in range(5)]))
-    with pytest.raises(RecordingError, match=r"line 2: 'good' in column mood is not a number"):
-        sheet.numbers(3)
-    assert sheet.texts(3) == ["good"] * 5
-
-
 @pytest.mark.parametrize(
     "cells, seconds",
     [

@@ -274,19 +274,10 @@ def test_lost_markers_and_files_without_an_arm(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("names", [("RSJC", "REJC", "RWJC"), ("Subject:RShoulder", "RElbow", "RWrist")])
 def test_c3d(tmp_path: Path, names: tuple[str, ...]) -> None:
-    import ezc3d
-
-    points = [made.part(name, FRAMES)[:, [0, 2, 1]] for name in ("RShoulder", "RElbow", "RWrist")]
-    points += [made.part(name, FRAMES)[:, [0, 2, 1]] for name in ("LHip", "Head")]
-    file = ezc3d.c3d()
-    file["parameters"]["POINT"]["UNITS"]["value"] = ["mm"]
-    file["parameters"]["POINT"]["RATE"]["value"] = [30.0]
-    file["parameters"]["POINT"]["LABELS"]["value"] = [*names, "LHip", "Head"]
-    data = np.ones((4, len(points), FRAMES))
-    data[:3] = 1000.0 * np.moveaxis(np.stack(points), 2, 0)
-    file["data"]["points"] = data
-    file.write(str(tmp_path / "a.c3d"))
-    path = (tmp_path / "a.c3d").rename(tmp_path / "any.bin")
+    points = [z_up(made.part(name, FRAMES)) for name in (*RIGHT, "LHip", "Head")]
+    labels = [*names, "LHip", "Head"]
+    path = made.c3d(tmp_path / "a.c3d", 1000 * np.stack(points, axis=1), rate=30.0, labels=labels)
+    path = path.rename(tmp_path / "any.bin")
     (table,) = tables(path, "c3d")
     assert (table.frame, table.units) == (CameraFrame.ZUP, "mm")
     assert_allclose(table.position["wrist_right"], points[2], atol=1e-6)  # single precision of mm
@@ -294,23 +285,11 @@ def test_c3d(tmp_path: Path, names: tuple[str, ...]) -> None:
 
 
 def test_theia_segments_in_c3d(tmp_path: Path) -> None:
-    import ezc3d
-
     labels = ["r_uarm_4X4", "r_larm_4X4", "r_hand_4X4", "pelvis_4X4", "head_4X4", "r_foot_4X4", "l_larm_4X4"]
     names = ["RShoulder", "RElbow", "RWrist", "pelvis", "Head", "RAnkle", "LElbow"]
-    origins = np.stack([made.part(name, FRAMES)[:, [0, 2, 1]] * [1, -1, 1] for name in names])
-    poses = np.tile(np.eye(4)[:, :, None, None], (1, 1, len(names), FRAMES))
-    poses[:3, 3] = 1000 * np.moveaxis(origins, 2, 0)
-    file = ezc3d.c3d()
-    file["parameters"]["POINT"]["UNITS"]["value"] = ["mm"]
-    file["parameters"]["POINT"]["RATE"]["value"] = [60.0]
-    file["parameters"]["POINT"]["LABELS"]["value"] = ["origin"]  # ezc3d writes no file without points
-    file["data"]["points"] = np.ones((4, 1, FRAMES))
-    for name, value in (("USED", [len(names)]), ("RATE", [60.0]), ("RATIO", [1]), ("LABELS", labels)):
-        file.add_parameter("ROTATION", name, value)
-    file["data"]["rotations"] = poses
-    path = tmp_path / "a.c3d"
-    file.write(str(path))
+    origins = [z_up(made.part(name, FRAMES)) for name in names]
+    segments = {label: 1000 * rows for label, rows in zip(labels, origins, strict=True)}
+    path = made.c3d(tmp_path / "a.c3d", np.ones((FRAMES, 1, 3)), rate=60.0, segments=segments)
     (table,) = tables(path, "c3d")
     assert set(table.position) == {"shoulder_right", "elbow_right", "wrist_right", "elbow_left"}
     assert_allclose(table.position["wrist_right"], origins[2], atol=1e-6)  # single precision of mm
