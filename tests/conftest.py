@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import pytest
+from browser import Browser, chromium
 from hypothesis import HealthCheck, settings
 from scenes import SEEDS, Scene, arm, blind, point, recovered
 
@@ -33,3 +36,12 @@ def white_arms() -> list[Scene]:
 def realistic_arms() -> list[Scene]:
     """Joint biases, correlated noise, a late camera, wobble, dropped frames; nothing calibrated."""
     return [blind(arm(seed, "realistic")) for seed in SEEDS]
+
+
+@pytest.fixture(scope="session")
+def browser() -> Iterator[Browser]:
+    if (program := chromium()) is None:
+        pytest.skip("Chromium is not installed (apt install chromium)")
+    opened = Browser(program)
+    yield opened
+    opened.close()

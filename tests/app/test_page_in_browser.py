@@ -12,24 +12,12 @@ from typing import Any
 from urllib.parse import urlsplit
 
 import pytest
-from browser import Browser, chromium
+from browser import Browser
 from local_page import DAY_S, own_table, write_session
 from local_program import Program
 
-pytestmark = pytest.mark.skipif(chromium() is None, reason="Chromium is not installed (apt install chromium)")
-
-
 #: A recovery on a machine that others use, s.
 PATIENCE_S = 400.0
-
-
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Browser]:
-    program = chromium()
-    assert program is not None
-    browser = Browser(program)
-    yield browser
-    browser.close()
 
 
 @pytest.fixture

@@ -1,4 +1,4 @@
-"""`calibrate clock`, `imu`, `magnetometer` as users call them, and every calibration without hardware."""
+"""`calibrate` as users run it, sensors, clocks and panels, and every calibration without hardware."""
 
 from __future__ import annotations
 
@@ -8,53 +8,39 @@ import tomllib
 from dataclasses import replace
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 from commands import done, refused
 from cut_files import cut_before_the_summary
 from scipy.io import wavfile
+from scipy.spatial.transform import Rotation
 
-from calib.file import read_calibration
+from calib.file import CalibrationFile, read_calibration, write_calibration
 from calib.imu import calibrate_imu, imu_answer
+from calib.world import with_gravity
 from smoother.cli.load import load_arm
 from smoother.cli.run import run
 from smoother.config import Config
-from smoother.io import write_recording
+from smoother.errors import RecordingError
+from smoother.io import read_recording, write_recording
 from smoother.io.mcap.messages import nanoseconds
 from smoother.io.recording.read import read_imu
 from smoother.io.recording.streams import ImuSamples, RecordingFile
+from smoother.io.tables.markers import read_positions
 from smoother.linalg import sphere
-from smoother.recording import ImuStream
+from smoother.recording import ImuStream, Recording
 from smoother.simulation import ArmSimulation, simulate_arm
 from smoother.simulation.rig import (
-    SensorModel,
     beep,
-    broadcast,
-    rest_poses,
     simulate_clock_session,
 )
+from smoother.smoothing import smooth
 from smoother.window.priors import with_measured_noise
-
-
-def command(*arguments: object) -> int:
-    return run(["calibrate", "clock", *map(str, arguments)])
 
 
 def pcm(sound: np.ndarray) -> np.ndarray:
     return (sound / np.abs(sound).max() * 30000).astype(np.int16)
-
-
-@pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A beep, and a broadcast's times."""
-    place = tmp_path_factory.mktemp("clocks")
-    wavfile.write(place / "beep.wav", 16000, np.stack([pcm(beep(1)[0]), np.zeros(64000, np.int16)], axis=1))
-    _, heard = broadcast(2, nodes=2)
-    rows = zip(heard.event.tolist(), heard.node, heard.t_s.tolist(), strict=True)
-    (place / "times.csv").write_text(
-        "round,node,t_s\n" + "".join(f"{e},{'base' if n == 'n0' else 'arm'},{t:.7f}\n" for e, n, t in rows)
-    )
-    return place
 
 
 def test_sound_in_a_recording(tmp_path: Path):
@@ -114,46 +100,6 @@ def test_sound_and_broadcast_chain_by_name_or_say_why_not(tmp_path, node: str, g
         assert offset == pytest.approx(12.0, abs=2e-3)
 
 
-def test_refusals(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
-    sound, times = folder / "beep.wav", folder / "times.csv"
-    (tmp_path / "cut.wav").write_bytes(sound.read_bytes()[:30])
-    wavfile.write(tmp_path / "quiet.wav", 16000, np.zeros(16000, np.int16))
-    bad = {
-        "head.csv": "a,b\n1,2\n",
-        "word.csv": "round,node,t_s\n1,a,1.0\n1,b,soon\n",
-        "twice.csv": "round,node,t_s\n1,a,1.0\n1,a,2.0\n",
-        "one.csv": "round,node,t_s\n1,a,1.0\n2,a,2.0\n",
-        "apart.csv": "round,node,t_s\n1,a,1.0\n2,b,2.0\n",
-    }
-    for name, text in bad.items():
-        (tmp_path / name).write_text(text)
-    cases = [
-        ((), 2, "give --sound with --event-time, --broadcast, --motion"),
-        (("--sound", sound), 2, "--sound and --event-time belong together"),
-        (("--sound", sound, "--event-time", 1, "--event-time", 2), 1, "event times given: 2"),
-        (("--sound", tmp_path / "cut.wav", "--event-time", 1), 1, "cut.wav is not a WAV file"),
-        (("--sound", tmp_path / "quiet.wav", "--event-time", 1), 1, "quiet.wav: the sound is silent"),
-        (("--sound", sound, "--event-time", "nan"), 2, "--event-time takes seconds"),
-        (("--sound", sound, "--event-time", 1, "--sound-clocks", "a"), 2, "takes two names"),
-        (("--broadcast", tmp_path / "none.csv"), 1, "none.csv does not exist"),
-        (("--broadcast", tmp_path / "head.csv"), 1, "has none of the columns round, node, t_s"),
-        (("--broadcast", tmp_path / "word.csv"), 1, "word.csv, row 2"),
-        (
-            ("--broadcast", tmp_path / "twice.csv"),
-            1,
-            "a has a second time in round 1 (the first is in row 1)",
-        ),
-        (("--broadcast", tmp_path / "one.csv"), 1, "contains the times of 1 node"),
-        (("--broadcast", tmp_path / "apart.csv"), 1, "no event was received by two clocks"),
-        (("--broadcast", times, "-o", times), 1, "is read by this command"),
-        (("--motion", tmp_path / "none.mcap"), 1, "none.mcap does not exist"),
-    ]
-    for arguments, code, sentence in cases:
-        output = () if "-o" in arguments else ("-o", tmp_path / "c.toml")
-        assert sentence in refused(capsys, "calibrate", "clock", *arguments, *output, code=code)
-    assert not (tmp_path / "c.toml").exists()
-
-
 TOPIC = "/imu/forearm_right"
 
 
@@ -166,30 +112,6 @@ def record(path: Path, *streams: ImuStream) -> Path:
         )
     write_recording(file, path)
     return path
-
-
-def sensor(seed: int = 0) -> SensorModel:
-    return SensorModel.draw(seed, offset=0.5, scale=0.03, cross=0.01)
-
-
-def test_refusals_name_file_and_sensor_and_write_nothing(tmp_path, capsys):
-    out = tmp_path / "cal.toml"
-    eight, _ = rest_poses(sensor(), 8)
-    path = record(tmp_path / "eight.mcap", eight)
-    assert f"eight.mcap, {TOPIC}: the recording contains 8" in refused(
-        capsys, "calibrate", "imu", path, "-o", out
-    )
-    assert "has no magnetometer" in refused(capsys, "calibrate", "magnetometer", path, "-o", out)
-    plane = np.random.default_rng(0).normal(0.0, 0.3, (len(eight), 3))
-    angle = np.linspace(0.0, 30.0, len(eight))
-    plane += 48.0 * np.stack([np.cos(angle), np.sin(angle), 0 * angle], axis=1)
-    flat = record(tmp_path / "flat.mcap", replace(eight, mag=plane))
-    assert "one axis only (its z axis)" in refused(capsys, "calibrate", "magnetometer", flat, "-o", out)
-    two = record(tmp_path / "two.mcap", eight, replace(eight, name="/imu/base"))
-    assert "has several IMUs" in refused(capsys, "calibrate", "imu", two, "-o", out)
-    assert not out.exists()
-    out.write_text('format = "unocclude calibration"\nversion = 1\nimu = [1]\n')
-    assert "[imu.NAME]" in refused(capsys, "calibrate", "imu", path, "-o", out)
 
 
 def test_corrections_are_applied_as_a_recording_is_loaded(tmp_path, capsys):
@@ -338,3 +260,384 @@ def test_missed_receptions_are_told_in_any_spelling(tmp_path):
         done("calibrate", "clock", "--broadcast", path, "--json", path.with_suffix(".json"))
     links = [json.loads(path.with_suffix(".json").read_text())["links"] for path in (plain, spelt)]
     assert links[0] == links[1] and links[0][0]["offset_s"] == pytest.approx(7.0)
+
+
+@pytest.fixture(scope="module")
+def session(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Two poses as files and as a recording."""
+    folder = tmp_path_factory.mktemp("panel")
+    done(
+        "simulate",
+        "panel",
+        "-o",
+        folder / "s",
+        "--set",
+        "poses=2",
+        "--seed",
+        "5",
+        "--mcap",
+        folder / "s.mcap",
+    )
+    return folder
+
+
+def pose(folder: Path, number: int = 1, **other: Path) -> list[str]:
+    """The options of a pose."""
+    files = {what: folder / "s" / f"pose_0{number}_{what}.png" for what in ("depth", "infrared")}
+    files |= {"markers": folder / "s" / f"pose_0{number}_markers.csv", **other}
+    return [part for what, path in files.items() for part in (f"--{what}", str(path))]
+
+
+def known(folder: Path, **other: Path) -> list[str]:
+    """Lens and panel."""
+    files = {"intrinsics": folder / "s" / "intrinsics.toml", "panel": folder / "s" / "panel.toml", **other}
+    return [part for what, path in files.items() for part in (f"--{what}", str(path))]
+
+
+def check(table: dict, folder: Path, degrees: float, metres: float) -> None:
+    truth = tomllib.loads((folder / "s" / "truth.toml").read_text())["camera_from_mocap"]
+    turn = Rotation.from_quat(table["rotation"], scalar_first=True).inv() * Rotation.from_quat(
+        truth["rotation"], scalar_first=True
+    )
+    assert np.degrees(turn.magnitude()) < degrees
+    assert np.linalg.norm(np.subtract(table["translation"], truth["translation"])) < metres
+
+
+def test_files_to_calibration_report_and_json(session: Path, tmp_path: Path, capsys):
+    output, report, figures = tmp_path / "cal.toml", tmp_path / "panel.html", tmp_path / "panel.json"
+    output.write_text('format = "unocclude calibration"\nversion = 1\n[other]\nkept = 1\n')
+    options = [*pose(session, 1), *pose(session, 2), *known(session), "-o", str(output)]
+    command = ["calibrate", "panel", *options, "--report", str(report), "--json", str(figures)]
+    done(*command)
+    said = capsys.readouterr().out
+    assert "verdict: Rotation within" in said and "next: record 4 to 8 poses" in said
+    tables = read_calibration(output).tables
+    table = tables["camera_from_mocap"]
+    assert tables["other"] == {"kept": 1}
+    check(table, session, 0.15, 0.004)  # the mocap's origin is metres away
+    assert table["poses"] == 2 and len(table["residuals"]) == 2 and table["grade"] == "good"
+    assert np.shape(table["covariance"]) == (6, 6)
+    sigma = np.sqrt(np.diag(table["covariance"]))
+    np.testing.assert_allclose(np.degrees(sigma[:3]), table["rotation_sigma_deg"])
+    np.testing.assert_allclose(sigma[3:], table["translation_sigma_m"])
+    check(table["published"], session, 0.6, 0.02)
+    written = json.loads(figures.read_text())
+    assert written["camera_from_mocap"]["rotation"] == table["rotation"]
+    assert written["grade"] == "good"
+    page = report.read_text()
+    for part in (
+        "What to record next",
+        "Camera from mocap",
+        "What stayed open",
+    ):
+        assert part in page
+    assert run(command) == 1  # report and JSON exist
+
+
+def test_a_recording_gives_the_same(session: Path, tmp_path: Path):
+    output, files = tmp_path / "a.toml", tmp_path / "b.toml"
+    panel = known(session)[2:]
+    done("calibrate", "panel", session / "s.mcap", *panel, "-o", output)
+    done("calibrate", "panel", *pose(session, 1), *pose(session, 2), *known(session), "-o", files)
+    one, other = (read_calibration(path).tables["camera_from_mocap"] for path in (output, files))
+    # CSV has whole micrometres
+    np.testing.assert_allclose(one["rotation"], other["rotation"], atol=1e-5)
+    np.testing.assert_allclose(one["translation"], other["translation"], atol=3e-5)
+    cut = tmp_path / "cut.mcap"
+    cut_before_the_summary(session / "s.mcap", cut)
+    json_file = tmp_path / "c.json"
+    done("calibrate", "panel", cut, *panel, "-o", tmp_path / "c.toml", "--json", json_file)
+    assert "ends in the middle" in json.loads(json_file.read_text())["notes"][0]
+
+
+def edited(source: Path, target: Path, *changes: tuple[str, str]) -> Path:
+    text = source.read_text()
+    for old, new in changes:
+        assert old in text
+        text = text.replace(old, new)
+    target.write_text(text)
+    return target
+
+
+def leaves_nothing(options: list[str], folder: Path, capsys, *words: str, picture: bool = False) -> None:
+    """It is refused, and nothing is written but the picture that the sentence names."""
+    output = folder / "out" / "cal.toml"
+    output.parent.mkdir()
+    error = refused(capsys, "calibrate", "panel", *options, "-o", output)
+    assert all(word in error for word in words), error
+    left = [path.name for path in output.parent.iterdir()]
+    assert left == (["cal.seen.png"] if picture else [])
+    if picture:
+        assert "cal.seen.png" in error
+        assert cv2.imread(str(output.parent / "cal.seen.png")).shape[1] >= 1000
+
+
+def covered(session: Path, target: Path, pixel: np.ndarray) -> Path:
+    """The infrared image with a marker painted over in the panel's own shade."""
+    image = cv2.imread(str(session / "s" / "pose_01_infrared.png"), cv2.IMREAD_UNCHANGED)
+    x, y = np.rint(pixel).astype(int)
+    shade = int(np.median(image[y - 15 : y + 15, x - 15 : x + 15]))
+    cv2.circle(image, (int(x), int(y)), 7, shade, -1)
+    cv2.imwrite(str(target), image)
+    return target
+
+
+def marker_pixels(session: Path) -> np.ndarray:
+    truth = tomllib.loads((session / "s" / "truth.toml").read_text())
+    return np.array(truth["pose"]["01"]["marker_pixels"])
+
+
+def no_depth(session: Path, target: Path) -> Path:
+    """The depth image without any under the panel."""
+    depth = cv2.imread(str(session / "s" / "pose_01_depth.png"), cv2.IMREAD_UNCHANGED)
+    x, y = marker_pixels(session).mean(axis=0).astype(int)
+    depth[max(0, y - 150) : y + 150, max(0, x - 150) : x + 150] = 0
+    cv2.imwrite(str(target), depth)
+    return target
+
+
+def three_markers(session: Path, target: Path) -> Path:
+    target.write_text("marker,x,y,z\na,0,0,0\nb,1,0,0\nc,0,1,0\n")
+    return target
+
+
+def grey(session: Path, target: Path) -> Path:
+    cv2.imwrite(str(target), np.zeros((424, 512), np.uint8))
+    return target
+
+
+MIRRORED = (("0.35]", "-0.35]"), ("[[-0.05, -0.05], [0.55, 0.4]]", "[[-0.05, -0.40], [0.55, 0.05]]"))
+#: What is wrong: the option, how its file is made, and the words of the refusal.
+WRONG = {
+    "mirrored": ("panel", lambda s, to: edited(s / "s/panel.toml", to, *MIRRORED), ["mirror image"]),
+    "size": (
+        "intrinsics",
+        lambda s, to: edited(s / "s/intrinsics.toml", to, ("width = 512", "width = 640")),
+        ["512 x 424", "640 x 424"],
+    ),
+    "spots": ("infrared", lambda s, to: covered(s, to, marker_pixels(s)[1]), ["three bright spots"]),
+    "depth": ("depth", no_depth, ["depth is missing under the panel"]),
+    "markers": ("markers", three_markers, ["3 mocap markers"]),
+    "no image": ("depth", lambda s, _: s / "s/panel.toml", ["panel.toml", "not an image"]),
+    "8 bit": ("depth", grey, ["16 bit"]),
+    "definition": (
+        "panel",
+        lambda s, to: edited(s / "s/panel.toml", to, (", [0.0, 0.35]", "")),
+        ["panel.markers"],
+    ),
+}
+
+
+@pytest.mark.parametrize("case", WRONG)
+def test_what_is_wrong_with_a_file(session: Path, tmp_path: Path, capsys, case: str):
+    option, made, words = WRONG[case]
+    ending = {"panel": "toml", "intrinsics": "toml", "markers": "csv"}.get(option, "png")
+    file = {option: made(session, tmp_path / f"x.{ending}")}
+    of_pose = option in ("depth", "infrared", "markers")
+    options = [*pose(session, **(file if of_pose else {})), *known(session, **({} if of_pose else file))]
+    leaves_nothing(options, tmp_path, capsys, *words, picture=case == "spots")
+
+
+def test_markers_of_a_file_that_people_make(tmp_path: Path):
+    path = tmp_path / "m.csv"
+    path.write_bytes(b"\xef\xbb\xbfmarker, x, y ,z, note\r\n C , 1e-1,0.2,-3, x\r\nlost,,,,\r\nA,1,2,3,\r\n")
+    found = read_positions(path)
+    assert list(found) == ["C", "A"]
+    np.testing.assert_allclose(found["C"], [0.1, 0.2, -3])
+    path.write_text("marker,x,y,z\na,,,\n")
+    with pytest.raises(RecordingError, match="no rows"):
+        read_positions(path)
+
+
+def test_markers_over_time(tmp_path: Path):
+    path = tmp_path / "m.trc"
+
+    def write(walk_mm: float) -> None:
+        head = [
+            "PathFileType\t4\t(X/Y/Z)\tm.trc",
+            "DataRate\tCameraRate\tNumFrames\tNumMarkers\tUnits\tOrigDataRate\tOrigDataStartFrame\tOrigNumFrames",
+            "100\t100\t50\t2\tmm\t100\t1\t50",
+            "Frame#\tTime\tP1\t\t\tP2\t\t",
+            "\t\tX1\tY1\tZ1\tX2\tY2\tZ2",
+            "",
+        ]
+        rows = [
+            f"{i + 1}\t{i / 100:.2f}\t{100 + (-1) ** i}\t200\t300\t{400 + walk_mm * i}\t500\t600"
+            for i in range(50)
+        ]
+        path.write_text("\n".join([*head, *rows, ""]))
+
+    write(0.0)
+    found = read_positions(path)
+    np.testing.assert_allclose(found["P1"], [0.1, 0.2, 0.3], atol=1e-9)
+    write(1.0)
+    with pytest.raises(RecordingError, match="P2 moved by"):
+        read_positions(path)
+
+
+FROM_OPTICAL = np.diag([-1.0, -1.0, 1.0])
+
+
+def matrix(table: dict) -> np.ndarray:
+    return Rotation.from_quat(np.roll(table["rotation"], -1)).as_matrix()
+
+
+def degrees(R: np.ndarray) -> float:
+    return float(np.degrees(Rotation.from_matrix(R).magnitude()))
+
+
+@pytest.fixture(scope="module")
+def world_session(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Five poses, the camera turned between them."""
+    folder = tmp_path_factory.mktemp("world")
+    arguments = ["--set", "poses=5", "--seed", "21", "--set", "camera_tilt_deg=30", "--set", "tilt_deg=15,38"]
+    done = run(["simulate", "panel", "-o", str(folder / "s"), "--mcap", str(folder / "s.mcap"), *arguments])
+    assert done == 0
+    return folder
+
+
+def files(world_session: Path, numbers: range) -> list[str]:
+    arguments = ["--intrinsics", str(world_session / "s/intrinsics.toml")]
+    for number in numbers:
+        pose = world_session / f"s/pose_{number:02d}"
+        for option, ending in (
+            ("--depth", "depth.png"),
+            ("--infrared", "infrared.png"),
+            ("--panel-imu", "imu_panel.csv"),
+            ("--base-imu", "imu_base.csv"),
+        ):
+            arguments += [option, f"{pose}_{ending}"]
+    return arguments
+
+
+@pytest.mark.slow
+def test_recording_gives_camera_from_base_and_the_mounting(world_session: Path, tmp_path: Path, capsys):
+    cal, figures = tmp_path / "cal.toml", tmp_path / "world.json"
+    write_calibration(cal, CalibrationFile().with_table("kept", {"value": 1}))
+    panel = ["--panel", str(world_session / "s/panel.toml")]
+    command = [
+        "calibrate",
+        "world",
+        str(world_session / "s.mcap"),
+        *panel,
+        "-o",
+        str(cal),
+        "--json",
+        str(figures),
+    ]
+    page = tmp_path / "world.html"
+    done(*command, "--report", page)
+    said, text = capsys.readouterr().out, page.read_text(encoding="utf-8")
+    assert "Camera from base" in text
+    assert run([*command, "--report", str(page)]) == 1  # the page is there already
+    assert "--force" in capsys.readouterr().err
+    truth = tomllib.loads((world_session / "s/truth.toml").read_text())
+    tables = read_calibration(cal).tables
+    assert degrees(matrix(tables["camera_from_base"]) @ matrix(truth["camera_from_base"]).T) < 0.4
+    assert degrees(matrix(tables["panel_from_imu"]).T @ matrix(truth["panel_from_imu"])) < 0.4
+    assert tables["kept"] == {"value": 1}
+    assert tables["world"]["heading"] == "known" and tables["world"]["poses"] == 5
+    assert tables["world"]["verdict"] in said and "verdict:" in said
+    assert json.loads(figures.read_text())["grade"] == tables["world"]["grade"]
+
+
+@pytest.mark.slow
+def test_what_is_wrong_is_one_sentence_and_no_file(world_session: Path, tmp_path: Path, capsys):
+    cal, panel = tmp_path / "cal.toml", ["--panel", str(world_session / "s/panel.toml")]
+    short = tmp_path / "short.csv"
+    short.write_text("t_s,ax,ay,az,gx,gy\n0,0,0,9.8,0,0\n")
+    one = files(world_session, range(1, 2))
+    wrong = [*one[:-1], str(short)]
+    for arguments, code, words in (
+        ([str(world_session / "s.mcap"), "--base-topic", "nothing"], 1, "no IMU fits"),
+        (
+            [str(world_session / "s.mcap"), "--base-topic", "panel"],
+            1,
+            "cannot be on the panel and on the camera",
+        ),
+        ([*one, "--depth", one[3]], 2, "alike often"),
+        (one[2:], 2, "--intrinsics"),
+        (wrong, 1, "gz"),
+        ([], 2, "once per pose"),
+    ):
+        assert words in refused(capsys, "calibrate", "world", *arguments, *panel, "-o", cal, code=code)
+    assert not cal.exists()
+
+
+@pytest.fixture(scope="module")
+def still() -> tuple[Recording, np.ndarray, np.ndarray]:
+    """An arm that hangs still before a camera with a base IMU; down in the camera; R_K_B (optical)."""
+    arm = simulate_arm(ArmSimulation.preset("realistic", protocol="hang", duration_s=12, still_all=True), 1)
+    down = np.asarray(arm.parameters["gravity"]) / 9.81
+    R_K_B = Rotation.from_rotvec([0.3, -1.2, 2.0]).as_matrix()
+    rng = np.random.default_rng(5)
+    t_s = np.arange(0.5, 1100) / 100
+    acc = -9.81 * (R_K_B.T @ FROM_OPTICAL @ down) + 0.03 * rng.normal(size=(len(t_s), 3))
+    base = ImuStream("/imu/base", t_s, acc, 0.002 * rng.normal(size=(len(t_s), 3)))
+    return replace(arm.recording, base_imu=base), down, R_K_B
+
+
+def known_to(R_K_B: np.ndarray, sigma_deg: float, off_deg: float) -> CalibrationFile:
+    off = Rotation.from_rotvec(np.radians([off_deg, 0, 0])).as_matrix()
+    q = np.roll(Rotation.from_matrix(off @ R_K_B).as_quat(), 1)
+    table = {"rotation": q.tolist(), "rotation_sigma_deg": [sigma_deg] * 3}
+    return CalibrationFile().with_table("camera_from_base", table)
+
+
+def angle(a: np.ndarray, b: np.ndarray) -> float:
+    return float(np.degrees(np.arccos(a @ b / np.linalg.norm(a) / np.linalg.norm(b))))
+
+
+@pytest.mark.slow
+def test_a_base_imu_keeps_the_tilt_of_a_still_recording(still):
+    recording, down, R_K_B = still
+    without = smooth(recording)
+    told = with_gravity(recording, known_to(R_K_B, 0.2, 0.2))
+    assert angle(told.gravity_hint, down) < 0.3
+    assert 0.2 < np.degrees(told.gravity_sigma_rad) < 0.5
+    assert any("base IMU" in note for note in told.notes)
+    tilt = angle(smooth(told).gravity_direction, down)
+    assert tilt < 0.5 and tilt < 0.2 * angle(without.gravity_direction, down)
+
+
+def test_smooth_takes_it_through_the_files(still, tmp_path: Path):
+    recording, down, R_K_B = still
+    rec, cal, out = tmp_path / "rec.mcap", tmp_path / "cal.toml", tmp_path / "out.mcap"
+    write_recording(recording, rec)
+    assert read_recording(rec).base_imu is not None
+    write_calibration(cal, known_to(R_K_B, 0.2, 0.1))
+    from smoother.io import read_recovery
+
+    done("smooth", rec, "-o", out, "--calibration", cal, "--draws", "0")
+    assert angle(read_recovery(out)[0].gravity_direction, down) < 0.5
+
+
+def test_a_free_heading_costs_where_the_camera_stands_otherwise(still):
+    """Gravity is sure where the camera stands as in the poses, unsure where it is tilted elsewhere."""
+    recording, down, R_K_B = still
+    up = -FROM_OPTICAL @ down
+    free = np.zeros((6, 6))
+    free[:3, :3] = np.radians(60) ** 2 * np.outer(up, up) + np.radians(0.1) ** 2 * np.eye(3)
+    file = known_to(R_K_B, 0.1, 0.0)
+    file.tables["camera_from_base"]["covariance"] = free.tolist()
+    here = with_gravity(recording, file)
+    assert np.degrees(here.gravity_sigma_rad) < 0.4
+    tilted = Rotation.from_rotvec(np.radians(20) * np.cross(up, [0, 0, 1])).as_matrix()
+    base = replace(recording.base_imu, acc=recording.base_imu.acc @ (R_K_B.T @ tilted @ R_K_B).T)
+    assert np.degrees(with_gravity(replace(recording, base_imu=base), file).gravity_sigma_rad) > 5
+
+
+def test_a_base_imu_that_cannot_be_used_is_told(still):
+    recording, _, R_K_B = still
+    file = known_to(R_K_B, 0.2, 0.0)
+    assert with_gravity(recording, CalibrationFile()) is recording
+    assert with_gravity(replace(recording, base_imu=None), file).gravity_sigma_rad is None
+    odd = with_gravity(replace(recording, camera_frame=None), file)
+    assert odd.gravity_sigma_rad is None and "are unknown" in odd.notes[-1]
+    newer = file.with_table(
+        "imu", {"base": {"accelerometer": {"offset": [0.1, 0, 0], "matrix": np.eye(3).tolist()}}}
+    )
+    assert "calibrate world" in with_gravity(recording, newer).notes[-1]
+    file.tables["camera_from_base"]["rotation"] = [1, 1, 0, 0]
+    with pytest.raises(Exception, match="unit quaternion"):
+        with_gravity(recording, file)

@@ -14,7 +14,6 @@ from made_measures import made_measures, study_row, write_study
 from measured_arms import simulated, with_draws
 
 import smoother
-from smoother.cli.run import run
 from smoother.io import read_recovery, write_recovery
 from smoother.recording import Recording
 from smoother.result import Estimates
@@ -95,10 +94,6 @@ def study(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return write_study(tmp_path_factory.mktemp("study") / "out", rows)
 
 
-def command(*arguments: object) -> int:
-    return run(["progress", *map(str, arguments)])
-
-
 def test_what_changed_is_printed_and_written(study: Path, tmp_path: Path, capsys: Capture):
     done(
         *("progress", study, "--person", "p1", "--json", tmp_path / "p.json", "--csv", tmp_path / "p.csv"),
@@ -118,31 +113,6 @@ def test_what_changed_is_printed_and_written(study: Path, tmp_path: Path, capsys
     assert [row["session"] for row in rows] == ["s0", "s1", "s2"]
     assert rows[0]["change"] == "" and float(rows[2]["change"]) == pytest.approx(last["difference"], rel=1e-5)
     assert "p1" in (tmp_path / "p.html").read_text(encoding="utf-8")
-
-
-def test_all_persons_and_a_cell_that_is_no_formula(study: Path, tmp_path: Path, capsys: Capture):
-    done("progress", study, "--csv", tmp_path / "p.csv")
-    printed = capsys.readouterr().out
-    assert "--- p1: 3 sessions" in printed and "--- =p2: 3 sessions" in printed
-    with open(tmp_path / "p.csv", encoding="utf-8", newline="") as file:
-        persons = {row["person"] for row in csv.DictReader(file)}
-    assert persons == {"p1", "'=p2"}
-
-
-def test_a_minimal_detectable_change_of_the_user(study: Path, tmp_path: Path, capsys: Capture):
-    (tmp_path / "mdc.toml").write_text(f"[mdc95]\n{FLEXION} = 60\n")
-    done("progress", study, "--person", "p1", "--measure", FLEXION, "--mdc", tmp_path / "mdc.toml")
-    printed = capsys.readouterr().out
-    assert "clearly more" not in printed
-    assert "larger than its interval but not than the minimal detectable change" in " ".join(printed.split())
-
-
-def test_a_study_in_which_nothing_can_be_compared(tmp_path: Path, capsys: Capture):
-    rows = [study_row("p/s1.mcap", [made_measures(trusted=False)]), study_row("p/s2.mcap", [made_measures()])]
-    folder = write_study(tmp_path / "out", rows)
-    done("progress", folder, "--report", tmp_path / "p.html")
-    printed = capsys.readouterr().out
-    assert "one session only" in printed and "not to be trusted" in printed
 
 
 @pytest.fixture(scope="module")
@@ -172,8 +142,3 @@ def test_reliability_gives_the_detectable_change(repeated: Path, tmp_path: Path,
     person = json.loads((tmp_path / "m.json").read_text())["persons"][0]
     change = next(each for each in person["measures"] if each["key"] == FLEXION)["changes"][0]
     assert change["mdc95"] == pytest.approx(flexion["sdc"])
-
-
-def test_reliability_of_one_person_is_refused(repeated: Path, capsys: Capture):
-    said = refused(capsys, "progress", repeated, "--reliability", "--person", "p0")
-    assert "--reliability needs 3 persons with two sessions each" in said

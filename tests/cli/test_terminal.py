@@ -1,22 +1,32 @@
-"""What commands print: tables, short sentences, what they say about bad input and odd names."""
+"""How commands print and end: tables, odd names, closed streams, signals, without a reader; the viewer."""
 
 from __future__ import annotations
 
+import errno
+import io
+import json
 import os
 import re
+import signal
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import numpy as np
 import pytest
+from commands import done
+from results import made
 from rich.console import Console
 
 from calib.motion import known_to
+from smoother import smooth
+from smoother.cli import export as viewer
 from smoother.cli import output
 from smoother.cli.output import say, show
 from smoother.cli.run import run
-from smoother.io import open_recording, write_recording
+from smoother.errors import SolveError, UnoccludeError
+from smoother.io import open_recording, read_recording, write_recording, write_recovery
 from smoother.runtime.printable import printable
 from smoother.simulation import ArmSimulation, simulate_arm
 from smoother.table import Table
@@ -192,3 +202,162 @@ def test_an_array_with_objects_is_refused(tmp_path: Path):
     ]
     assert run(arguments) == 1
     assert not (tmp_path / "ran").exists()
+
+
+UNOCCLUDE = [sys.executable, "-c", "from smoother.cli import main; main()"]
+
+
+def test_what_nobody_reads_does_not_cost_the_result(tmp_path: Path):
+    """`cut .. | head`: the reader is gone before the first word is printed."""
+    output = tmp_path / "part.mcap"
+    words = [*UNOCCLUDE, "cut", str(DEMO), "--from", "10", "--to", "15", "-o", str(output)]
+    reader, writer = os.pipe()
+    os.close(reader)
+    done = subprocess.run(words, stdout=writer, stderr=subprocess.PIPE, text=True, timeout=120)
+    os.close(writer)
+    assert (done.returncode, done.stderr) == (0, "") and output.is_file()
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("import", "formats"),
+        ("import", "describe", "{folder}"),
+        ("import", "describe", "{folder}/one.csv"),
+        ("config",),
+        ("simulate", "arm", "-o", "{folder}/arm.mcap", "--set", "protocol=random", "--set", "duration_s=2"),
+        ("simulate", "people", "-o", "{folder}/people.mcap", "--set", "duration_s=2"),
+        ("repair", str(DEMO), "-o", "{folder}/whole.mcap"),
+    ],
+    ids=" ".join,
+)
+def test_figures_are_written_before_anything_is_printed(words: tuple[str, ...], tmp_path: Path, monkeypatch):
+    class Full(io.StringIO):
+        def write(self, text: str) -> int:
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    rows = (f"{k / 100},0.1,0.2,9.8,0.01,0.02,0.03\n" for k in range(50))
+    (tmp_path / "one.csv").write_text("t,ax,ay,az,gx,gy,gz\n" + "".join(rows))
+    monkeypatch.setattr(sys, "stdout", Full())
+    figures = tmp_path / "figures.json"
+    assert run([*(word.format(folder=tmp_path) for word in words), "--json", str(figures)]) == 1
+    assert json.loads(figures.read_text())
+
+
+@pytest.mark.skipif(os.name != "posix", reason="signals are POSIX'")
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_waits_for_an_import(tmp_path: Path, number: int):
+    """A library that is interrupted while it loads says "initialization failed", or is taken for missing."""
+    (tmp_path / "slow_library.py").write_text(
+        "import os, time\n"
+        f"os.kill(os.getpid(), {int(number)})\n"
+        "try:\n    time.sleep(0.3)\n"
+        "except KeyboardInterrupt as error:\n    raise ImportError('initialization failed') from error\n"
+        "print('loaded')\n"
+    )
+    code = (
+        "import sys, time, smoother.cli.app as app\nfrom smoother.cli import main\n"
+        "def command(*_, **__):\n    import slow_library\n    time.sleep(5)\n"
+        "app.app = command\nmain()"
+    )
+    path = os.pathsep.join([str(tmp_path), str(DEMO.parents[1])])
+    begin = time.monotonic()
+    done = subprocess.run(
+        [sys.executable, "-c", code],
+        capture_output=True,
+        text=True,
+        env={**os.environ, "PYTHONPATH": path},
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
+        timeout=60,
+    )
+    assert done.stdout == "loaded\n" and done.returncode == 1
+    assert done.stderr == "unocclude: interrupted; no output is left half written\n"
+    assert time.monotonic() - begin < 30
+
+
+@pytest.mark.parametrize(("factor", "unit"), [(1000, "millimetres"), (100, "centimetres")])
+def test_a_wrong_unit_is_named(factor: int, unit: str):
+    from dataclasses import replace
+
+    recording = read_recording(DEMO)
+    arm = replace(recording.arm, position=recording.arm.position * factor)
+    with pytest.raises(SolveError, match=f"they seem to be {unit}: divide them by {factor}"):
+        smooth(replace(recording, arm=arm))
+
+
+def test_a_result_against_its_own_export_says_so():
+    from arms import make_recording, make_recovery
+
+    from smoother.evaluation.validate import validate
+    from smoother.recording import Truth
+
+    recovery = make_recovery(make_recording())
+    own = Truth(recovery.t_s, recovery.position, recovery.quaternion, recovery.answered)
+    said = "The reference is this result itself"
+    assert any(note.startswith(said) for note in validate(recovery, own).notes)
+    other = Truth(recovery.t_s, recovery.position + 0.003, recovery.quaternion, recovery.answered)
+    assert not any(note.startswith(said) for note in validate(recovery, other).notes)
+
+
+def test_the_demo_knows_no_true_lever_arms(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    """It recovers as a user's own first recording is recovered."""
+    given: list[object] = []
+
+    def stop(recordings: object, name: object, calibrations: object, *_: object) -> None:
+        given.append(calibrations)
+        raise UnoccludeError("enough")
+
+    monkeypatch.setattr("smoother.cli.smooth.recover_arms", stop)
+    assert run(["demo", "-o", str(tmp_path / "demo")]) == 1 and given == [[None]]
+
+
+@pytest.fixture
+def result(tmp_path) -> Path:
+    write_recovery(made("right"), tmp_path / "out.mcap")
+    return tmp_path / "out.mcap"
+
+
+@pytest.fixture
+def needs_rerun():
+    pytest.importorskip("rerun", reason="rerun-sdk, the extra `view`, is not installed")
+
+
+def test_the_viewer_binds_to_the_loopback_address(needs_rerun):
+    arguments = viewer.window(Path("a.rrd"))
+    assert arguments[arguments.index("--bind") + 1] == "127.0.0.1"
+    assert Path(arguments[0]).is_file()
+    assert arguments[-1] == "a.rrd"
+
+
+def test_the_viewer_speaks_to_nobody_else(monkeypatch):
+    monkeypatch.setenv("FORCE_RERUN_ANALYTICS", "1")
+    monkeypatch.setenv("https_proxy", "http://proxy.example:3128")
+    monkeypatch.delenv("CI", raising=False)
+    variables = viewer.environment()
+    assert variables["CI"] == "true"
+    assert "FORCE_RERUN_ANALYTICS" not in variables
+    ways_out = {value for name, value in variables.items() if name.lower() in ("https_proxy", "all_proxy")}
+    assert ways_out == {"http://127.0.0.1:9"}
+    assert variables["NO_PROXY"] == "127.0.0.1,localhost"
+    assert variables["PATH"] == os.environ["PATH"]
+
+
+def test_a_file_is_shown_and_goes(needs_rerun, result, monkeypatch):
+    shown = []
+
+    def show(arguments):
+        file = Path(arguments[-1])
+        shown.append((file, file.stat().st_size))
+
+    monkeypatch.setattr(viewer, "show_window", show)
+    done("view", result)
+    ((file, size),) = shown
+    assert file.name == "out.rrd"
+    assert size > 10_000
+    assert not file.exists()
+
+
+def test_a_viewer_that_fails_says_why():
+    with pytest.raises(UnoccludeError, match="no display here"):
+        viewer.show_window([sys.executable, "-c", "print('no display here'); raise SystemExit(3)"])
+    viewer.show_window([sys.executable, "-c", "print('all is well')"])

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from arms import LEVERS, make_recording, make_recovery, make_truth, path, turn
+from arms import make_joint_truth, make_recording, make_recovery, make_truth
 from commands import done
 
 from smoother.cli.run import run
@@ -26,17 +26,10 @@ from smoother.evaluation.statistics import detectable_change
 from smoother.evaluation.validate import validate
 from smoother.measures import Movement
 from smoother.measures.definitions import zone_key
-from smoother.recording import Truth
 from smoother.result import Draws
 from smoother.runtime.printable import plain
 
 FLEXION = "elbow_flexion_range_deg"
-
-
-def with_joints(t: np.ndarray) -> Truth:
-    truth = make_truth(t)
-    joints = {name: path(t) + turn(t).apply(lever) for name, lever in LEVERS.items()}
-    return replace(truth, joints={**joints, "shoulder": np.tile([0.0, 0.3, 2.1], (len(t), 1))})
 
 
 def pair(recording: str, value: float, reference: float, **more: object) -> MeasurePair:
@@ -48,7 +41,7 @@ def pair(recording: str, value: float, reference: float, **more: object) -> Meas
 
 class TestOneRecording:
     def test_the_same_motion_has_the_same_measures(self):
-        found = validate(make_recovery(make_recording()), with_joints(np.arange(0, 20, 0.0125))).measures
+        found = validate(make_recovery(make_recording()), make_joint_truth(np.arange(0, 20, 0.0125))).measures
         assert found is not None and len(found.pairs) > 20
         for one in found.pairs:
             if one.key.startswith(("elbow_flexion", "hand_path_length", "sparc", "shoulder_elevation_range")):
@@ -56,7 +49,7 @@ class TestOneRecording:
         assert any("no draws" in note for note in found.notes)
 
     def test_samples_without_truth_are_in_neither(self):
-        truth = with_joints(np.arange(0, 20, 0.0125))
+        truth = make_joint_truth(np.arange(0, 20, 0.0125))
         bent = (truth.t_s > 5) & (truth.t_s < 12)
         wrong = {name: np.where(bent[:, None], np.nan, place) for name, place in truth.joints.items()}
         recovery = make_recovery(make_recording())
@@ -77,7 +70,7 @@ class TestOneRecording:
         rng = np.random.default_rng(0)
         slow = 0.01 * rng.normal(size=(30, 1, 3)) * np.ones((1, len(t), 1))
         draws = Draws(t, 0, slow, np.zeros_like(slow), {"wrist": slow, "hand": slow})
-        found = validate(replace(recovery, draws=draws), with_joints(np.arange(0, 20, 0.0125))).measures
+        found = validate(replace(recovery, draws=draws), make_joint_truth(np.arange(0, 20, 0.0125))).measures
         assert found is not None
         flexion = next(one for one in found.pairs if one.key == FLEXION)
         assert flexion.low < flexion.high and flexion.inside is True

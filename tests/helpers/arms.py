@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from scipy.spatial.transform import Rotation
 
@@ -26,6 +28,13 @@ def turn(t: np.ndarray) -> Rotation:
 def make_truth(t: np.ndarray) -> Truth:
     score = np.ones(len(t), dtype=bool)
     return Truth(t, path(t), turn(t).as_quat(scalar_first=True), score)
+
+
+def make_joint_truth(t: np.ndarray) -> Truth:
+    """With the joints of `make_recovery` too."""
+    joints = {name: path(t) + turn(t).apply(lever) for name, lever in LEVERS.items()}
+    joints["shoulder"] = np.tile([0.0, 0.3, 2.1], (len(t), 1))
+    return replace(make_truth(t), joints=joints)
 
 
 def make_recording(

@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 from made_measures import made_measures, study_row, write_study
 from results import made
+from scipy.io import wavfile
 
 from smoother.io import open_recording, write_recording, write_recovery
 from smoother.simulation import ArmSimulation, simulate_arm
+from smoother.simulation.rig import beep
 
 _FLEXION = "elbow_flexion_range_deg"
 _FEW = {"agreement": {"session": {_FLEXION: {"mdc95": None, "pairs": 1}}}, "pairs": []}
@@ -33,6 +37,18 @@ _TEXTS = {
     "broken.json": "{",
     "other.json": '{"all": {}}',
     "few.json": json.dumps({"measures": _FEW}),
+    "first.txt": "a.csv\n",
+    "second.txt": "p1/a.mcap\nb.mcap\tx\ty\n",
+    "nothing.txt": "# nothing\n",
+    "head.csv": "a,b\n1,2\n",
+    "word.csv": "round,node,t_s\n1,a,1.0\n1,b,soon\n",
+    "twice.csv": "round,node,t_s\n1,a,1.0\n1,a,2.0\n",
+    "one.csv": "round,node,t_s\n1,a,1.0\n2,a,2.0\n",
+    "apart.csv": "round,node,t_s\n1,a,1.0\n2,b,2.0\n",
+    "sensors.toml": 'format = "unocclude calibration"\nversion = 1\nimu = [1]\n',
+    "sigma.toml": "[sigma]\n",
+    "factor.toml": "[sigma]\ngaps = [{length_s = 1.0, factor = -1.0, count = 3}]\n",
+    "factors.toml": "[sigma]\ngaps = [" + "{length_s = 1, factor = 2, count = 3}, " * 2 + "]\n",
     "panel.toml": "[panel]\nmarkers = [[0, 0], [1, 0], [2, 0], [3, 0]]\nextent = [[-1, -1], [4, 1]]\n",
 }
 
@@ -54,9 +70,15 @@ def bad_inputs(folder: Path) -> None:
     file = open_recording(good)
     imus, file.imus = file.imus, []
     write_recording(file, folder / "no_imu.mcap")
+    file.imus = [*imus, replace(imus[0], topic="/imu/base")]
+    write_recording(file, folder / "two_imus.mcap")
     file.imus, file.arms = imus, []
     write_recording(file, folder / "no_joints.mcap")
     write_recovery(made(), folder / "result.mcap")
+    sound = beep(1)[0]
+    wavfile.write(folder / "good.wav", 16000, (sound / np.abs(sound).max() * 30000).astype(np.int16))
+    wavfile.write(folder / "silent.wav", 16000, np.zeros(16000, np.int16))
+    (folder / "cut.wav").write_bytes((folder / "good.wav").read_bytes()[:30])
     sessions = [(person, n) for person in ("p1", "=p2") for n in range(3)]
     write_study(
         folder / "study",

@@ -10,9 +10,12 @@ from typing import Any
 
 import numpy as np
 
+from smoother.evaluation.progress import PersonProgress
 from smoother.measures import Measure, Measures, Movement
 from smoother.measures.definitions import definition_of
 from smoother.study.folder import COLUMNS, StudyFolder, measure_rows, schema
+from smoother.study.inputs import SessionEntry
+from smoother.study.progress import progress_of
 
 #: A sound arm, and the standard deviation with which each measure is known.
 ARM: dict[str, tuple[float, float]] = {
@@ -114,3 +117,20 @@ def write_study(path: Path, rows: Sequence[dict[str, Any]]) -> Path:
         pa.Table.from_pylist(list(rows), schema=schema()), path / "results" / "rows-1.parquet"
     )
     return path
+
+
+def person(
+    sessions: int = 4, arms: Sequence[str] = ("right",), name: str = "p12", draws: bool = True
+) -> PersonProgress:
+    """A person whose elbow bends more every time."""
+    rng = np.random.default_rng(0)
+    attended = {
+        f"{name}/s{n}.mcap": SessionEntry(f"{name}/s{n}.mcap", name, f"s{n}", "", 14.0 * n)
+        for n in range(sessions)
+    }
+    rows = []
+    for n, path in enumerate(attended):
+        more = {"rng": rng, "draws": draws, "change": {"elbow_flexion_range_deg": 10.0 * n}}
+        rows.append(study_row(path, [made_measures(side, **more) for side in arms]))
+    (progress,) = progress_of(rows, attended)
+    return progress

@@ -7,12 +7,16 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from made_measures import made_measure, made_measures, person
 from scipy.io import wavfile
 
 from smoother.cli.run import run
 from smoother.io import write_recording
 from smoother.io.mcap.messages import nanoseconds
 from smoother.io.recording.streams import ImuSamples, RecordingFile
+from smoother.measures import BothArms
+from smoother.measures.symmetry import COMPARED
+from smoother.report.pages import measures_page, progress_page
 from smoother.simulation import ArmSimulation, simulate_arm
 from smoother.simulation.rig import SensorModel, beep, broadcast, magnetometer_turns, rest_poses
 
@@ -144,8 +148,36 @@ def study(folder: Path, name: str = HOSTILE_NAME) -> Path:
     return folder / "study" / "report.html"
 
 
+#: What people and devices call something, as long as a line.
+LONG_NAME = f"{HOSTILE_NAME} that takes a whole line of the page to say"
+
+
+def measures(folder: Path) -> Path:
+    """Both arms with many movements and notes."""
+    notes = tuple(f"{LONG_NAME}, number {n}" for n in range(9))
+    about = {"movements": 40, "notes": notes, "name": LONG_NAME, "verdict": LONG_NAME}
+    left, right = (made_measures(side, **about) for side in ("left", "right"))
+    compared = (key for key in COMPARED if key in left.by_key)
+    symmetry = tuple(made_measure(f"{key}_symmetry_percent", -100.4, 12.2) for key in compared)
+    measures_page([left, right], [BothArms(left, right, symmetry)]).write(folder / "measures.html")
+    return folder / "measures.html"
+
+
+def progress(folder: Path) -> Path:
+    """Forty sessions of both arms."""
+    whole = person(40, ("left", "right"), LONG_NAME)
+    series = tuple(replace(each, task=HOSTILE_NAME) for each in whole.series)
+    notes = tuple(f"{LONG_NAME}, number {n}" for n in range(9))
+    told = replace(whole, series=series, left_out=(HOSTILE_NAME,), notes=notes)
+    progress_page(told).write(folder / "progress.html")
+    return folder / "progress.html"
+
+
 #: By the name of the command whose page it is.
 PAGES: dict[str, Callable[[Path], Path]] = {
     page.__name__: page
-    for page in (*(smooth, validate, gaps, compare, panel, world, forearm, imu, magnetometer, clock, study),)
+    for page in (
+        *(smooth, validate, gaps, compare, panel, world, forearm, imu, magnetometer, clock, study),
+        *(measures, progress),
+    )
 }

@@ -1,28 +1,40 @@
-"""The page: self-contained, whole, there for odd results, compared, drawn and exported."""
+"""The page: self-contained, there for odd results, what it says, red where nothing is to be trusted."""
 
 from __future__ import annotations
 
+import json
+import math
 import re
 from dataclasses import replace
 from html.parser import HTMLParser
+from importlib import resources
 from pathlib import Path
 
 import numpy as np
 import pytest
-from arms import LEVERS, make_recording, make_recovery, make_truth, path, turn
+from arms import LEVERS, make_joint_truth, make_recording, make_recovery, make_truth, path
 from commands import done
+from made_measures import made_measure
 from measured_arms import simulated, with_draws
+from plotly.offline import get_plotlyjs
+from results import made
 
+from smoother.angles import JOINT_ANGLES
 from smoother.errors import UnoccludeError
+from smoother.evaluation.advice import advice
 from smoother.evaluation.validate import validate
+from smoother.evaluation.words import measure_words
 from smoother.io import read_recovery, write_recovery
 from smoother.measurements.visibility import Gap
 from smoother.measures import measure
+from smoother.measures.definitions import MEASURED_ANGLES, definitions
 from smoother.recording import CameraFrame, Recording
-from smoother.report import write_report
+from smoother.report import write_arms_report, write_report
+from smoother.report.player import MOST_BYTES, played_arm
+from smoother.report.sheet import PLOTLY
 from smoother.report.summary import summary
-from smoother.report.traces import uncertainty
-from smoother.result import Estimates, Recovery
+from smoother.report.traces import UNTRUSTED, coordinates, decimate, uncertainty
+from smoother.result import Estimates, Pairing, Recovery, SelfCheck, UntrustedInterval
 
 
 class Page(HTMLParser):
@@ -189,10 +201,7 @@ def pair():
     hidden = (recording.arm.t_s > 8) & (recording.arm.t_s < 9.5)
     recovery = make_recovery(replace(recording, arm=recording.arm.hide(hidden)), error_m=0.004)
     recovery = replace(recovery, calibration=replace(recovery.calibration, R_F_A=np.eye(3)))
-    t = np.arange(0, 20, 0.01)
-    joints = {name: path(t) + turn(t).apply(lever) for name, lever in LEVERS.items()}
-    joints["shoulder"] = np.tile([0.0, 0.3, 2.1], (len(t), 1))
-    return recovery, replace(make_truth(t), joints=joints)
+    return recovery, make_joint_truth(np.arange(0, 20, 0.01))
 
 
 def test_what_is_drawn_are_the_errors(pair):
@@ -256,3 +265,236 @@ def test_measures_as_a_dataframe(recovery: Recovery) -> None:
     assert isinstance(frame, pandas.DataFrame) and list(frame.columns) == found.to_table().column_names
     row = frame[(frame["key"] == "elbow_flexion_range_deg") & (frame["scope"] == "session")].iloc[0]
     assert row["value"] == found.by_key["elbow_flexion_range_deg"].value
+
+
+@pytest.fixture(scope="module")
+def hidden() -> Recovery:
+    recording = make_recording()
+    hidden = (recording.arm.t_s > 8) & (recording.arm.t_s < 9.5)
+    return make_recovery(replace(recording, arm=recording.arm.hide(hidden)), error_m=0.004, sigma_m=0.004)
+
+
+def joints_only(off_m: float = 0.0):
+    """A reference without the sensor: markers at the joints alone."""
+    truth = make_joint_truth(np.arange(0, 20, 0.01))
+    joints = {name: truth.joints[name] + off_m for name in LEVERS}
+    nothing = np.full_like(truth.position, np.nan)
+    return replace(truth, position=nothing, quaternion=np.full_like(truth.quaternion, np.nan), joints=joints)
+
+
+def test_joints_alone_are_compared_in_the_headline_and_leave_no_table_of_dashes(hidden, tmp_path):
+    truth = joints_only()
+    found = validate(hidden, truth)
+    said = " ".join(summary(hidden, found))
+    each = r"0\.\d cm at the \w+ \(95 % below \d\.\d cm\)"
+    assert re.search(f"the error in the gaps is, root mean square, {each}, {each} and {each}", said)
+    assert "no position to compare" not in said
+    write_report(hidden, tmp_path / "r.html", validation=found, truth=truth)
+    text = (tmp_path / "r.html").read_text(encoding="utf-8")
+    rows = re.findall(r"<tr><td>[^<]*</td>(?:<td>–</td>)+</tr>", text)
+    assert rows == []
+    assert "The reference has joints only." in text
+
+
+def test_errors_of_joints_beyond_their_sigma_are_said(hidden):
+    said = summary(hidden, validate(hidden, joints_only(off_m=0.03)))
+    assert any("times as large as the stated uncertainty allows" in text for text in said)
+    assert not any("In 95 of 100 cases" in text for text in said)
+
+
+def test_an_answer_that_the_camera_contradicts_is_doubted():
+    recovery = replace(make_recovery(make_recording()), estimates=Estimates(camera_sigma_m={"wrist": 0.003}))
+    text = " ".join(summary(recovery, None))
+    assert "Result and camera disagree more than stated: of the wrist samples" in text
+    assert "95 of 100 cases" not in text
+
+
+def test_time_without_any_answer_outside_the_gaps_is_said(hidden):
+    assert "without a result: 0.0 s" in summary(hidden, None)[0]
+    away = (hidden.t_s > 12.0) & (hidden.t_s < 15.0)
+    position = np.where(away[:, None], np.nan, hidden.position)
+    (said,) = [text for text in summary(replace(hidden, position=position), None) if "lasts" in text]
+    assert re.search(r": 1, 1\.\d s in all, .* without a result: [23]\.\d s\.$", said)
+
+
+def test_the_bundle_is_of_the_locked_plotly():
+    version = re.search(r"plotly\.js v([\d.]+)", get_plotlyjs()[:200])
+    bundle = resources.files("smoother.report").joinpath("web", PLOTLY).read_text(encoding="utf-8")
+    assert version is not None
+    assert f"(basic - minified) v{version.group(1)}" in bundle[:200], (
+        f"Plotly was updated: run `npm pack plotly.js-basic-dist-min@{version.group(1)}` and put"
+        f" plotly-basic.min.js into smoother/report/web, its LICENSE beside it as plotly-basic.license.txt"
+    )
+
+
+def test_an_angle_has_one_name():
+    for angle in JOINT_ANGLES:
+        if angle.name in MEASURED_ANGLES:
+            assert definitions()[f"{angle.name}_range_deg"].name == f"{angle.title}, range"
+    assert definitions()["shoulder_plane_range_deg"].name == "plane of shoulder elevation, range"
+
+
+RANGE = made_measure("elbow_flexion_range_deg", 62.0, 2.0)
+
+
+def test_the_unit_stands_once_and_the_interval_only_where_there_is_one() -> None:
+    text = measure_words(RANGE)
+    assert text == "62.0° (58.1 to 65.9°)"
+    alone = measure_words(replace(RANGE, low=math.nan, high=math.nan))
+    assert alone == "62.0°"
+    speed = replace(RANGE, unit="m/s", value=0.812, low=0.75, high=0.87)
+    side = measure_words(made_measure("hand_path_length_m_symmetry_percent", 4.0, 3.0))
+    assert side == "+4.0 (−1.9 to +9.9)\u00a0%", "positive: the right one has more"
+    assert measure_words(speed).count("m/s") == 1 and " to " in measure_words(speed)
+
+
+def test_long_lines_keep_ends_and_gaps():
+    important = np.zeros(300_000, bool)
+    important[1000:1200] = True
+    important[200_000:200_400] = True
+    index = decimate(important, 6000)
+    assert len(index) <= 6000
+    assert index[0] == 0
+    assert index[-1] == 299_999
+    assert set(np.flatnonzero(important)) <= set(index)
+    assert (np.diff(index) > 0).all()
+
+
+BODY = UntrustedInterval(9.0, 12.0, ("another <person's> joints",))
+CHECK = SelfCheck(8, 1, 1.7, 0.011, 0.010, 0.96, 1.4, 1.1)
+CAUSE = "the skeleton seems mirrored (x); run again with --mirror x"
+SOUND = Estimates(trusted=True, self_check=CHECK, pairing=Pairing(True, 1e-4, 120.0))
+PARTLY = replace(SOUND, cautions=("gap 2 is not to be trusted",), untrusted=(BODY,))
+WRONG = Estimates(
+    trusted=False,
+    reasons=(CAUSE, "gravity is 80 degrees off"),
+    cause=CAUSE,
+    remedies=("--mirror x",),
+    self_check=replace(CHECK, rms_m=0.21),
+    pairing=Pairing(False, 0.2, 12.0),
+)
+
+
+def page(folder: Path, estimates: Estimates) -> str:
+    recovery = replace(made(), estimates=estimates)
+    write_report(recovery, folder / "page.html", recording=make_recording(), force=True)
+    text = (folder / "page.html").read_text(encoding="utf-8")
+    return re.sub(r"<script>.*?</script>|<style>.*?</style>", "", text, flags=re.DOTALL)
+
+
+def first_sentences(text: str) -> list[str]:
+    block = re.search(r'<div class="summary[^"]*">(.*?)</div>', text, re.DOTALL)
+    assert block is not None
+    return re.findall('<p(?: class="large")?>(.*?)</p>', block[1])
+
+
+def test_a_sound_page_is_calm_and_has_the_self_check(tmp_path: Path) -> None:
+    text = page(tmp_path, SOUND)
+    assert '<div class="summary good">' in text
+    assert first_sentences(text) == ["✓ Usable", CHECK.sentence], "one figure of the error"
+    assert text.index("The arm in motion") < text.index("The recording lasts"), "all else is below"
+    assert "not to be trusted" not in text.replace("samples that are not to be trusted", "")
+    assert "How certain the answer is" in text and "For the next recording" in text
+    assert "<td>pairing, proved</td><td>true</td>" in text
+    assert "<td>self check, inside 95</td><td>0.96</td>" in text
+
+
+def test_an_untrusted_page_is_red_and_withdraws_its_figures(tmp_path: Path) -> None:
+    text = page(tmp_path, WRONG)
+    assert '<div class="summary alarm">' in text
+    said = first_sentences(text)
+    assert said[0] == "✕ Not to be trusted" and said[1].lower() == f"{CAUSE}.".lower()
+    assert "not shown" in said[-1] and not any(" cm" in each for each in said)
+    below = text[text.index("The arm in motion") :]
+    assert "<p>Evidence: gravity is 80 degrees off.</p>" in below
+    assert WRONG.self_check is not None and f"<p>{WRONG.self_check.sentence}</p>" in below
+    for heading in ("How certain the answer is", "Whether sigma is consistent", "For the next recording"):
+        assert heading not in text
+    assert "is known to about" not in text and "standard deviations, the shaded band" not in text
+    rows = re.findall("<tr>(.*?)</tr>", text[text.index(">Gaps</h2>") :], re.DOTALL)[1:3]
+    assert all(row.count("<td>–</td>") == 3 and "not to be trusted" in row for row in rows)
+    assert text.count("withdrawn: the result is not to be trusted") == 3
+    told = text[text.index(">What to do</h2>") :]
+    assert re.findall("<li>(.*?)</li>", told)[0] == f"Correct the set-up first: {CAUSE}."
+    for word in ("even light", "sleeves", "20 s of lively motion"):
+        assert word not in text
+
+
+def test_a_partly_untrusted_page_names_the_gap(tmp_path: Path) -> None:
+    text = page(tmp_path, PARTLY)
+    assert '<div class="summary care">' in text
+    said = first_sentences(text)
+    assert said[0] == "! Usable with care"
+    named = next(each for each in said if each.startswith("Not to be trusted, and red on this page: gap 2 ("))
+    assert "another &lt;person&#39;s&gt; joints" in named
+    assert "<p>In the other gaps the sensor" in text
+    first, second = re.findall("<tr>(.*?)</tr>", text[text.index(">Gaps</h2>") :], re.DOTALL)[1:3]
+    assert "not to be trusted" not in first and "<td>–</td>" not in first
+    assert "not to be trusted</span>" in second and "another &lt;person&#39;s&gt; joints" in second
+    assert second.count("<td>–</td>") == 3
+    assert "How certain the answer is" in text and "For the next recording" in text
+
+
+def red(figure) -> list[np.ndarray]:
+    return [np.array(trace.x)[np.isfinite(trace.y)] for trace in figure.data if trace.line.color == UNTRUSTED]
+
+
+def test_curves_are_red_there_and_have_no_band() -> None:
+    from smoother.report.player import points
+
+    recovery = replace(made(), estimates=PARTLY)
+    figure = coordinates(recovery, points(recovery, None), None)
+    assert red(figure)
+    for x in red(figure):
+        assert x.min() + 0.1 >= 9.0 and x.max() <= 12.0 + 0.1
+    for trace in figure.data:
+        if trace.fill == "toself":
+            x = np.array(trace.x, float)
+            assert not ((x > 9.05) & (x < 11.95)).any()
+    assert len(figure.layout.shapes) == 2, "gaps, and what is not to be trusted"
+    whole = replace(recovery, estimates=WRONG)
+    lines = [
+        t.name for t in coordinates(whole, points(whole, None), None).data if t.mode == "lines" and t.name
+    ]
+    assert set(lines) == {"not to be trusted"}
+    assert not red(coordinates(replace(recovery, estimates=SOUND), points(recovery, None), None))
+    assert uncertainty(replace(recovery, estimates=WRONG), None) is None
+
+
+def test_the_player_is_told() -> None:
+    sound, partly, wrong = (
+        played_arm(replace(made(), estimates=each), None, MOST_BYTES) for each in (SOUND, PARTLY, WRONG)
+    )
+    assert sound["untrusted"] == [] and partly["untrusted"] == [[9.0, 12.0]]
+    assert wrong["untrusted"] == [[wrong["start"], pytest.approx(19.9875)]]
+    assert "sigma" in partly and "sigma" not in wrong
+    assert json.dumps(wrong)
+
+
+def test_several_arms_begin_with_the_one_that_is_wrong(tmp_path: Path) -> None:
+    arms: list[tuple[None, Recovery]] = [
+        (None, replace(made("left"), estimates=SOUND)),
+        (None, replace(made("right"), estimates=WRONG)),
+    ]
+    write_arms_report(arms, tmp_path / "arms.html")
+    text = (tmp_path / "arms.html").read_text(encoding="utf-8")
+    assert '<div class="summary alarm">' in text
+    assert first_sentences(text)[0].startswith("✕ Right arm: not to be trusted")
+    assert '<span class="word wrong">' in text
+
+
+def test_advice_of_a_partly_untrusted_result_names_what_to_avoid() -> None:
+    sentences = advice(replace(made(), estimates=PARTLY), None)
+    assert (
+        sentences[0] == "Avoid the causes of the parts that are not to be trusted: another <person's> joints."
+    )
+    assert not any("record the next one in the same way" in each for each in sentences)
+
+
+def test_advice_of_an_untrusted_result_is_about_its_set_up_alone() -> None:
+    assert advice(replace(made(), estimates=WRONG), None) == [f"Correct the set-up first: {CAUSE}."]
+    open_ended = Estimates(trusted=False, reasons=("a", "b"), remedies=("--swap left,right",))
+    assert advice(replace(made(), estimates=open_ended), None) == [
+        "Correct the set-up first: a; b.",
+        "Run `unocclude smooth` again with --swap left,right.",
+    ]

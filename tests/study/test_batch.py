@@ -1,4 +1,4 @@
-"""`unocclude batch`: which recordings, outputs, rows, a begun folder, the same bytes."""
+"""`unocclude batch`: recordings, outputs, rows, sessions and measures, a begun folder, the same bytes."""
 
 from __future__ import annotations
 
@@ -10,16 +10,22 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from threading import Barrier
 
+import duckdb
 import pytest
 from commands import done
 from studies import BROKEN, NAMES, batch, query, state
 
-from calib.file import CalibrationFile, write_calibration
+from calib.file import CalibrationFile, read_calibration, write_calibration
 from smoother import __version__
 from smoother.calibration import ArmCalibration, Length
+from smoother.cli.run import run
+from smoother.config import Config
 from smoother.errors import UnoccludeError
-from smoother.study.folder import StudyFolder
-from smoother.study.inputs import file_hash, find_entries
+from smoother.io import read_recording, write_recording
+from smoother.study.folder import MEASURE_FIELDS, StudyFolder
+from smoother.study.inputs import file_hash, find_entries, relative_day, with_sessions
+from smoother.study.run import run_job
+from tools.accuracy.pairing import made_session, trials_of
 
 
 @pytest.mark.slow
@@ -256,24 +262,111 @@ def test_a_list_and_calibrations_of_its_own(tree):
     assert names(tree / "p1" / "study.txt", tree / "out") == ["p1/a.mcap", "p2/a.mcap"]
 
 
-@pytest.mark.parametrize(
-    ("text", "said"),
-    [
-        ("a.csv\n", "line 1"),
-        ("p1/a.mcap\nb.mcap\tx\ty\n", "line 2"),
-        ("# nothing\n", "no recording"),
-        (b"\xff\xfe\x00", "not a list"),
-    ],
-)
-def test_lists_that_cannot_be_used(tree, text, said):
-    path = tree / "list.txt"
-    path.write_bytes(text if isinstance(text, bytes) else text.encode())
-    with pytest.raises(UnoccludeError, match=said):
-        find_entries(str(path), tree / "out")
+@pytest.fixture(scope="module")
+def study(made: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A recording, measured with a few draws."""
+    out = tmp_path_factory.mktemp("measured") / "out"
+    with pytest.MonkeyPatch.context() as patch:  # others take longer to start than the work takes
+        patch.setattr("smoother.study.run.run_apart", run_job)
+        assert batch(made / NAMES[0], "-o", out, "--processes", 1, "--measures", "--draws", 20) == 0
+    return out
 
 
-@pytest.mark.parametrize("source", ["nowhere", "empty", "nothing*.mcap"])
-def test_nothing_there(tree, source):
-    (tree / "empty").mkdir()
-    with pytest.raises(UnoccludeError, match=source.replace("*", r"\*")):
-        find_entries(str(tree / source), tree / "out")
+@pytest.mark.slow
+def test_rows_hold_the_measures_of_each_session(study: Path):
+    rows = duckdb.sql(
+        f"SELECT recording, unnest(measures, recursive := true) FROM '{study}/results/*.parquet'"
+    )
+    assert rows.columns == ["recording", *(name for name, *_ in MEASURE_FIELDS)]
+    found = {(row[0], row[4]): dict(zip(rows.columns, row, strict=True)) for row in rows.fetchall()}
+    flexion = found["a.mcap", "elbow_flexion_range_deg"]
+    assert flexion["unit"] == "deg" and flexion["side"] == "right" and flexion["n_draws"] == 20
+    assert flexion["low"] < flexion["high"] and 0 < flexion["sigma"] < 20
+    assert 0 <= flexion["recovered_share"] <= 1
+    assert len(query(study, "trusted, recorded_day")) == 1
+
+
+def test_the_result_is_the_one_without_measures(study: Path, made: Path, tmp_path: Path):
+    one = tmp_path / "one.mcap"
+    done("smooth", made / NAMES[0], "-o", one, "--processes", "1", "--draws", "0")
+    assert one.read_bytes() == state(study)["a.mcap"][1]
+
+
+def test_measures_that_are_there_are_not_measured_again(in_here: None, study: Path, made: Path, capsys):
+    again = [made / NAMES[0], "-o", study, "--processes", 1, "--measures", "--draws", 20]
+    assert batch(*again) == 0
+    assert "0 recovered now" in capsys.readouterr().out
+    assert len(query(study)) == 1
+
+
+def test_days_are_relative_to_a_secret_one():
+    day_ns = 86_400 * 10**9
+    origin = 20_000 * day_ns
+    first = relative_day("word", "p1", origin)
+    assert first is not None and abs(first - 20_000) > 1e-3
+    assert relative_day("word", "p1", origin + 14 * day_ns) - first == pytest.approx(14)
+    assert relative_day("word", "p2", origin) != first != relative_day("other", "p1", origin)
+    assert relative_day("word", "p1", 0) is None  # a clock that knows no date
+
+
+COUNT, SEED = 6, 3
+
+
+@pytest.fixture(scope="module")
+def trials(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("trials")
+    for number, (trial, *_) in enumerate(trials_of(made_session(SEED, COUNT), COUNT, SEED)):
+        write_recording(trial, folder / f"trial_{number + 1}.mcap")
+    (folder / "broken.mcap").write_bytes(b"no recording")
+    return folder
+
+
+@pytest.mark.slow
+def test_trials_get_the_calibration_that_they_share_once(trials: Path, tmp_path: Path) -> None:
+    assert read_recording(trials / "trial_1.mcap").clocks_unrelated
+    folder = StudyFolder((tmp_path / "out").absolute())
+    entries = find_entries(str(trials), folder.path)
+    own, notes = with_sessions(entries, folder, {}, Config(), "1")
+    files = {Path(entry.calibration) for entry in own if entry.calibration}
+    assert len(files) == 1
+    assert sum(bool(entry.calibration) for entry in own) >= 5
+    assert not next(entry for entry in own if "broken" in entry.path).calibration
+    (note,) = notes
+    assert "one strap" in note
+    assert "of 6 trials" in note
+    arm = read_calibration(files.pop()).arms["right"]
+    true = made_session(SEED, COUNT).calibration.lever_arms["wrist"].position_m
+    assert arm.lever_arms["wrist"].position_m == pytest.approx(true, abs=0.015)
+    before = {path: path.stat().st_mtime_ns for path in (folder.path / "sessions").iterdir()}
+    assert with_sessions(entries, folder, {}, Config(), "1") == (own, notes)
+    assert before == {path: path.stat().st_mtime_ns for path in (folder.path / "sessions").iterdir()}
+    assert with_sessions(entries, folder, {}, Config(), "2")[0] != own  # another version's are made anew
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("command", ["smooth", "check"])
+@pytest.mark.parametrize("as_list", [False, True], ids=["folder", "list"])
+def test_a_trial_is_proved_by_its_session(
+    command: str, as_list: bool, trials: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    session = tmp_path / "trials.txt" if as_list else trials
+    if as_list:
+        session.write_text("".join(f"{trials / f'trial_{number}.mcap'}\n" for number in (1, 3, 4, 5, 6)))
+    words = [command, str(trials / "trial_2.mcap")]
+    words += ["-o", str(tmp_path / "out.mcap")] if command == "smooth" else []
+    assert run([*words, "--session", str(session)]) == 0
+    said = capsys.readouterr().out
+    assert "share their calibration" in said
+    assert "Usable" in said
+    assert run([*words, "--session", str(tmp_path / "none"), *(["--force"] if "-o" in words else [])]) == 1
+    assert "name a folder" in capsys.readouterr().err
+
+
+@pytest.mark.slow
+def test_a_recording_with_one_clock_needs_no_session(
+    trials: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    alone = tmp_path / "alone.mcap"
+    write_recording(made_session(SEED, COUNT).recording, alone)
+    assert run(["check", str(alone), "--session", str(trials)]) == 0
+    assert "stands for itself" in capsys.readouterr().out

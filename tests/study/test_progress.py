@@ -12,7 +12,7 @@ from made_measures import made_measure, made_measures, study_row, write_study
 
 from smoother.errors import UnoccludeError
 from smoother.evaluation.progress import LESS, MORE, UNCLEAR, UNKNOWN, PersonProgress
-from smoother.study.inputs import SessionEntry, by_folders, in_order, read_sessions
+from smoother.study.inputs import SessionEntry, by_folders, in_order
 from smoother.study.progress import progress_of, read_rows, sessions_of
 
 FLEXION = "elbow_flexion_range_deg"
@@ -85,19 +85,6 @@ def test_a_known_change_is_found_and_a_null_change_is_not_called(tmp_path: Path)
     assert alarms == pytest.approx(0.05, abs=0.026)  # 3 sigmas of a share of 0.05 over 640
 
 
-@pytest.mark.slow
-def test_hardly_any_person_without_change_has_one_when_all_count_together():
-    """Holm keeps the chance of one false call among all measures of a person at 5 %."""
-    rng = np.random.default_rng(1)
-    attended = {f"p/s{n}.mcap": SessionEntry(f"p/s{n}.mcap", "p", f"s{n}", "", float(n)) for n in range(2)}
-    persons = 0
-    for _ in range(200):
-        rows = [study_row(name, [made_measures(rng=rng, movements=0)]) for name in attended]
-        (person,) = progress_of(rows, attended)
-        persons += any(each.change.p_together < 0.05 for each in person.main)
-    assert persons / 200 <= 0.05 + 3 * math.sqrt(0.05 * 0.95 / 200)
-
-
 def test_what_takes_no_part_is_said(tmp_path: Path):
     twice = [made_measures(body=1), made_measures(body=2)]
     rows = [
@@ -128,20 +115,6 @@ def test_other_settings_are_noted(tmp_path: Path):
     assert any("calibration" in note for note in person.notes)
     assert any("days of the sessions are unknown" in note for note in person.notes)
     assert all(math.isnan(day) for day in person.days[1:])
-
-
-def test_the_minimal_detectable_change_decides_too(tmp_path: Path):
-    rows = [
-        study_row(f"p/s{n}.mcap", [made_measures(change={FLEXION: 10.0 * n})], recorded_day=float(n))
-        for n in range(2)
-    ]
-    folder = write_study(tmp_path / "study", rows)
-
-    def word(**mdc95: float) -> str:
-        (person,) = persons_of(folder, **mdc95)
-        return next(each.change.word for each in person.series if each.key == FLEXION)
-
-    assert (word(), word(**{FLEXION: 8.0}), word(**{FLEXION: 12.0})) == (MORE, MORE, UNCLEAR)
 
 
 def test_means_over_other_movements_are_not_compared():
@@ -215,15 +188,6 @@ def test_tables_that_cannot_be_used(text: str, words: str, tmp_path: Path):
     assert words in str(refused.value)
 
 
-def test_a_table_that_is_not_text(tmp_path: Path):
-    path = tmp_path / "sessions.xlsx"
-    path.write_bytes(b"PK\x03\x04\xff\xfe\x00")
-    with pytest.raises(UnoccludeError, match="save it as CSV"):
-        read_sessions(path, ["a.mcap"])
-    with pytest.raises(UnoccludeError, match="No such file"):
-        read_sessions(tmp_path / "none.csv", ["a.mcap"])
-
-
 def test_studies_that_cannot_be_used(tmp_path: Path):
     (tmp_path / "empty").mkdir()
     with pytest.raises(UnoccludeError, match="is not a study with results"):
@@ -237,13 +201,3 @@ def test_studies_that_cannot_be_used(tmp_path: Path):
     (bare / "results" / "rows-2.parquet").write_bytes(b"cut off")
     with pytest.raises(UnoccludeError, match="cannot be read"):
         read_rows(bare)
-
-
-def test_the_latest_row_of_a_recording_counts(tmp_path: Path):
-    from datetime import datetime
-
-    old = study_row("p/a.mcap", None, id="1")
-    new = study_row("p/a.mcap", [made_measures()], id="2", finished=datetime(2026, 2, 1))
-    folder = write_study(tmp_path / "study", [new, old])
-    (row,) = read_rows(folder)
-    assert row["measures"]

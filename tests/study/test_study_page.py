@@ -195,12 +195,6 @@ def study(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder.path.parent
 
 
-@pytest.mark.parametrize("query", QUERIES)
-def test_a_query(query, study, monkeypatch):
-    monkeypatch.chdir(study)
-    assert duckdb.sql(query).fetchall()
-
-
 def test_their_answers(study, monkeypatch):
     monkeypatch.chdir(study)
     far, worst, trusted, why = (duckdb.sql(query).fetchall() for query in QUERIES)
