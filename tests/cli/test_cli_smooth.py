@@ -293,16 +293,8 @@ def test_info_of_what_cannot_be_recovered(tmp_path, capsys):
 def test_uncertain_answers_are_marked(ten_seconds, tmp_path, capsys):
     done(
         *("smooth", ten_seconds / "rec.mcap", "-o", tmp_path / "o.mcap"),
-        *(
-            "--calibration",
-            ten_seconds / "cal.toml",
-            "--max-sigma-m",
-            0.004,
-            "--json",
-            tmp_path / "s.json",
-            "--draws",
-            0,
-        ),
+        *("--calibration", ten_seconds / "cal.toml", "--max-sigma-m", 0.004),
+        *("--json", tmp_path / "s.json", "--draws", 0),
     )
     figures = json.loads((tmp_path / "s.json").read_text())
     assert figures["answered"] == figures["samples"]  # marked, not taken away
