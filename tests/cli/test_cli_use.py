@@ -151,7 +151,7 @@ def test_smooth_imports_nothing_that_it_does_not_use(tmp_path: Path) -> None:
     modules = loaded("smooth", str(demo), "-o", str(tmp_path / "out.mcap"), "--processes", "1")
     assert (tmp_path / "out.mcap").exists() and "smoother.cli.smooth" in modules
     assert not modules & {"plotly", "pandas", "h5py", "open3d", "cv2", "dask"}
-    assert len(others("smooth")) > 10 and not modules & others("smooth")
+    assert len(others("smooth")) > 6 and not modules & others("smooth")
     # what only they need: the graphs' live window, simulations, the importers of devices
     beside = (
         "http.server",
