@@ -29,7 +29,7 @@ import time
 import unicodedata
 from contextlib import suppress
 from pathlib import Path
-from typing import Annotated, Any, Literal, get_args
+from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
@@ -59,7 +59,6 @@ class AppError(UnoccludeError):
 #: Where an IMU may be worn; "": the motion shows it, "-": it takes no part.
 Place = Literal["", "-", "forearm_right", "forearm_left", "upper_arm_right", "upper_arm_left",
                 "hand_right", "hand_left", "base"]  # fmt: skip
-PLACES = get_args(Place)[2:]
 _REMEDY = r"(--(mirror [xyz]|swap [a-z]+,[a-z]+|negate [a-z]+(,[a-z]+)?|camera-frame [a-z]+) ?)*"
 
 

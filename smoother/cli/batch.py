@@ -173,10 +173,10 @@ def write_reports(rows: pa.Table, folder: Path, processes: int, anew: bool) -> N
 def _write_report(files: tuple[Path, Path]) -> None:
     """The report of a result file."""
     from ..io import read_recovery
-    from ..report import write_arms_report
+    from ..report import write_report
 
-    arms = [(None, each) for each in read_recovery(files[0])]
-    write_arms_report(arms, files[1], camera_frame=camera_frame_of(files[0]), force=True)
+    arms = [(None, each, None, None) for each in read_recovery(files[0])]
+    write_report(arms, files[1], camera_frame=camera_frame_of(files[0]), force=True)
 
 
 def _refuse_others(path: Path | None, marks: Sequence[bytes], force: bool) -> None:

@@ -107,9 +107,9 @@ def validate(
             pooled = validation.measures.together
         results.append((recovery, validation, own))
     if report is not None:
-        from ..report import write_arms_report
+        from ..report import write_report
 
-        write_arms_report([(None, *each) for each in results], report, camera_frame=axes, force=out.force)
+        write_report([(None, *each) for each in results], report, camera_frame=axes, force=out.force)
     validations = [
         replace(one, notes=tuple(dict.fromkeys((*damage(recovery.notes), *one.notes))))
         for recovery, one, _ in results

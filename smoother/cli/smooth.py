@@ -81,9 +81,9 @@ def smooth(
         answers = [recovery for _, recovery in results]
         write_recovery(answers, output, source=recording_file, force=out.force)
         if report is not None:
-            from ..report import write_arms_report
+            from ..report import write_report
 
-            write_arms_report(results, report, force=out.force)
+            write_report([(*each, None, None) for each in results], report, force=out.force)
         figures = [{} if out.json_file is None else smooth_figures(*each) for each in results]
         out.arms(answers, figures, lambda number: print_recovery(*results[number], verbose))
         out.end(output, report)
@@ -117,6 +117,7 @@ def print_recovery(recording: Recording, recovery: Recovery, verbose: bool = Fal
     """
     from calib.motion import found_in
 
+    from ..evaluation.advice import rejections
     from ..evaluation.summary import cameras, gap_summaries, gap_table
     from ..io.mcap.messages import damage
     from ..result.untrusted import untrusted_sentences
@@ -144,8 +145,6 @@ def print_recovery(recording: Recording, recovery: Recovery, verbose: bool = Fal
     found = found_in(recovery, recording)
     if verbose:
         from calib.protocol import tables_of
-
-        from ..report.tables import rejections
 
         say_more(len(gaps), most, "gaps more; --json and the report have them all")
         known = ("lever_arms", "lengths") if found is not None and found.all_given else ()

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from functools import partial
 from typing import Any
 
@@ -25,6 +25,7 @@ from ..measurements.timestamps import pauses
 from ..measurements.visibility import occluded_at
 from ..recording import JOINTS
 from ..result import Recovery
+from ..table import Table, percent, tabulated
 from .summary import GapSummary, gap_summaries
 from .words import listed, said
 
@@ -56,6 +57,20 @@ def rejected(recovery: Recovery) -> list[dict[str, Any]]:
             times.items(), key=lambda row: (-totals[row[0][0]], residuals.reasons[row[0][0]], row[0][1])
         )
     ]
+
+
+def rejections(recovery: Recovery) -> Table:
+    """Rejected camera samples, one row per reason and joint."""
+    columns: dict[str, str | Callable[[Any], object]] = {
+        "reason": "reason",
+        "in words": "why",
+        "joint": "joint",
+        "samples": "count",
+        "of its tracked ones": lambda row: percent(row["share"]),
+        "first, s": lambda row: f"{row['first_s']:.2f}",
+        "last, s": lambda row: f"{row['last_s']:.2f}",
+    }
+    return tabulated("Rejected camera samples", rejected(recovery), columns)
 
 
 #: From here on a figure of a recording is worth a sentence.

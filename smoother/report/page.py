@@ -1,12 +1,14 @@
-"""`write_report`: the sections of the page in the order in which they are read; and several arms on one."""
+"""`write_report`: the sections of the page in the order in which they are read; its tables."""
 
 from __future__ import annotations
 
 import datetime
+import json
 import os
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -14,47 +16,40 @@ from calib.motion import found_in
 from calib.protocol import tables_of
 
 from ..angles import joint_angles
-from ..evaluation.advice import advice
+from ..evaluation.advice import advice, rejections
 from ..evaluation.measure_agreement import agreement_table, pair_table
-from ..evaluation.summary import cameras, gap_summaries, gap_table
-from ..evaluation.validate import Validation
+from ..evaluation.summary import (
+    camera_consistency,
+    cameras,
+    certainty_figures,
+    consistency,
+    gap_summaries,
+    gap_table,
+    recovery_figures,
+)
+from ..evaluation.validate import Validation, sample_errors
 from ..recording import CameraFrame, Recording, Truth
-from ..result import Recovery, arm_tags
-from ..result.untrusted import untrusted_gaps
-from ..table import Table
-from . import tables, traces
+from ..result import Estimates, Recovery, arm_tags
+from ..result.untrusted import certain, untrusted_gaps
+from ..table import Table, centimetres, tabulated
+from . import traces
 from .player import player, points
 from .sheet import Fold, Html, Page, PageSection, capitalised, caption, notes, phrase, rendered, trust_badge
 from .summary import below, box
 from .traces import MOST_POINTS, decimate
 
-#: An arm's recording, answer, and what it was held against, where it was.
-Arm = tuple[Recording | None, Recovery] | tuple[Recording | None, Recovery, Validation | None, Truth | None]
+#: An arm's recording, answer, and what it was held against, as far as they are there.
+Arm = tuple[Recording | None, Recovery, Validation | None, Truth | None]
 
 
 def write_report(
-    recovery: Recovery,
-    path: str | os.PathLike[str],
-    *,
-    recording: Recording | None = None,
-    validation: Validation | None = None,
-    truth: Truth | None = None,
-    camera_frame: CameraFrame | None = None,
-    force: bool = False,
-) -> None:
-    """Write a result as one HTML page that needs no network and no other file."""
-    arm = (recording, recovery, validation, truth)
-    write_arms_report([arm], path, camera_frame=camera_frame, force=force)
-
-
-def write_arms_report(
     arms: Sequence[Arm],
     path: str | os.PathLike[str],
     *,
     camera_frame: CameraFrame | None = None,
     force: bool = False,
 ) -> None:
-    """Write the results of several arms as one HTML page: a summary of each, then arm by arm."""
+    """Write results as one HTML page that needs no network and no other file: all in short, then arm by arm."""
     reports = [_ArmReport(arm, camera_frame, len(arms) > 1) for arm in arms]
     worst_first = sorted(reports, key=lambda each: each.recovery.estimates.trusted is not False)
     first, start = reports[0], "the recording's own zero"
@@ -114,8 +109,7 @@ class _ArmReport:
     """The sections about one arm."""
 
     def __init__(self, arm: Arm, frame: CameraFrame | None, several: bool) -> None:
-        self.recording, self.recovery = arm[:2]
-        self.validation, self.truth = arm[2:] if len(arm) == 4 else (None, None)
+        self.recording, self.recovery, self.validation, self.truth = arm
         own = None if self.recording is None else self.recording.camera_frame
         self.frame = own or frame
         self.estimates = found_in(self.recovery, self.recording)
@@ -164,16 +158,16 @@ class _ArmReport:
         if len(recovery):
             yield from self._curves()
         if len(recovery) and is_trusted:
-            yield rendered(tables.consistent(recovery, self.truth))
+            yield rendered(consistent(recovery, self.truth))
         if len(recovery) and recovery.residuals is not None:
-            yield rendered(tables.rejections(recovery), nothing="Nothing: all tracked samples were used.")
+            yield rendered(rejections(recovery), nothing="Nothing: all tracked samples were used.")
         if estimates is not None:
             yield from map(rendered, tables_of(estimates.figures))
             yield PageSection("What the recording did not determine", sentences=estimates.not_determined)
         yield rendered(cameras(recovery))
-        yield rendered(tables.overview(recovery))
+        yield rendered(overview(recovery))
         yield notes([*(self.recording.notes if self.recording is not None else ()), *recovery.notes])
-        yield rendered(tables.settings(recovery.config))
+        yield rendered(settings(recovery.config))
 
     def _against_reference(self, found: Validation) -> Iterator[PageSection]:
         titled = found.alignment.titled
@@ -207,3 +201,80 @@ class _ArmReport:
             true = self.truth is not None and phrase("true")
             said = caption(heading, **self.words, decimated=long, buttons=buttons, true=true)
             yield PageSection(heading, said, plot)
+
+
+#: Figures of a recovery that another section of the page shows.
+_ELSEWHERE = (
+    *("camera_sigma_m", "joint_bias_sigma_m", "given", "max_sigma_m"),
+    *("untrusted", "cameras"),
+)
+WITHDRAWN = "withdrawn: the result is not to be trusted"
+
+
+def overview(recovery: Recovery) -> Table:
+    """What was recovered, in numbers."""
+    return Table("Figures", ("what", "value"), list(_overview(recovery, recovery.estimates)))
+
+
+def _overview(recovery: Recovery, estimates: Estimates) -> Iterator[tuple[str, object]]:
+    answered, error = recovery.answered, certainty_figures(recovery, recovery.trusted)["error_95_m"]
+    yield "method", recovery.method
+    yield "arm", recovery.side or "not stated"
+    yield "samples of the forearm sensor", len(recovery)
+    yield "sample rate, Hz", recovery_figures(recovery)["rate_hz"]
+    yield "samples without the camera", recovery.occluded.sum()
+    yield "samples without an answer", int((~answered).sum())
+    for words, within_m in (
+        ("while seen", error["visible"]["all"]),
+        ("in gaps", error["occluded"]["all"]),
+        ("at the least certain moment of a gap", error["occluded"]["max"]),
+    ):
+        stated = WITHDRAWN if estimates.trusted is False else centimetres(within_m)
+        yield f"position, 95 of 100 errors below, {words}, cm", stated
+    yield "samples that are not to be trusted", int(np.count_nonzero(~recovery.trusted))
+    offset = None
+    if np.isfinite(recovery.clock_offset_s):
+        offset = f"{1000 * recovery.clock_offset_s:.1f} ms"
+        if np.isfinite(recovery.clock_offset_sigma_s):
+            offset += f" ± {1960 * recovery.clock_offset_sigma_s:.1f} ms (95 of 100 cases)"
+    yield "sensor's clock minus camera's clock", offset
+    if (limit_m := estimates.max_sigma_m) is not None:
+        unsure = int(answered.sum() - certain(recovery).sum())
+        yield "samples marked as too uncertain to use", f"{unsure} (above {100 * limit_m:g} cm)"
+    further = {name: value for name, value in estimates.plain().items() if name not in _ELSEWHERE}
+    for name, value in _leaves(further, ", "):
+        if value not in ("", "null"):
+            yield name.replace("_", " "), value
+
+
+def settings(config: dict[str, object]) -> Table:
+    """The effective configuration, a setting a row."""
+    return Table("Settings", ("setting", "value"), list(_leaves(config, ".")))
+
+
+def _leaves(values: Mapping[Any, Any], between: str) -> Iterator[tuple[str, str]]:
+    """Values under their whole names as cells show them; numbers short, what is no text as JSON writes it."""
+    for name, value in values.items():
+        if isinstance(value, np.ndarray | np.generic):
+            value = value.tolist()
+        if isinstance(value, Mapping) and value:
+            yield from ((f"{name}{between}{rest}", each) for rest, each in _leaves(value, between))
+        elif isinstance(value, list | tuple):
+            yield name, ", ".join(each for _, each in _leaves(dict(enumerate(value)), between))
+        elif isinstance(value, float):
+            yield name, f"{value:.6g}"
+        else:
+            yield name, value if isinstance(value, str) else json.dumps(value, default=str)
+
+
+def consistent(recovery: Recovery, truth: Truth | None) -> Table:
+    """Whether what is stated holds: for the camera's joints, and for the sensor against a reference."""
+    parts = {f"camera's {joint}": each for joint, each in camera_consistency(recovery).items()}
+    if truth is not None and len(truth):
+        errors = sample_errors(recovery, truth).difference_m
+        for name, rows in (("in gaps", recovery.occluded), ("while seen", ~recovery.occluded)):
+            parts[f"errors {name}"] = consistency(errors[rows], recovery.pose_covariance[rows, :3, :3])
+    columns = {"of": "of", "samples": "samples", "inside 50 %": "inside_50", "inside 95 %": "inside_95"}
+    columns |= {"stated sigma, cm per axis": "stated_m", "actual rms, cm per axis": "actual_m"}
+    known = [{"of": name, **found} for name, found in parts.items() if found["samples"]]
+    return tabulated("Whether sigma is consistent with the errors", known, columns)

@@ -123,28 +123,6 @@ def test_two_pages_do_not_overwrite_each_other(page: Page):
     assert page.ask("GET", path)["person"] == "p1"
 
 
-@pytest.mark.parametrize(
-    "wish",
-    [
-        {"date": "12.3.2026"},
-        {"date": "2026-02-31"},
-        {"name": "x" * 500},
-        {"name": 5},
-        {"choices": {"remedy": "--output /etc/passwd"}},
-        {"choices": {"remedy": "--mirror x --force"}},
-        {"choices": {"places": {"a": "wrist; rm"}}},
-        {"choices": {"side": "both"}},
-        {"choices": {"body": -1}},
-        {"choices": {"imu_starts_at_s": 1e12}},
-        {"choices": {"nothing": 1}},
-    ],
-)
-def test_a_value_that_cannot_be_is_refused(page: Page, wish: dict[str, object]):
-    name = page.ask("POST", "/api/recordings", json={"name": "x"})["id"]
-    answer = page.ask("PATCH", f"/api/recordings/{name}", 400, json={"revision": 0, **wish})
-    assert answer["error"].endswith(".")
-
-
 def test_a_removed_recording_is_moved(page: Page, session_files: dict[str, Path]):
     name = page.add([session_files["imu"]])
     moved = Path(page.ask("DELETE", f"/api/recordings/{name}")["moved_to"])
@@ -515,6 +493,10 @@ BODIES: list[str] = [
     *('{"choices": {"places": 1}}', '{"choices": {"places": {"\\ud800": "-"}}}', '{"name": "\\udc00"}'),
     *('{"choices": {"imu_starts_at_s": []}}', '{"choices": {"imu_starts_at_s": false}}', deep(300)),
     *('{"choices": {"body": true}}', '{"choices": {"video_turn": []}}', '{"choices": {"remedy": {}}}'),
+    *('{"date": "12.3.2026"}', '{"date": "2026-02-31"}', f'{{"name": "{"x" * 500}"}}', '{"name": 5}'),
+    *('{"choices": {"remedy": "--output /etc/passwd"}}', '{"choices": {"remedy": "--mirror x --force"}}'),
+    *('{"choices": {"places": {"a": "wrist; rm"}}}', '{"choices": {"side": "both"}}'),
+    *('{"choices": {"imu_starts_at_s": 1e12}}', '{"choices": {"body": -1}}', '{"choices": {"nothing": 1}}'),
     *('{"choices": {"left_out": [["x"]]}}', '{"choices": {"video_offset_s": NaN}}', '{"date": []}'),
 ]
 

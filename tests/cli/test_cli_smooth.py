@@ -6,7 +6,6 @@ import csv
 import json
 import subprocess
 import sys
-import tempfile
 from dataclasses import replace
 from pathlib import Path
 
@@ -123,17 +122,6 @@ def test_where_the_columns_lie_does_not_show(tmp_path: Path, monkeypatch: pytest
     for ending in ("mcap", "json", "html"):
         memory, files = ((tmp_path / f"{name}.{ending}").read_bytes() for name in ("memory", "files"))
         assert memory == files
-
-
-def test_no_room_for_temporary_files_is_one_sentence(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.setattr(smoother.runtime.store, "_SMALL_BYTES", 1)
-    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path / "gone"))
-    assert run(["smooth", str(DEMO), "-o", str(tmp_path / "out.mcap"), "--processes", "1"]) != 0
-    said = capsys.readouterr().err
-    assert "TMPDIR" in said and "Traceback" not in said
-    assert list(tmp_path.iterdir()) == []
 
 
 @pytest.mark.parametrize("samples", [1000, 70])

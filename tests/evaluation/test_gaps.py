@@ -58,12 +58,6 @@ def test_gaps_keep_their_distance(length_s):
         assert b.start_s - a.end_s >= 3.0 - 0.02
 
 
-def test_same_seed_same_gaps():
-    recording = make_recording(60.0)
-    assert place(recording, 1.0, seed=4) == place(recording, 1.0, seed=4)
-    assert place(recording, 1.0, seed=4) != place(recording, 1.0, seed=5)
-
-
 def test_occlusions_and_imu_pauses_are_kept_clear_of():
     recording = make_recording(60.0)
     t = recording.arm.t_s
@@ -294,6 +288,24 @@ def test_sigma_factors_are_of_one_method() -> None:
     assert [factor.length_s for factor in FIRST.sigma_factors()] == [1.0, 2.0]
     assert [factor.length_s for factor in FIRST.sigma_factors("hold")] == [1.0]
     assert FIRST.sigma_factors("nothing") == ()
+
+
+def test_quartiles_over_gaps_by_length_and_method():
+    metres = (0.01, 0.05, np.nan, 0.02, 0.04, 0.03)
+    rows = [
+        row(2.0, "b", errors(0.2)),
+        *(row(0.5, "a", errors(each)) for each in metres),
+        row(0.5, "a", errors(0.9), failure="no answer"),
+    ]
+    table = GapTable((*rows, row(1.0, "c", errors(np.nan))))
+    spread = table.lengths[0.5]["a"].spread
+    assert (spread["gaps"], spread["failed"], spread["worst_m"]) == (7, 2, 0.05)
+    quartiles = [spread[name] for name in ("low_m", "median_m", "high_m")]
+    assert quartiles == pytest.approx([0.02, 0.03, 0.04])
+    assert spread["rms_m"] == pytest.approx(np.sqrt(np.mean(np.square([0.01, 0.05, 0.02, 0.04, 0.03]))))
+    nothing = table.lengths[1.0]["c"].spread
+    assert (nothing["median_m"], nothing["rms_m"], nothing["failed"]) == (None, None, 1)
+    assert [each["length_s"] for each in table.to_dict()["spread"]] == [0.5, 1.0, 2.0]
 
 
 LEVER = np.array([0.01, -0.02, 0.03])

@@ -209,7 +209,7 @@ recovery = limit_sigma(recovery, 0.02)
 assert smooth_figures(recording, recovery)["samples"] == samples
 print_recovery(recording, recovery)
 before = peak.mb()
-write_report(recovery, folder / "out.html", recording=recording)
+write_report([(recording, recovery, None, None)], folder / "out.html")
 print("peaks", before, peak.mb(), (folder / "out.html").stat().st_size / 1e6)
 """
 

@@ -184,18 +184,6 @@ class TestCommand:
     def command(self, folder: Path, *more: object) -> int:
         return run(["validate", *map(str, (folder / "out.mcap", "--truth", folder / "a.mcap", *more))])
 
-    def test_table_json_and_page_have_them(self, folder: Path, tmp_path: Path, capsys):
-        files = ("--json", tmp_path / "v.json", "--report", tmp_path / "v.html")
-        assert self.command(folder, *files) == 0
-        printed = capsys.readouterr().out
-        assert "Measures of the session" in printed and "Agreement of the measures" not in printed
-        figures = json.loads((tmp_path / "v.json").read_text())["measures"]
-        flexion = next(one for one in figures["pairs"] if one["key"] == FLEXION and one["scope"] == "session")
-        assert flexion["low"] < flexion["value"] < flexion["high"]
-        assert abs(flexion["difference"]) < 10
-        assert figures["agreement"]["session"][FLEXION]["mdc95"] is None  # one pair
-        assert "Measures against the reference" in (tmp_path / "v.html").read_text(encoding="utf-8")
-
     def test_pooled_files_state_the_agreement(self, folder: Path, tmp_path: Path, capsys):
         earlier = [pair(f"r{n}", 90.0 + 10 * n + n % 2, 90.0 + 10 * n) for n in range(4)]
         pairs = plain({"measures": {"pairs": [one.to_dict() for one in earlier]}})

@@ -15,7 +15,6 @@ from scipy.spatial.transform import Rotation
 from smoother.errors import RecordingError, SolveError
 from smoother.evaluation import metrics
 from smoother.evaluation.compare import compare
-from smoother.evaluation.gaps import GapErrors, GapRow, GapTable, HiddenGap
 from smoother.evaluation.metrics import lag_s
 from smoother.evaluation.mocap.motion import _exchanged
 from smoother.evaluation.reference import read_truth, truth_notes
@@ -362,17 +361,6 @@ class TestCompare:
         assert plain["latency_s"] == LATE_S and plain["clock_offset_sigma_s"] == 0.002
         assert "+30.0 +- 2.0 ms late" in found.camera_words
 
-    def test_everything_by_name(self, found):
-        plain = found.to_dict()
-        assert plain["point"] == "sensor" and plain["alignment"] == "none"
-        assert plain["order"][-1] == "broken" and plain["methods"]["broken"] == {
-            "failure": "it had no wish to"
-        }
-        graph = plain["methods"]["graph"]
-        assert {"all", "occluded", "visible", "points", "gaps", "lag_s", "lag_occluded_s"} <= set(graph)
-        assert set(graph["points"]) == {*LEVERS, "shoulder"} and len(graph["gaps"]) == 3
-        assert graph["occluded"]["samples"] + graph["visible"]["samples"] == graph["all"]["samples"]
-
     def test_without_the_sensors_place_the_wrist_is_compared(self, recording, joint_truth):
         of_joints = replace(joint_truth, position=np.full_like(joint_truth.position, np.nan))
         graph = make_recovery(recording, error_m=0.005, offset_s=-LATE_S)
@@ -411,21 +399,3 @@ class TestLagLeft:
         assert lag_s(self.t, np.zeros_like(known), known, self.t) is None
         assert lag_s(self.t[:10], known[:10], known, self.t) is None
         assert lag_s(self.t, path(self.t - 1.2), known, self.t) is None  # beyond half a second
-
-
-def test_quartiles_over_gaps_by_length_and_method():
-    def row(length: float, method: str, error: float, failure: str = "") -> GapRow:
-        errors = GapErrors.of_positions(np.array([[error, 0.0, 0.0]]), np.zeros(1))
-        return GapRow(length, method, 0, HiddenGap(1.0, 1.0 + length), errors, failure)
-
-    metres = (0.01, 0.05, np.nan, 0.02, 0.04, 0.03)
-    rows = [row(2.0, "b", 0.2), *(row(0.5, "a", each) for each in metres), row(0.5, "a", 0.9, "no answer")]
-    table = GapTable((*rows, row(1.0, "c", np.nan)))
-    spread = table.lengths[0.5]["a"].spread
-    assert (spread["gaps"], spread["failed"], spread["worst_m"]) == (7, 2, 0.05)
-    quartiles = [spread[name] for name in ("low_m", "median_m", "high_m")]
-    assert quartiles == pytest.approx([0.02, 0.03, 0.04])
-    assert spread["rms_m"] == pytest.approx(np.sqrt(np.mean(np.square([0.01, 0.05, 0.02, 0.04, 0.03]))))
-    nothing = table.lengths[1.0]["c"].spread
-    assert (nothing["median_m"], nothing["rms_m"], nothing["failed"]) == (None, None, 1)
-    assert [each["length_s"] for each in table.to_dict()["spread"]] == [0.5, 1.0, 2.0]

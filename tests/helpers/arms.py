@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from smoother.calibration import ArmCalibration, Length, LeverArm
+from smoother.evaluation.validate import Validation
 from smoother.measurements.visibility import Gap
 from smoother.recording import JOINTS, ImuStream, JointState, JointTracks, Recording, Truth
+from smoother.report import write_report
 from smoother.result import FrameResiduals, Recovery
 
 LEVERS = {"elbow": np.array([0.0, -0.15, 0.0]), "wrist": np.array([0.0, 0.07, 0.0])}
@@ -35,6 +38,18 @@ def make_joint_truth(t: np.ndarray) -> Truth:
     joints = {name: path(t) + turn(t).apply(lever) for name, lever in LEVERS.items()}
     joints["shoulder"] = np.tile([0.0, 0.3, 2.1], (len(t), 1))
     return replace(make_truth(t), joints=joints)
+
+
+def write_page(
+    recovery: Recovery,
+    path: Path,
+    recording: Recording | None = None,
+    validation: Validation | None = None,
+    truth: Truth | None = None,
+    force: bool = False,
+) -> None:
+    """The report of one arm."""
+    write_report([(recording, recovery, validation, truth)], path, force=force)
 
 
 def make_recording(

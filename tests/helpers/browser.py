@@ -143,14 +143,6 @@ class Browser:
             button = {} if kind == "mouseMoved" else {"button": "left", "clickCount": 1}
             self.call("Input.dispatchMouseEvent", type=kind, x=x, y=y, **button)
 
-    def touch(self, path: list[tuple[float, float]]) -> None:
-        """Drag with a finger."""
-        (x, y), *rest = path
-        self.call("Input.dispatchTouchEvent", type="touchStart", touchPoints=[{"x": x, "y": y}])
-        for x, y in rest:
-            self.call("Input.dispatchTouchEvent", type="touchMove", touchPoints=[{"x": x, "y": y}])
-        self.call("Input.dispatchTouchEvent", type="touchEnd", touchPoints=[])
-
     def pdf(self) -> bytes:
         """The page as it is printed."""
         answer = self.call("Page.printToPDF", printBackground=False, paperWidth=8.27, paperHeight=11.69)

@@ -29,17 +29,13 @@ def environment() -> dict[str, str]:
 class Program:
     """`unocclude app` as a user starts it; `close` ends it and what it runs."""
 
-    def __init__(self, folder: Path, stderr: int | None = None) -> None:
-        self.folder, self.stderr = folder, stderr
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
         self.start()
 
     def start(self) -> None:
         self._process = subprocess.Popen(
-            program_words(self.folder),
-            stdout=subprocess.PIPE,
-            stderr=self.stderr,
-            text=True,
-            env=environment(),
+            program_words(self.folder), stdout=subprocess.PIPE, text=True, env=environment()
         )
         timer = threading.Timer(_START_S, self._process.kill)  # a program that hangs says nothing
         timer.start()
@@ -64,11 +60,6 @@ class Program:
     def rest(self) -> str:
         """What it printed after the address, once it has ended."""
         return self._process.stdout.read()
-
-    def errors(self) -> str:
-        """What it printed on standard error, once it has ended."""
-        assert self._process.stderr is not None
-        return self._process.stderr.read()
 
     def only(self) -> Path:
         (place,) = (path.parent for path in self.folder.glob("*/app.json"))

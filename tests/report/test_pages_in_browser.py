@@ -8,12 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 import report_pages
-from arms import make_recording, make_recovery
+from arms import make_recording, make_recovery, write_page
 from browser import Browser
 
 from smoother.measurements.visibility import Reason
 from smoother.recording import CameraFrame
-from smoother.report import write_report
 from smoother.result import Estimates
 
 #: What a file may call itself; none of it may be obeyed.
@@ -258,7 +257,7 @@ def hostile_result(path: Path) -> Path:
         config={EVIL: {EVIL: EVIL}},
         estimates=Estimates(trusted=False, reasons=(EVIL,), further={EVIL: EVIL}),
     )
-    write_report(recovery, path, recording=recording, truth=recording.truth)
+    write_page(recovery, path, recording, truth=recording.truth)
     return path
 
 

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from arms import LEVERS, make_joint_truth, make_recording, make_recovery, make_truth, path
+from arms import LEVERS, make_joint_truth, make_recording, make_recovery, make_truth, path, write_page
 from commands import done
 from made_measures import made_measure
 from measured_arms import simulated, with_draws
@@ -29,7 +29,7 @@ from smoother.measurements.visibility import Gap
 from smoother.measures import measure
 from smoother.measures.definitions import MEASURED_ANGLES, definitions
 from smoother.recording import CameraFrame, Recording
-from smoother.report import write_arms_report, write_report
+from smoother.report import write_report
 from smoother.report.player import MOST_BYTES, played_arm
 from smoother.report.sheet import PLOTLY
 from smoother.report.summary import summary
@@ -80,7 +80,7 @@ def occluded(duration_s: float = 20.0) -> tuple[Recording, Recovery]:
 
 
 def written(path, recovery, **options) -> tuple[Page, str]:
-    write_report(recovery, path, **options)
+    write_page(recovery, path, **options)
     text = path.read_text(encoding="utf-8")
     return Page(text), text
 
@@ -289,7 +289,7 @@ def test_joints_alone_are_compared_in_the_headline_and_leave_no_table_of_dashes(
     each = r"0\.\d cm at the \w+ \(95 % below \d\.\d cm\)"
     assert re.search(f"the error in the gaps is, root mean square, {each}, {each} and {each}", said)
     assert "no position to compare" not in said
-    write_report(hidden, tmp_path / "r.html", validation=found, truth=truth)
+    write_page(hidden, tmp_path / "r.html", validation=found, truth=truth)
     text = (tmp_path / "r.html").read_text(encoding="utf-8")
     rows = re.findall(r"<tr><td>[^<]*</td>(?:<td>–</td>)+</tr>", text)
     assert rows == []
@@ -377,7 +377,7 @@ WRONG = Estimates(
 
 def page(folder: Path, estimates: Estimates) -> str:
     recovery = replace(made(), estimates=estimates)
-    write_report(recovery, folder / "page.html", recording=make_recording(), force=True)
+    write_page(recovery, folder / "page.html", recording=make_recording(), force=True)
     text = (folder / "page.html").read_text(encoding="utf-8")
     return re.sub(r"<script>.*?</script>|<style>.*?</style>", "", text, flags=re.DOTALL)
 
@@ -472,11 +472,8 @@ def test_the_player_is_told() -> None:
 
 
 def test_several_arms_begin_with_the_one_that_is_wrong(tmp_path: Path) -> None:
-    arms: list[tuple[None, Recovery]] = [
-        (None, replace(made("left"), estimates=SOUND)),
-        (None, replace(made("right"), estimates=WRONG)),
-    ]
-    write_arms_report(arms, tmp_path / "arms.html")
+    arms = [replace(made(side), estimates=each) for side, each in (("left", SOUND), ("right", WRONG))]
+    write_report([(None, arm, None, None) for arm in arms], tmp_path / "arms.html")
     text = (tmp_path / "arms.html").read_text(encoding="utf-8")
     assert '<div class="summary alarm">' in text
     assert first_sentences(text)[0].startswith("✕ Right arm: not to be trusted")

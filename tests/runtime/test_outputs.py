@@ -22,15 +22,6 @@ from smoother.runtime import outputs as outputs_module
 from smoother.runtime.outputs import umask, writing
 
 
-def test_an_output_appears_whole(tmp_path: Path) -> None:
-    with writing(tmp_path / "out") as temporary:
-        temporary.write_text("new")
-        assert temporary.parent == tmp_path
-        assert not (tmp_path / "out").exists()
-    assert (tmp_path / "out").read_text() == "new"
-    assert os.listdir(tmp_path) == ["out"]
-
-
 def test_an_older_output_needs_force(tmp_path: Path) -> None:
     (tmp_path / "out").write_text("old")
     with pytest.raises(UnoccludeError, match="force=True"), writing(tmp_path / "out"):
