@@ -49,7 +49,7 @@ def write_report(
     camera_frame: CameraFrame | None = None,
     force: bool = False,
 ) -> None:
-    """Write results as one HTML page that needs no network and no other file: all in short, then arm by arm."""
+    """Write results as one HTML page that needs no network and no other file: first all, then arm by arm."""
     reports = [_ArmReport(arm, camera_frame, len(arms) > 1) for arm in arms]
     worst_first = sorted(reports, key=lambda each: each.recovery.estimates.trusted is not False)
     first, start = reports[0], "the recording's own zero"
