@@ -20,8 +20,7 @@ import numpy as np
 from smoother.errors import UnoccludeError
 from smoother.io import read_recovery
 from smoother.io.files import import_files, sort_files
-from smoother.io.recording.read import open_recording
-from smoother.io.recording.select import select_recordings
+from smoother.io.recording.read import open_recording, select_recordings
 from smoother.io.registry import FileReader
 
 ROOT = Path(__file__).parents[1]

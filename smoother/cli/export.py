@@ -17,7 +17,7 @@ from .output import Out, print_notes, say, warn, write_text
 
 if TYPE_CHECKING:
     from ..array_types import FloatArray
-    from ..io.export.grid import Export
+    from ..io.export.prepare import Export
     from ..result import Recovery
 
 

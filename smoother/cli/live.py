@@ -20,7 +20,7 @@ from .run import handling
 
 if TYPE_CHECKING:
     from ..streams.arrivals import Receiver, Source
-    from ..streams.session_figures import SessionFigures
+    from ..streams.session import SessionFigures
 
 
 @contextmanager
@@ -151,8 +151,7 @@ def live(
     from ..live.calibrations import InlineCalibrator
     from ..live.smoother import LiveSmoother
     from ..streams.foxglove import FoxgloveServer, foxglove_module
-    from ..streams.lsl import LslSender, lsl_module
-    from ..streams.lsl_source import LslSource
+    from ..streams.lsl import LslSender, LslSource, lsl_module
     from ..streams.replay import CAMERA_LATENCY_S, Replay
     from ..streams.session import LiveSession, SessionCalibration
     from ..streams.session_recording import SessionRecording, check_recording
@@ -244,7 +243,7 @@ class Lines:
     """A line every two seconds for each arm, and one for whatever happens."""
 
     def __init__(self) -> None:
-        from ..streams.outbox import Outbox
+        from ..streams.session_recording import Outbox
 
         self._last_s, self._events = -math.inf, dict[str, int]()
         self._lines: Outbox[str] = Outbox(_print, _MOST_WAITING, "lines")

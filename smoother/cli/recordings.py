@@ -129,7 +129,7 @@ def match(
     Example: unocclude match session.mcap --json matches.json
     """
     from ..io import open_recording
-    from ..io.recording.match import match_file
+    from ..io.recording.choose import match_file
 
     file = open_recording(recording_file, truth=False)
     matches, notes = match_file(file, method, clocks_apart_s, skeleton=skeleton)
@@ -156,8 +156,8 @@ def repair(
 
     Example: unocclude repair broken.mcap -o whole.mcap --json lost.json
     """
+    from ..io.mcap.merge import repair_container
     from ..io.mcap.messages import plain_name
-    from ..io.mcap.repair import repair_container
 
     report = repair_container(broken_file, output, out.force)
     out.json(report)

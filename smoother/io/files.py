@@ -16,10 +16,9 @@ from ..errors import RecordingError
 from ..linalg import median_rate_hz
 from ..recording import JOINTS, JointState
 from .mcap.messages import nanoseconds
-from .recording.camera_streams import CAMERA_TOPIC
 from .recording.clean import clean_arm, clean_imu
 from .recording.decode import JointRows, joint_code
-from .recording.keypoints import NAMED_TOPIC, TOPIC
+from .recording.keypoints import CAMERA_TOPIC, NAMED_TOPIC, TOPIC
 from .recording.names import free_name, named_segment, named_side
 from .recording.read import open_recording
 from .recording.streams import CameraStream, ImuSamples, KnownLens, RecordingFile

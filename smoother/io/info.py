@@ -18,8 +18,7 @@ from ..result.verdict import plain
 from .mcap.messages import Topic
 from .recording.choose import Selection
 from .recording.names import named_side, role
-from .recording.read import METADATA, open_recording
-from .recording.select import select_recordings
+from .recording.read import METADATA, open_recording, select_recordings
 from .recording.streams import ArmFrames, ImuSamples, PoseSamples, RecordingFile
 from .result.read import stated_estimates
 from .result.write import RESULT

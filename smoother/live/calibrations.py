@@ -29,8 +29,7 @@ from ..selfcal.pairing import find_pairing
 from ..selfcal.rounds import self_calibrate
 from ..selfcal.self_calibration import SelfCalibration
 from ..window.priors import with_measured_noise
-from .buffers import FrameBuffer
-from .camera_clock import USUAL_LATENCY_S, CameraClock
+from .buffers import USUAL_LATENCY_S, CameraClock, FrameBuffer
 from .further_imus import FEWEST_SAMPLES, FurtherPlace
 from .imu import LiveImu
 

@@ -22,8 +22,7 @@ from ..selfcal.self_calibration import SelfCalibration
 from ..window.problem import NoiseModel
 from ..window.solution import LagSolution
 from .imu import Suspicion
-from .prediction import joint_at, predict
-from .signal import LiveSignal
+from .signal import LiveSignal, joint_at, predict
 
 #: A joint contradicts where its squared error in sigmas is above this (three axes), and farther off, m.
 CONTRADICTS, CONTRADICTS_M = 30.0, 0.06

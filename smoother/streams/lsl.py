@@ -1,22 +1,26 @@
-"""The Lab Streaming Layer: the library `pylsl`, an extra, and the arm as streams.
+"""The Lab Streaming Layer: the library `pylsl`, an extra; a session's source and the arm as streams.
 
 The library announces all streams of a program alike, and inlets have to see the network: outlets are in a
-process of their own, whose settings keep them on this computer; it ends with this one.
+process of their own, whose settings keep them on this computer; it ends with this one. A source's stream is
+received by a thread, again after a loss.
 """
 
 from __future__ import annotations
 
 import multiprocessing
 import os
-from collections.abc import Iterator, Sequence
+import threading
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from configparser import ConfigParser, Error
 from contextlib import suppress
+from dataclasses import dataclass, replace
 from functools import cache
 from io import StringIO
 from multiprocessing.queues import Queue
 from multiprocessing.synchronize import Event
 from pathlib import Path
-from queue import Full
+from queue import Full, SimpleQueue
 from types import ModuleType
 from typing import Any
 
@@ -24,12 +28,16 @@ import numpy as np
 
 from ..angles.definitions import arm_angles
 from ..array_types import FloatArray
+from ..body import FOREARM, SEGMENTS
 from ..errors import UnoccludeError
+from ..io.recording.names import named_side
 from ..live.answers import LiveEstimate, LiveOutput, LiveState
 from ..recording import JOINTS
 from ..runtime.packages import extra_module
 from ..runtime.pool import prepare_worker, starting_processes
-from .arrivals import LiveStep, SourceInfo
+from ..runtime.printable import printable
+from .arrivals import STEP_OF_IMU_S, Arrivals, LiveStep, Rows, SourceInfo, StampSteps, drained
+from .channels import ImuChannels, SkeletonChannels, StreamLabels, belongs, is_accelerometer
 
 #: Where liblsl looks for settings of the user's own.
 _SETTINGS = "lsl_api.cfg", "~/lsl_api/lsl_api.cfg", "/etc/lsl_api/lsl_api.cfg"
@@ -238,3 +246,365 @@ def local_settings(file: Path | None) -> str:
     text = StringIO()
     parser.write(text)
     return text.getvalue()
+
+
+def listed(streams: Sequence[Any]) -> str:
+    """Names and types of streams, for a sentence."""
+    names = sorted({f"{stream.name()} (type {stream.type() or 'none'})" for stream in streams})
+    shown = [printable(name[:80]) for name in names[:8]]
+    more = [f"and {len(names) - 8} more"] if len(names) > 8 else []
+    return ", ".join([*shown, *more]) or "none"
+
+
+#: Samples that are received together at most, and for how long the library holds them, s.
+_MOST, _BUFFER_S = 512, 120
+#: Waits of the thread: for streams to answer, for samples, for the first estimate of the clocks, s.
+_RESOLVE_S, _PULL_S, _CLOCK_S = 1.0, 0.2, 3.0
+
+
+class LslInlet:
+    """Receives a stream by a thread, also after it was lost."""
+
+    def __init__(
+        self,
+        option: str,
+        wanted: str | None,
+        types: tuple[str, ...],
+        wake: Callable[[], None],
+        start_s: float = 0.0,
+    ) -> None:
+        self._option, self._wanted, self._types = option, wanted, types
+        self._wake, self._start_s = wake, start_s
+        self.stream: Any = None
+        self.labels: StreamLabels | None = None  # Of the stream, once it is received
+        self.others: list[Any] = []
+        self.correction_s = float("nan")
+        self._samples: SimpleQueue[Rows] = SimpleQueue()
+        self._events: SimpleQueue[str] = SimpleQueue()
+        self._failure: UnoccludeError | None = None
+        self._closing = threading.Event()
+        self._thread = threading.Thread(target=self._work, name="lsl-inlet", daemon=True)
+        self.start = self._thread.start
+
+    @property
+    def name(self) -> str:
+        """What the stream that was found is called."""
+        return printable(self.stream.name())
+
+    @property
+    def described(self) -> str:
+        """Which stream is looked for, by its option."""
+        if self._wanted is not None:
+            return f"{self._option}{self._wanted}"
+        return f"{self._option.strip(' -')} of type {self._types[0]}"
+
+    def samples(self) -> Rows:
+        """What came since the last call: `values` (n, channels), stamped as sent, by the library's clock."""
+        self.check()
+        return Rows.joined(drained(self._samples))
+
+    def events(self) -> list[str]:
+        """What happened to the stream since the last call, a sentence each."""
+        return drained(self._events)
+
+    def check(self) -> None:
+        """Raise what the thread failed by."""
+        if self._failure is not None:
+            raise self._failure
+
+    def close(self) -> None:
+        """Stop receiving."""
+        self._closing.set()
+        if self._thread.is_alive():
+            self._thread.join(3 * _RESOLVE_S)
+
+    def _work(self) -> None:
+        while not self._closing.is_set():
+            # the library's error: lost, or no answer in time; it is looked for again
+            with suppress(RuntimeError):
+                try:
+                    self.others = list(lsl_module().resolve_streams(_RESOLVE_S))
+                    if (found := self._matching()) is not None:
+                        inlet = self._connected(found)
+                        while not self._closing.is_set():
+                            self._receive(inlet)
+                except UnoccludeError as failure:
+                    self._failure = failure
+                    self._wake()
+                    return
+
+    def _connected(self, found: Any) -> Any:
+        """An inlet of a stream; refused where it came back as another one."""
+        # the library itself would wait for the same source_id for ever
+        inlet = lsl_module().StreamInlet(found, max_buflen=_BUFFER_S, recover=False)
+        stream = inlet.info(_CLOCK_S)
+        labels = StreamLabels.of(stream)
+        if self.labels not in (None, labels):
+            raise UnoccludeError(
+                f"the stream {self.name} came back with other labels, units or channels; begin a new session"
+            )
+        if self.stream is not None and stream.source_id() != self.stream.source_id():
+            self._events.put(f"{self.name}: found again by its name, its source_id is another")
+        self.correction_s = inlet.time_correction(_CLOCK_S)
+        inlet.open_stream(_CLOCK_S)  # last: what waits inside has no arrival of its own
+        self.stream, self.labels = stream, labels
+        self._wake()
+        return inlet
+
+    def _matching(self) -> Any:
+        """The stream that is meant among those that answered; None where it is not there."""
+        if self.stream is not None:  # received before: the same source_id, or the only one of name and type
+            meant = self.stream.name(), self.stream.type()
+            named = [each for each in self.others if (each.name(), each.type()) == meant]
+            same = [each for each in named if each.source_id() == self.stream.source_id()]
+            return next((each[0] for each in (same, named) if _is_one(each)), None)
+        part = (self._wanted or "").lower()
+        exact = [each for each in self.others if self._wanted in (each.name(), each.source_id())]
+        fitting = exact or [each for each in self.others if part in each.name().lower()]
+        # some devices give all of their streams one name
+        of_type = [each for each in fitting if each.type().lower() in self._types]
+        fitting = of_type if self._wanted is None else of_type or fitting
+        if not fitting or _is_one(fitting):
+            return fitting[0] if fitting else None
+        raise UnoccludeError(
+            f"several streams are meant by {self.described}: {listed(fitting)}; give the whole name or the"
+            " source_id"
+        )
+
+    def _receive(self, inlet: Any) -> None:
+        values, stamps = inlet.pull_chunk(timeout=_PULL_S, max_samples=_MOST, min_samples=1, as_numpy=True)
+        if not len(stamps):
+            return
+        arrival = lsl_module().local_clock()
+        with suppress(lsl_module().util.TimeoutError):  # the one before holds until there is a new one
+            self.correction_s = inlet.time_correction(0.0)
+        t_s = np.asarray(stamps, float) + self.correction_s - self._start_s
+        arrival_s = np.full(len(t_s), arrival - self._start_s)
+        self._samples.put(Rows(t_s, arrival_s, {"values": np.asarray(values)}))
+        self._wake()
+
+
+def _is_one(streams: Sequence[Any]) -> bool:
+    """Whether it is one stream, however often it answered."""
+    return len({each.uid() for each in streams}) == 1
+
+
+#: Between samples of the accelerometer farther apart than this nothing is interpolated, s.
+_MOST_APART_S = 0.2
+#: A sample waits for the other half no longer than this, s.
+_LONGEST_WAIT_S = 2.0
+
+
+class ImuHalves:
+    """Joins an accelerometer's samples, interpolated, to those of a gyroscope with a stream of its own."""
+
+    def __init__(self, *names: str) -> None:
+        self._steps = [StampSteps(name, STEP_OF_IMU_S) for name in names]
+        self._waiting = [Rows(), Rows()]
+
+    def joined(self, *came: Rows) -> tuple[Rows, list[str]]:
+        """What both halves reach, the gyroscope's channels last; and what was done to stamps."""
+        events: list[str] = []
+        for at, batch in enumerate(came):
+            rows, said = self._steps[at].corrected(batch)
+            rows = Rows.joined([self._waiting[at], rows])
+            self._waiting[at] = rows.select(np.unique(rows.t_s, return_index=True)[1])  # in order
+            events += said
+        acc, gyro = self._waiting
+        stop = int(np.searchsorted(gyro.t_s, acc.t_s.max(initial=-np.inf), "right"))
+        due, later = gyro.select(slice(0, stop)), gyro.select(slice(stop, None))
+        self._waiting = [
+            rows.select(rows.t_s > rows.t_s.max(initial=-np.inf) - _LONGEST_WAIT_S) for rows in (acc, later)
+        ]
+        after = np.searchsorted(acc.t_s, due.t_s)
+        before = np.searchsorted(acc.t_s, due.t_s, "right") - 1
+        held = np.flatnonzero((before >= 0) & (acc.t_s[after] - acc.t_s[before] <= _MOST_APART_S))
+        if not len(held):
+            return Rows(), events
+        due = due.select(held)
+        force = [np.interp(due.t_s, acc.t_s, channel) for channel in acc["values"].T]
+        # a sample is complete when the later half has come
+        arrival_s = np.maximum(due.arrival_s, acc.arrival_s[after[held]])
+        return Rows(due.t_s, arrival_s, {"values": np.column_stack([*force, due["values"]])}), events
+
+
+#: Content types by which streams are found that were not named.
+_IMU_TYPES, _SKELETON_TYPES = ("imu", "accelerometer", "acc"), ("mocap", "skeleton")
+_GYRO_TYPES = ("gyroscope", "gyro", "gyr")
+
+
+@dataclass
+class _Imu:
+    """The streams of an IMU: one, or two with a gyroscope's of its own."""
+
+    segment: str
+    inlet: LslInlet
+    gyro: LslInlet | None = None
+    halves: ImuHalves | None = None
+    channels: ImuChannels | None = None  # Once the streams are there
+
+    def take(self, say: Callable[[str], None], found_gyro: Callable[..., LslInlet]) -> None:
+        """Take down what it sends, unless its gyroscope has a stream that is still to come."""
+        labels = self.inlet.labels
+        if self.channels is not None or labels is None:
+            return
+        name = self.inlet.name
+        where = "" if self.segment == FOREARM.name else f" of the {SEGMENTS[self.segment].label}"
+        if self.gyro is None and is_accelerometer(labels):
+            beside = [each for each in self.inlet.others if each.uid() != self.inlet.stream.uid()]
+            found = [each for each in beside if belongs(each.name(), each.type(), labels.name)]
+            if len(found) == 1:
+                self.gyro = found_gyro("--gyro ", found[0].name(), found[0].type().lower())
+                self.gyro.start()
+        if self.gyro is None:
+            self.channels = ImuChannels.of(labels)
+            say(f"IMU stream {name}{where} is there")
+        elif self.gyro.labels is not None:
+            turns = ImuChannels.of(self.gyro.labels, "gyro")
+            self.channels = ImuChannels.of(labels, "acc").with_gyroscope(turns, len(labels.labels))
+            self.halves = ImuHalves(name, self.gyro.name)
+            say(f"accelerometer stream {name} and gyroscope stream {self.gyro.name}{where} are there")
+
+    def rows(self) -> tuple[Rows, list[str]]:
+        """What came since the last call, and what was done to its stamps."""
+        came, said = self.inlet.samples(), list[str]()
+        if self.halves is not None and self.gyro is not None:
+            came, said = self.halves.joined(came, self.gyro.samples())
+        assert self.channels is not None
+        return replace(came, columns=self.channels.values(came["values"])) if len(came) else came, said
+
+
+@dataclass
+class _Arm:
+    """The streams of one arm; the skeleton's is of all arms."""
+
+    side: str | None
+    imus: list[_Imu]  # The forearm's first
+    skeleton: SkeletonChannels | None = None  # Once its stream is there
+
+
+class LslSource:
+    """Streams of the lab's network as one source; times count from the session's beginning."""
+
+    speed = 1.0
+    ended = False  # streams that are lost may come back
+
+    def __init__(
+        self,
+        arms: Mapping[str | None, Mapping[str, str]],  # Streams of IMUs by side and segment, as far as named
+        skeleton: str | None = None,
+        prefer_side: str | None = None,
+        body: str | None = None,
+        gyro: str | None = None,  # Stream of the first arm's gyroscope where it has one of its own
+    ) -> None:
+        lsl = lsl_module()
+        self._something = threading.Event()
+        self._start_s = float(np.floor(lsl.local_clock()))
+        self._origin_ns = time.time_ns() - int((lsl.local_clock() - self._start_s) * 1e9)
+        self._inlets: list[LslInlet] = []
+        self._skeleton = self._inlet("--skeleton ", skeleton, *_SKELETON_TYPES)
+        self._arms = [_Arm(side, []) for side in arms]
+        for arm in self._arms:
+            for segment, wanted in {FOREARM.name: None, **arms[arm.side]}.items():
+                place = "" if segment == FOREARM.name else f"{segment.replace('_', '-')}="
+                arm.imus.append(_Imu(segment, self._inlet(f"--imu {place}", wanted, *_IMU_TYPES)))
+        if gyro is not None:
+            self._arms[0].imus[0].gyro = self._inlet("--gyro ", gyro, *_GYRO_TYPES)
+        self._prefer_side, self._body = prefer_side, body
+        self.infos: list[SourceInfo] = []
+
+    def _inlet(self, option: str, wanted: str | None, *types: str) -> LslInlet:
+        self._inlets.append(LslInlet(option, wanted, types, self._something.set, self._start_s))
+        return self._inlets[-1]
+
+    def open(
+        self,
+        seconds: float,
+        stopped: Callable[[], bool] = lambda: False,
+        say: Callable[[str], None] = lambda _: None,
+    ) -> bool:
+        """Wait until all streams are there; what the first one sends meanwhile is not lost."""
+        for inlet in self._inlets:
+            inlet.start()
+        until = time.monotonic() + seconds
+        while not self._all_there(say):
+            if stopped():
+                return False
+            if time.monotonic() > until:
+                names = [inlet.described for inlet in self._inlets if inlet.stream is None]
+                there = listed([stream for inlet in self._inlets for stream in inlet.others])
+                raise UnoccludeError(
+                    f"no stream for {' and '.join(names)} arrived within {seconds:g} s; streams on the"
+                    f" network: {there}"
+                )
+            self.wait(0.1)
+        self.infos = [self._described(arm) for arm in self._arms]
+        return True
+
+    def _all_there(self, say: Callable[[str], None]) -> bool:
+        """Take down the streams that have come; whether none is missing."""
+        for inlet in self._inlets:
+            inlet.check()
+        labels = self._skeleton.labels
+        for arm in self._arms:
+            for imu in arm.imus:
+                imu.take(say, self._inlet)
+            if arm.skeleton is None and labels is not None:
+                forearm = arm.imus[0].inlet.labels
+                side = arm.side or named_side("" if forearm is None else forearm.name)
+                arm.skeleton = SkeletonChannels.of(labels, side or None, self._prefer_side, self._body)
+                if arm is self._arms[0]:
+                    say(f"skeleton stream {self._skeleton.name} is there")
+        imus = [imu for arm in self._arms for imu in arm.imus]
+        return labels is not None and all(imu.channels is not None for imu in imus)
+
+    def now_s(self) -> float:
+        """The LSL clock of this computer, after the session's beginning."""
+        return float(lsl_module().local_clock()) - self._start_s
+
+    def wait(self, seconds: float) -> None:
+        """Until something comes, at most this long."""
+        self._something.wait(seconds)
+        self._something.clear()
+
+    def arrivals(self) -> list[Arrivals]:
+        """What came since the last call; what happened to a stream is said with the first arm."""
+        came, events = list[Arrivals](), [text for inlet in self._inlets for text in inlet.events()]
+        seen = self._skeleton.samples()
+        for arm in self._arms:
+            imus = {}
+            for imu in arm.imus:
+                imus[imu.segment], said = imu.rows()
+                events += said
+            assert arm.skeleton is not None  # since `open`
+            frames = replace(seen, columns=arm.skeleton.values(seen["values"])) if len(seen) else seen
+            came.append(Arrivals(imus, frames, tuple(events)))
+            events = []
+        return came
+
+    def close(self) -> None:
+        """Let the streams go."""
+        for inlet in self._inlets:
+            inlet.close()
+
+    def _described(self, arm: _Arm) -> SourceInfo:
+        assert arm.skeleton is not None
+        gyros = [(imu.inlet, imu.gyro) for imu in arm.imus if imu.gyro is not None]
+        inlets = [*(imu.inlet for imu in arm.imus), self._skeleton, *(gyro for _, gyro in gyros)]
+        corrections = [f"{each.name} {1e3 * each.correction_s:+.1f} ms" for each in inlets]
+        notes = [f"LSL's time correction: {', '.join(corrections)}."]
+        notes += [
+            f"Accelerometer {acc.name} and gyroscope {gyro.name} are two streams: the accelerometer is"
+            " interpolated to the gyroscope's stamps."
+            for acc, gyro in gyros
+        ]
+        return SourceInfo(
+            {imu.segment: imu.inlet.name for imu in arm.imus},
+            self._skeleton.name,
+            arm.skeleton.side,
+            arm.skeleton.joints,
+            self._origin_ns,
+            arm.skeleton.camera_frame,
+            lsl_start_s=self._start_s,
+            notes=tuple(notes),
+        )

@@ -23,7 +23,7 @@ from smoother.cli.run import run
 from smoother.io import read_recording, write_recording
 from smoother.live.answers import LiveOutput, LiveState
 from smoother.streams.lsl import lsl_module
-from smoother.streams.session_figures import SessionFigures
+from smoother.streams.session import SessionFigures
 
 
 @pytest.fixture(autouse=True)

@@ -14,7 +14,7 @@ from importers import select_recording
 
 from smoother.errors import RecordingError
 from smoother.io import open_recording, read_recovery
-from smoother.io.recording.match import match_file
+from smoother.io.recording.choose import match_file
 from smoother.io.recording.streams import RecordingFile
 
 

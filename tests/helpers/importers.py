@@ -9,7 +9,7 @@ import numpy as np
 from imu_files import motion
 
 from smoother.io import open_csv
-from smoother.io.recording.select import select_recordings
+from smoother.io.recording.read import select_recordings
 from smoother.io.recording.streams import RecordingFile
 from smoother.io.registry import FileReader, recognise
 from smoother.io.tables.imu import ImuTable

@@ -16,7 +16,7 @@ from contextlib import contextmanager
 from lsl_lab import imu_outlet
 
 from smoother.errors import UnoccludeError
-from smoother.streams.lsl_source import LslInlet
+from smoother.streams.lsl import LslInlet
 
 #: Nothing is waited for longer, s.
 PATIENCE_S = 25.0

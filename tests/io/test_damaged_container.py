@@ -25,8 +25,8 @@ from mcap_records import places, put
 from smoother.cli.run import run
 from smoother.io import open_recording
 from smoother.io.mcap.container import CHUNK, HEAD, MAGIC, Container
+from smoother.io.mcap.merge import repair_container
 from smoother.io.mcap.messages import Topic
-from smoother.io.mcap.repair import repair_container
 
 COUNT = 300
 TOPICS = ("/a", "/b", "/c")

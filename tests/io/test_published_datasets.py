@@ -9,7 +9,7 @@ import pytest
 
 from smoother.errors import RecordingError
 from smoother.io import import_broad, import_utd_mhad, open_recording, read_recording, write_recording
-from smoother.io.recording.match import match_file
+from smoother.io.recording.choose import match_file
 from smoother.recording import CameraFrame, JointState
 
 pytestmark = pytest.mark.real

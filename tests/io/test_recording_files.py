@@ -15,7 +15,7 @@ from made_recordings import make, plain_texts
 
 from smoother.errors import RecordingError, UnoccludeError
 from smoother.io import describe, open_csv, open_recording, read_recording, write_recording
-from smoother.io.recording.bodies import join_bodies
+from smoother.io.recording.choose import join_bodies
 from smoother.io.recording.streams import ArmFrames
 from smoother.io.recording.write import as_file
 from smoother.recording import JointState, JointTracks, Recording

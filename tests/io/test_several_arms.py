@@ -15,9 +15,8 @@ from scipy.spatial.transform import Rotation
 
 from smoother.errors import RecordingError, UnoccludeError
 from smoother.io import read_recording, read_recordings, read_recovery, write_recording, write_recovery
-from smoother.io.recording.bodies import unswap_bodies
-from smoother.io.recording.choose import choose_arms
-from smoother.io.recording.select import select_recordings
+from smoother.io.recording.choose import choose_arms, unswap_bodies
+from smoother.io.recording.read import select_recordings
 from smoother.io.recording.streams import ArmFrames, ImuSamples, RecordingFile
 from smoother.io.recording.write import as_file, as_session
 from smoother.recording import JOINTS

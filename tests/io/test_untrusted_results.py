@@ -16,7 +16,7 @@ from results import made, read_mot
 from smoother.io import write_recovery
 from smoother.io.export.prepare import prepare_export
 from smoother.io.export.tables import export_csv
-from smoother.io.result.drawing import RECOVERED, UNTRUSTED, VISIBLE
+from smoother.io.result.streams import RECOVERED, UNTRUSTED, VISIBLE
 from smoother.result import Estimates, Pairing, Recovery, SelfCheck, UntrustedInterval
 from smoother.result.untrusted import standing, untrusted_gaps, untrusted_sentences, usable
 

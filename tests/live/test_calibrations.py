@@ -17,7 +17,7 @@ from smoother.body import FOREARM
 from smoother.calibration import ArmCalibration
 from smoother.config import Config
 from smoother.live import calibrations
-from smoother.live.buffers import FrameBuffer, SkeletonFrame
+from smoother.live.buffers import USUAL_LATENCY_S, CameraClock, FrameBuffer, SkeletonFrame
 from smoother.live.calibrations import (
     FIRST_S,
     JUMP_SIGMA_S,
@@ -30,7 +30,6 @@ from smoother.live.calibrations import (
     LiveCalibration,
     calibrate_excerpts,
 )
-from smoother.live.camera_clock import USUAL_LATENCY_S, CameraClock
 from smoother.live.imu import LiveImu
 from smoother.measurements.clock import constant_clock
 from smoother.recording import ImuStream, Recording

@@ -7,8 +7,7 @@ import pytest
 from live_play import simulated
 
 from smoother.body import FOREARM
-from smoother.live.imu import LiveImu
-from smoother.live.imu_check import ImuCheck
+from smoother.live.imu import ImuCheck, LiveImu
 from smoother.recording import ImuStream
 
 RNG = np.random.default_rng(5)

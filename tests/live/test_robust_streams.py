@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from smoother.body import FOREARM
-from smoother.live.buffers import FrameBuffer, SkeletonFrame
-from smoother.live.camera_clock import CameraClock, Shift, ShiftCause
+from smoother.live.buffers import CameraClock, FrameBuffer, Shift, ShiftCause, SkeletonFrame
 from smoother.live.imu import LiveImu
 from smoother.recording import ImuStream
 

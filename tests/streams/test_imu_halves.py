@@ -8,7 +8,7 @@ import pytest
 from smoother.errors import RecordingError
 from smoother.streams.arrivals import Rows
 from smoother.streams.channels import ImuChannels, StreamLabels, belongs, is_accelerometer
-from smoother.streams.lsl_source import ImuHalves
+from smoother.streams.lsl import ImuHalves
 
 
 def sent(rate_hz: float, begin_s: float = 0.0, step_s: float = 0.0) -> Rows:

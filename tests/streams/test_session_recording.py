@@ -16,7 +16,7 @@ from scenes import ALONE, arm
 
 from smoother.errors import UnoccludeError
 from smoother.io import open_recording, read_recording, write_recording
-from smoother.io.mcap.repair import repair_container
+from smoother.io.mcap.merge import repair_container
 from smoother.smoothing import smooth
 from smoother.streams import session_recording
 from smoother.streams.replay import Replay

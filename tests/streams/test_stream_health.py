@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from smoother.streams.arrivals import Rows, StampSteps
-from smoother.streams.session_figures import StreamHealth
+from smoother.streams.session import StreamHealth
 
 
 def fed(t, batch: int, delay_s: float = 0.03) -> tuple[StreamHealth, list[str]]:

@@ -20,7 +20,7 @@ from ...recording import JOINTS, JointState
 from ...result import Recovery
 from ...result.untrusted import untrusted_sentences
 from ...runtime.outputs import writing
-from .grid import Export, Grid, at_grid, constant_step
+from .prepare import Export, Grid, at_grid, constant_step
 from .tables import marks_of, write_rows
 
 #: Millimetres in the file, with this many decimals: a nanometre.

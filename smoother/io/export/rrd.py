@@ -23,8 +23,8 @@ from ...result import Recovery
 from ...result.untrusted import untrusted_sentences
 from ...runtime.outputs import writing
 from ...runtime.packages import extra_module
-from ..result.drawing import ANSWER, CAMERA, CHAIN, DISTRUST, GUESSED, VISIBLE, Color, common_down, world_axes
-from .grid import Export
+from ..result.streams import ANSWER, CAMERA, CHAIN, DISTRUST, GUESSED, VISIBLE, Color, common_down, world_axes
+from .prepare import Export
 
 TIMELINE = "time"
 #: Pictures a second in space, and points of the angles besides the elbow's; other curves have every sample.

@@ -13,8 +13,8 @@ from ...linalg import median_rate_hz, nearest
 from ...result import Recovery
 from ...result.untrusted import untrusted_sentences
 from ...rotation import Rotation
-from .grid import Export, Grid, at_grid, constant_step, unbroken
 from .markers import level_note, opensim_axes
+from .prepare import Export, Grid, at_grid, constant_step, unbroken
 from .tables import marks_of, write_rows
 
 

@@ -1,4 +1,4 @@
-"""Streams of messages to one MCAP file, in the order of their times, a batch of rows at a time.
+"""Streams of messages to one MCAP file, in the order of their times; a damaged file written anew.
 
 The mcap package packs each message in Python, which would take longer than solving the motion. Here the
 messages of a batch are packed together by NumPy; all other records are the package's.
@@ -6,13 +6,16 @@ messages of a batch are packed together by NumPy; all other records are the pack
 
 from __future__ import annotations
 
+import dataclasses
 import itertools
+import json
 import os
 import struct
 import zlib
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from io import BytesIO
 from pathlib import Path
 from types import TracebackType
 from typing import IO, Any
@@ -36,10 +39,13 @@ from mcap.records import (
 from numpy.typing import NDArray
 
 from ...array_types import IntArray
-from ..wire.protobuf_encode import Encoder
+from ...errors import RecordingError
+from ...runtime.outputs import writing
+from ...runtime.printable import printable
+from ..wire.protobuf import Encoder
 from ..wire.schemas import schema_data
-from .container import CHUNK, HEAD, MAGIC, MESSAGE
-from .messages import Messages, Topic
+from .container import CHUNK, HEAD, MAGIC, MESSAGE, Container
+from .messages import Messages, Topic, damage_note
 
 #: Messages that are encoded together; keeps memory flat however long the recording is.
 SLICE = 2048
@@ -290,3 +296,55 @@ def _packed(*records: Any) -> bytes:
     for record in records:
         record.write(builder)
     return builder.end()
+
+
+#: Metadata record that lists what the file had lost when it was repaired.
+REPAIRED = "unocclude.repair"
+
+
+def repair_container(
+    source: str | os.PathLike[str], output: str | os.PathLike[str], force: bool = False
+) -> dict[str, Any]:
+    """Write what is still in a damaged MCAP file as a whole one; what was there and is lost, as JSON."""
+    container = Container(source, unverified=True)
+    with writing(output, force) as temporary, Output(temporary) as file:
+        for chunk in container.chunks():
+            file.copy(container.topics, chunk)
+        messages: Counter[str] = Counter()
+        for topic in container.topics:
+            messages[topic.name] += topic.count
+        if not +messages:
+            why = [f"{source} has no complete message; nothing can be repaired.", *container.notes[:3]]
+            raise RecordingError(" ".join(why))
+        for name, values in container.metadata.items():
+            if name != REPAIRED:
+                file.metadata(name, values)
+        name, left_out = damage_note(container.path.name, ""), 0
+        told = [note.removeprefix(name) for note in container.notes]
+        if notes := list(dict.fromkeys([*_noted(container.metadata), *told])):
+            file.metadata(REPAIRED, {"notes": json.dumps(notes), "missing": json.dumps(container.missing)})
+        for name in container.attachments:
+            try:
+                file.attachment(name, BytesIO(container.attachment(name)))
+            except ValueError:
+                left_out += 1
+    return {
+        "source": container.path.name,
+        "messages": dict(+messages),  # Written, by topic
+        "missing": container.missing,  # Lost by topic, as the file's own count says; empty where it has none
+        "losses": [dataclasses.asdict(each) for each in container.damage],  # In the file's order
+        "notes": container.notes,  # What was wrong, one sentence each
+        "attachments_left_out": left_out,
+    }
+
+
+def repair_notes(metadata: dict[str, dict[str, str]]) -> list[str]:
+    """What a repaired file had lost by its own record, as notes."""
+    return [damage_note("that was repaired", printable(note[:1000])) for note in _noted(metadata)[:20]]
+
+
+def _noted(metadata: dict[str, dict[str, str]]) -> list[str]:
+    try:
+        return [str(note) for note in json.loads(metadata.get(REPAIRED, {}).get("notes", "[]"))]
+    except (ValueError, TypeError, RecursionError):
+        return ["nothing of the lost part can be read."]

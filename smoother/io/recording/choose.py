@@ -3,18 +3,297 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
+from itertools import combinations
 from typing import TYPE_CHECKING, Any, TypedDict, Unpack
 
+import numpy as np
+
+from ...array_types import BoolArray, FloatArray, IntArray
 from ...body import FURTHER, SEGMENTS, BodySegment
 from ...errors import RecordingError
-from .bodies import people
-from .camera_streams import of_first_camera, same_arm
+from ...linalg import runs
+from ...recording import FOREARM_JOINTS, JOINTS, ImuStream, JointState, JointTracks
+from ...runtime.store import by_rows
+from ..mcap.messages import seconds
+from .clean import clean_arm, clean_imu
 from .names import is_named, is_of_other_arm, named_side, role, role_among, words
-from .streams import ArmFrames, CameraStream, ImuSamples, PoseSamples, RecordingFile
+from .streams import ArmFrames, CameraStream, ImuSamples, PoseSamples, RecordingFile, rows_of
 
 if TYPE_CHECKING:
     from ...matching import ImuMatch, Limb
+
+#: A body that comes back within this time and distance is treated as the same one.
+_AWAY_S = 30.0
+_APART_M = 0.4
+#: The shoulder moves least, so it is asked first; only the forearm's joints may have moved on while not seen.
+_REACH_M = {
+    JOINTS.index(joint): _APART_M + (0.4 if joint in FOREARM_JOINTS else 0.0)
+    for joint in ("shoulder", "elbow", "wrist", "hand", "strap")
+}
+
+
+def join_bodies(arms: list[ArmFrames]) -> tuple[list[ArmFrames], list[str]]:
+    """Join arms of one topic and side that are never seen together and take over where the other was lost."""
+    joined: list[tuple[ArmFrames, set[int]]] = []  # with the numbers that each had so far
+    notes = []
+    for arm in sorted(arms, key=lambda arm: _first_and_last(arm)[0]):
+        for place, (earlier, numbers) in enumerate(joined):
+            if arm.body not in numbers and _goes_on(earlier, arm):
+                merged = _merged(earlier, arm, arm.state != JointState.NOT_TRACKED)
+                joined[place] = merged, numbers | {arm.body}
+                why = "the camera lost the body and numbered it anew where it was; --body takes one alone."
+                notes.append(f"{earlier.label} and body {arm.body} were joined: {why}")
+                break
+        else:
+            joined.append((arm, {arm.body}))
+    return [arm for arm, _ in joined], notes
+
+
+def _merged(own: ArmFrames, other: ArmFrames, taken: BoolArray) -> ArmFrames:
+    """An arm with another's joints where `taken` (F, 5)."""
+
+    def either(here: BoolArray, its: FloatArray, mine: FloatArray) -> FloatArray:
+        return np.asarray(np.where(here[:, :, None], its, mine))
+
+    position = by_rows(either, taken, other.position, own.position)
+    return replace(own, position=position, state=np.where(taken, other.state, own.state))
+
+
+def _first_and_last(arm: ArmFrames) -> tuple[int, int]:
+    """First and last frame in which anything of the arm is there; past the end for none."""
+    there = np.flatnonzero((arm.state != JointState.NOT_TRACKED).any(axis=1))
+    return (int(there[0]), int(there[-1])) if len(there) else (len(arm.stamp_ns), len(arm.stamp_ns))
+
+
+def _goes_on(earlier: ArmFrames, later: ArmFrames) -> bool:
+    """Whether it is the same arm of a body that is first seen when the other was lost, soon and near."""
+    lost, back = _first_and_last(earlier)[1], _first_and_last(later)[0]
+    if (earlier.topic, earlier.side) != (later.topic, later.side) or not lost < back < len(later.stamp_ns):
+        return False
+    if abs(int(later.stamp_ns[back]) - int(earlier.stamp_ns[lost])) / 1e9 > _AWAY_S:
+        return False
+    for joint, reach_m in _REACH_M.items():
+        if earlier.state[lost, joint] and later.state[back, joint]:
+            step = np.linalg.norm(later.position[back, joint] - earlier.position[lost, joint])
+            return bool(step < reach_m)
+    return False
+
+
+#: Between two frames this close in time no person walks to where another stood.
+_SOON_NS = 200_000_000
+#: Both jump at least this far, m; what is left after exchanging is at most this share of the jumps.
+_JUMP_M, _LEFT = 0.4, 0.35
+_SHOULDER = JOINTS.index("shoulder")
+
+
+def unswap_bodies(arms: list[ArmFrames]) -> tuple[list[ArmFrames], list[str]]:
+    """Give bodies their numbers back where two of one topic exchanged them."""
+    arms, notes = list(arms), []
+    bodies: dict[tuple[str, int], dict[str, int]] = {}  # by side the arm's place in the list
+    for place, arm in enumerate(arms):
+        bodies.setdefault(arm.key[:2], {})[arm.side] = place
+    for (first, own), (second, others) in combinations(sorted(bodies.items()), 2):
+        if first[0] != second[0] or own.keys() != others.keys():
+            continue
+        swaps = _swaps([arms[k] for k in own.values()], [arms[k] for k in others.values()])
+        if not len(swaps):
+            continue
+        stamp = arms[next(iter(own.values()))].stamp_ns
+        exchanged = np.zeros(len(stamp), bool)
+        for row in swaps:
+            exchanged[row:] ^= True
+        taken = np.repeat(exchanged[:, None], len(JOINTS), axis=1)
+        for i, k in ((own[side], others[side]) for side in own):
+            arms[i], arms[k] = _merged(arms[i], arms[k], taken), _merged(arms[k], arms[i], taken)
+        seconds = [f"{(int(stamp[run.start]) - int(stamp[0])) / 1e9:.1f}" for run in runs(exchanged)]
+        notes.append(
+            f"Bodies {first[1]} and {second[1]} of {first[0]} exchange their numbers"
+            f" {', '.join(seconds[:5])} s after the first frame (each jumps to where the other was); they"
+            " were exchanged back."
+        )
+    return arms, notes
+
+
+def _swaps(first: list[ArmFrames], second: list[ArmFrames]) -> IntArray:
+    """Rows from which on the numbers are exchanged, or exchanged back: by the places of the shoulders."""
+    if len({len(arm.stamp_ns) for arm in (*first, *second)}) != 1:
+        return np.empty(0, np.int64)
+    there = np.all([arm.state[:, _SHOULDER] != JointState.NOT_TRACKED for arm in (*first, *second)], axis=0)
+    rows = np.flatnonzero(there)
+    soon = np.diff(first[0].stamp_ns[rows]) <= _SOON_NS
+    a, b = (np.mean([arm.position[rows, _SHOULDER] for arm in arms], axis=0) for arms in (first, second))
+
+    def apart(now: FloatArray, before: FloatArray) -> FloatArray:
+        return np.asarray(np.linalg.norm(now[1:] - before[:-1], axis=1))
+
+    own_a, own_b = apart(a, a), apart(b, b)
+    crossed = apart(a, b) + apart(b, a)
+    jumps = soon & (np.minimum(own_a, own_b) > _JUMP_M) & (crossed < _LEFT * (own_a + own_b))
+    # after one exchange the next one is seen in the numbers as they are then: every jump counts
+    return np.asarray(rows[1:][jumps])
+
+
+def people(file: RecordingFile) -> tuple[list[ArmFrames], list[str]]:
+    """The arms of every person, each under one number."""
+    arms, swapped = unswap_bodies(file.arms)
+    arms, joined = join_bodies(arms)
+    return arms, swapped + joined
+
+
+#: Clocks may be this far apart, s; and where an assignment within that leaves open what is meant.
+REACH_S, FAR_S = 5.0, 600.0
+
+
+def match_streams(
+    file: RecordingFile,
+    imus: Sequence[ImuSamples],
+    arms: Sequence[ArmFrames],
+    *,
+    method: str = "motion",
+    reach_s: float = REACH_S,
+    may_be: Callable[[int, Limb], bool] | None = None,
+) -> tuple[list[ImuMatch], list[str]]:
+    """Match some IMUs of a file to some of its arms, by motion alone."""
+    from ...matching import limbs_of, match_imus  # SciPy: where it is used
+
+    source = str(file.path)
+    notes: list[str] = []
+    stamps = [*(imu.stamp_ns for imu in imus), *(arm.stamp_ns for arm in arms)]
+    origin = min((int(each[0]) for each in stamps if len(each)), default=0)
+    limbs: list[Limb] = []
+    for arm in (arm for arm in arms if arm.tracked):
+        try:
+            frames, dropped = clean_arm(arm, source)
+        except RecordingError as error:
+            notes.append(f"{arm.label} cannot be matched: {error}")
+            continue
+        notes += dropped
+        t_s = seconds(frames.stamp_ns, origin)
+        tracks = JointTracks(arm.topic, t_s, frames.position, frames.state)
+        limbs += limbs_of(tracks, arm.body, arm.side, arm.topic)
+    streams: list[ImuStream] = []
+    for imu in imus:
+        try:
+            samples, dropped = clean_imu(imu, source)
+        except RecordingError as error:
+            # one broken sensor of a box does not keep the others from being matched
+            samples, dropped = rows_of(imu, slice(0, 0)), [f"{imu.topic} cannot be matched: {error}"]
+        notes += dropped
+        streams.append(samples.on_axis(origin))
+    allowed = None
+    if may_be is not None:
+        allowed = np.array([[may_be(i, limb) for limb in limbs] for i in range(len(streams))], bool)
+    level_down = replace(file, arms=list(arms)).level_down
+    try:
+        matches = match_imus(streams, limbs, level_down, method, reach_s, allowed)
+    except RecordingError as error:
+        raise RecordingError(f"{source}: {error}.") from None
+    start = min((float(limb.tracks.t_s[0]) for limb in limbs), default=0.0) - reach_s
+    end = max((float(limb.tracks.t_s[-1]) for limb in limbs), default=0.0) + reach_s
+    for stream, match in zip(streams, matches, strict=True):
+        if len(stream) and (stream.t_s[0] > end or stream.t_s[-1] < start):
+            notes.append(
+                f"{stream.name} and the camera have no time in common, so it cannot be matched; set the"
+                f" clocks to within {reach_s:g} s of each other."
+            )
+        elif len(stream) and not match.is_known:
+            best = " or ".join(f"{where} ({p:.0%})" for where, p in match.others[:2])
+            notes.append(
+                f"{stream.name} may be on {best}: the motion does not settle it; record some seconds in which"
+                " this limb moves and the others do something else."
+            )
+    return matches, notes
+
+
+def match_file(
+    file: RecordingFile,
+    method: str = "motion",
+    reach_s: float | None = None,
+    skeleton: str | None = None,
+) -> tuple[list[ImuMatch], list[str]]:
+    """Settle which IMU of a file is on which body and limb, by motion alone; names are not asked."""
+    if not file.imus:
+        raise RecordingError(f"{file.path} has no IMU to match; record the IMUs as well.")
+    arms = [arm for arm in file.arms if skeleton is None or is_named(skeleton, arm.topic, arm.frame_id)]
+    if file.arms and not arms:
+        topics = ", ".join(dict.fromkeys(arm.topic for arm in file.arms))
+        raise RecordingError(f"{file.path}: no skeleton fits --skeleton {skeleton}; it has {topics}.")
+    if not any(arm.tracked for arm in arms):
+        raise RecordingError(
+            f"{file.path} shows no arm to match IMUs to (no forearm joint is tracked); "
+            "record again with the arms in view of the camera for some seconds."
+        )
+    arms, notes = people(replace(file, arms=arms))
+    reach_s = REACH_S if reach_s is None else reach_s
+    matches, more = match_streams(file, file.imus, arms, method=method, reach_s=reach_s)
+    notes += more
+    for imu, match in zip(file.imus, matches, strict=True):
+        if match.limb is None or not match.is_sure:
+            continue
+        named, side = role_among(imu, file.imus), named_side(imu.topic, imu.frame_id)
+        segment = "forearm" if match.limb.segment == "wrist" else match.limb.segment
+        # a hand has no limb of its own to be matched to: the forearm's is the nearest
+        other_limb = named not in ("", segment) and (named, segment) != ("hand", "forearm")
+        if other_limb or (side and match.limb.side and side != match.limb.side):
+            notes.append(
+                f"{imu.topic} moves as {match.limb.label}, which its name contradicts; if it was mixed up, "
+                f"name it in the recording or give --imu {imu.topic} with --side and --body."
+            )
+    return matches, notes
+
+
+def further_cameras(file: RecordingFile) -> dict[str, CameraStream]:
+    """A file's cameras beyond the first, by the topic of their skeleton."""
+    topics = sorted({arm.topic for arm in file.arms if arm.tracked})
+    if file.cameras:
+        return {topic: camera for topic, camera in file.cameras.items() if topic in topics}
+    frames = {arm.topic: arm.frame_id for arm in file.arms}
+    if len(topics) < 2 or len({frames[topic] for topic in topics} - {""}) < len(topics):
+        return {}
+    seen = {topic: max(arm.tracked for arm in file.arms if arm.topic == topic) for topic in topics}
+    flat = {arm.topic for arm in file.arms if arm.lens is not None}  # a camera with depth comes first
+    first = min(topics, key=lambda topic: (topic in flat, -seen[topic], topic))
+    kinds = {arm.topic: arm.camera_frame for arm in file.arms}
+    return {topic: CameraStream(frames[topic], kinds[topic]) for topic in topics if topic != first}
+
+
+def of_first_camera(file: RecordingFile, skeleton: str | None) -> tuple[RecordingFile, RecordingFile | None]:
+    """A file without the skeletons of its further cameras, and one with these alone."""
+    if skeleton is not None:
+        return file, None
+    cameras = further_cameras(file)
+    if not cameras:  # keypoints beside the skeleton that was made of them: one camera is not two
+        with_depth = [arm for arm in file.arms if arm.lens is None]
+        return (replace(file, arms=with_depth) if any(arm.tracked for arm in with_depth) else file), None
+    first = replace(file, arms=[arm for arm in file.arms if arm.topic not in cameras], cameras={})
+    arms = [arm for arm in file.arms if arm.topic in cameras]
+    return first, replace(file, arms=arms, cameras=cameras)
+
+
+def same_arm(
+    others: RecordingFile | None, arm: ArmFrames, imu: ImuSamples
+) -> tuple[list[tuple[CameraStream, ArmFrames]], list[str]]:
+    """What each further camera saw of an arm: the skeleton of its side, of several people by the motion."""
+    if others is None:
+        return [], []
+    found, notes = [], []
+    for topic, camera in others.cameras.items():
+        own = replace(others, arms=[each for each in others.arms if each.topic == topic], cameras={})
+        arms, said = people(own)
+        notes += said
+        candidates = [each for each in arms if each.side == arm.side and each.tracked]
+        if not candidates:
+            notes.append(f"{camera.name} ({topic}) shows no {arm.side or 'such'} arm and was left out.")
+            continue
+        if len(candidates) > 1:
+            with suppress(RecordingError):  # too short to match
+                (match,), _ = match_streams(own, [imu], candidates, reach_s=FAR_S)
+                candidates = [each for each in candidates if match.limb is None or each.key == match.limb.arm]
+        found.append((camera, candidates[0]))
+        notes.append(f"{camera.name}: skeleton {found[-1][1].label} was taken as a further camera's.")
+    return found, notes
 
 
 class Selection(TypedDict, total=False):
@@ -288,8 +567,6 @@ def _assigned(
     is_far: bool = False,
 ) -> tuple[list[ImuMatch], list[str]]:
     """One assignment of these IMUs to all limbs of these arms; none where streams cannot be used."""
-    from .match import FAR_S, REACH_S, match_streams  # SciPy: where it is used
-
     try:
         return match_streams(file, imus, arms, may_be=may_be, reach_s=FAR_S if is_far else REACH_S)
     except RecordingError:

@@ -24,8 +24,7 @@ from ..mcap.merge import Output
 from ..mcap.messages import Messages
 from ..tables.table import file_text
 from .choose import Selection
-from .read import METADATA, RESULT_PREFIX, open_recording
-from .select import select_recordings
+from .read import METADATA, RESULT_PREFIX, open_recording, select_recordings
 
 #: Metadata record of a part: of which recording, from when to when.
 CUT = "unocclude.cut"

@@ -13,7 +13,7 @@ from ...recording import JOINTS, CameraFrame, JointState
 from ...runtime.store import GatheredRows, batches, large_array, sampled
 from ..mcap.messages import Messages, Topic
 from ..wire import cdr
-from ..wire import protobuf_decode as proto
+from ..wire import protobuf as proto
 from ..wire.layout import Block, Grouper, MessageLayout, axes
 from ..wire.schemas import message_class
 from .streams import ArmFrames, FieldSamples, ImuSamples, PoseSamples

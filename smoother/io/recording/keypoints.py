@@ -1,4 +1,4 @@
-"""Keypoints in the images of a camera without depth: read, written, and turned into rays by the lens."""
+"""Cameras of a file: keypoints of one without depth, lenses that make rays of them, further cameras."""
 
 from __future__ import annotations
 
@@ -11,15 +11,19 @@ from calib.intrinsics import LARGEST_SHARE, SHARE_RANGE, Intrinsics
 
 from ...array_types import FloatArray
 from ...errors import RecordingError
-from ...recording import JOINTS, CameraFrame, CameraPose, JointState, JointTracks
+from ...linalg import unit
+from ...recording import JOINTS, Camera, CameraFrame, CameraPose, JointState, JointTracks
 from ...runtime.store import by_rows
 from ..mcap.messages import seconds
+from .clean import clean_arm
 from .decode import INFERRED_SCORE, TRACKED_SCORE
 from .decode import states_of_scores as states_of_scores
-from .streams import ArmFrames, KnownLens, RecordingFile
+from .streams import ArmFrames, CameraStream, KnownLens, RecordingFile
 
 #: Where the messages of the first camera are written to, and of one with a name.
 TOPIC, NAMED_TOPIC = "/camera/keypoints_2d", "/camera/{}/keypoints_2d"
+#: Where the skeletons of further cameras are written to, each under its name.
+CAMERA_TOPIC = "/skeleton/"
 #: Networks place joints beyond the image's edge by this part of it, and hardly more than this share beyond.
 BEYOND, OUTSIDE_SHARE = 0.05, 0.01
 
@@ -135,3 +139,55 @@ def lenses_from_plain(values: Mapping[str, Mapping[str, Any]]) -> dict[str, Know
             pose = CameraPose(R, p, sigma_rad, float(each["pose"]["sigma_m"]))
         lenses[str(topic)] = KnownLens(lens_from_plain(each["intrinsics"]), pose)
     return lenses
+
+
+def camera_of(
+    stream: CameraStream,
+    arm: ArmFrames,
+    source: str,
+    origin_ns: int,
+    lenses: Mapping[str, KnownLens],
+) -> tuple[Camera | None, list[str]]:
+    """A further camera with cleaned frames; None and a sentence where they cannot be used."""
+    try:
+        clean, notes = clean_arm(arm, source)
+    except RecordingError as error:
+        return None, [f"{stream.name} was left out: {error}"]
+    tracks = tracks_of(clean, origin_ns)
+    frame = stream.camera_frame or clean.camera_frame
+    known = lenses.get(arm.topic)
+    pose = None if known is None else known.pose
+    return Camera(stream.name, tracks, frame, stream.gravity_hint, pose), notes
+
+
+def cameras_plain(cameras: dict[str, CameraStream]) -> dict[str, dict[str, object]]:
+    """As a file's metadata holds them."""
+    return {
+        topic: {
+            "name": camera.name,
+            "camera_frame": None if camera.camera_frame is None else str(camera.camera_frame),
+            "gravity": None if camera.gravity_hint is None else [float(x) for x in camera.gravity_hint],
+        }
+        for topic, camera in cameras.items()
+    }
+
+
+def cameras_from_plain(values: dict[str, dict[str, object]]) -> dict[str, CameraStream]:
+    """From metadata; raises `ValueError`, `TypeError` or `KeyError` where it is none."""
+    return {
+        str(topic): CameraStream(
+            str(each["name"]),
+            CameraFrame(str(each["camera_frame"])) if each.get("camera_frame") else None,
+            direction_of(each["gravity"]) if each.get("gravity") is not None else None,
+        )
+        for topic, each in dict(values).items()
+    }
+
+
+def direction_of(value: object) -> FloatArray:
+    """Down as plain values state it; raises `ValueError` or `TypeError` where they do not."""
+    gravity = np.array(value, float).reshape(3)
+    direction = np.asarray(unit(gravity))
+    if not (np.isfinite(gravity).all() and abs(float(np.linalg.norm(direction)) - 1) < 1e-6):
+        raise ValueError("gravity is not a direction")
+    return direction

@@ -20,9 +20,8 @@ from ...recording import JOINTS, Camera, CameraFrame, ImuStream, JointState, Joi
 from ...runtime.outputs import writing
 from ..mcap.merge import Output, OutputStream
 from ..mcap.messages import nanoseconds
-from .camera_streams import CAMERA_TOPIC, cameras_plain
 from .decode import KEYPOINTS
-from .keypoints import NAMED_TOPIC, TOPIC, lenses_plain, pixels_of
+from .keypoints import CAMERA_TOPIC, NAMED_TOPIC, TOPIC, cameras_plain, lenses_plain, pixels_of
 from .names import OTHER_SIDE, free_name
 from .read import CLOCKS_UNRELATED, METADATA
 from .streams import ArmFrames, CameraStream, ImuSamples, KnownLens, PoseSamples, RecordingFile

@@ -21,8 +21,7 @@ from ...result.columns import SAMPLES
 from ..mcap.container import Container
 from ..mcap.messages import DamageNote, plain_name, seconds, told_behind
 from ..recording.read import METADATA
-from .tables import SEGMENT, TRUNK, Columns, read_table
-from .write import RESULT, STATED
+from .write import RESULT, SEGMENT, STATED, TRUNK, Columns, read_table
 
 #: What values of a result that somebody else wrote, or that are damaged, end in.
 BROKEN_RESULT = (

@@ -31,8 +31,7 @@ from ...errors import RecordingError
 from ...runtime.inputs import check_input, inside, read_toml
 from ..files import add_imu, add_skeleton, times_of
 from ..mcap.messages import nanoseconds
-from ..recording.camera_streams import CAMERA_TOPIC, direction_of
-from ..recording.keypoints import NAMED_TOPIC, TOPIC, lens_from_plain
+from ..recording.keypoints import CAMERA_TOPIC, NAMED_TOPIC, TOPIC, direction_of, lens_from_plain
 from ..recording.streams import CameraStream, KnownLens, PoseSamples, RecordingFile
 from ..registry import FileReader, recognise
 from .columns import (

@@ -10,7 +10,7 @@ from ...errors import RecordingError
 from ...recording import JOINTS
 from ...runtime.packages import extra_module
 from ..mcap.messages import seconds
-from ..recording.inertial import LEFT_OUT
+from ..recording.clean import LEFT_OUT
 from ..recording.read import open_recording
 from ..recording.streams import ArmFrames
 from .imu import ImuTable

@@ -147,7 +147,7 @@ def test_without_rerun_one_sentence(tmp_path, monkeypatch, capsys):
 
 def test_what_is_not_trusted_has_a_colour_and_a_state(rerun, tmp_path):
     from smoother.io.export.rrd import packed
-    from smoother.io.result.drawing import UNTRUSTED
+    from smoother.io.result.streams import UNTRUSTED
     from smoother.result import Estimates, UntrustedInterval
 
     body = UntrustedInterval(9.0, 12.0, ("another person's joints",))

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 from google.protobuf.descriptor_pb2 import FileDescriptorSet
 
-from smoother.io.wire import protobuf_decode as decode
-from smoother.io.wire import protobuf_encode as encode
+from smoother.io.wire import protobuf
 from smoother.io.wire.layout import BROKEN, MessageLayout
 from smoother.io.wire.schemas import message_class, schema_data
 
@@ -42,10 +41,10 @@ def test_every_cut_is_noticed() -> None:
         whole.add(len(message.SerializeToString()))
     for size in range(len(raw)):
         if size in whole:
-            decode.walk(raw[:size], Skeleton)
+            protobuf.walk(raw[:size], Skeleton)
         else:
             with pytest.raises(BROKEN):
-                decode.walk(raw[:size], Skeleton)
+                protobuf.walk(raw[:size], Skeleton)
 
 
 @pytest.mark.parametrize(
@@ -58,7 +57,7 @@ def test_every_cut_is_noticed() -> None:
 )
 def test_what_is_no_protobuf(raw: bytes) -> None:
     with pytest.raises(BROKEN):
-        decode.walk(raw, Imu)
+        protobuf.walk(raw, Imu)
 
 
 @pytest.mark.parametrize(
@@ -74,7 +73,7 @@ def test_what_is_no_protobuf(raw: bytes) -> None:
 )
 def test_stamps(stamp: bytes, expected: int) -> None:
     stamp = bytes([stamp[0], len(stamp) - 2]) + stamp[2:]
-    layout = decode.walk(stamp, Imu)
+    layout = protobuf.walk(stamp, Imu)
     assert layout.stamps(np.frombuffer(stamp, np.uint8)[None], np.array([77])).tolist() == [expected]
 
 
@@ -94,7 +93,7 @@ def test_a_skeleton_as_the_library_reads_it() -> None:
     columns = {"timestamp": stamps, "occluded": occluded, "joints.0.position": position}
     columns |= {"joints.0.state": state, "joints.0.position_covariance": covariance}
     columns |= {"joints.2.confidence": confidence, "joints.2.position": position[:, [2, 0, 1]]}
-    block = encode.Encoder("unocclude.Skeleton", constants)(columns)
+    block = protobuf.Encoder("unocclude.Skeleton", constants)(columns)
     assert block.dtype == np.uint8 and len(block) == 5
     for k, raw in enumerate(row.tobytes() for row in block):
         message = Skeleton.FromString(raw)
@@ -109,7 +108,7 @@ def test_a_skeleton_as_the_library_reads_it() -> None:
         assert hand.confidence == confidence[k] and message.occluded == occluded[k]
         assert [bare.position.x, bare.position.y, bare.position.z] == [1.0, -2.0, 0.0]
         # what we write we read
-        layout = decode.walk(raw, Skeleton)
+        layout = protobuf.walk(raw, Skeleton)
         assert layout.counts == {"joints": 3}
         assert one(layout, raw, "joints.0.position_covariance") == covariance[k].tolist()
         if abs(int(stamps[k])) < 2**61:
@@ -119,11 +118,11 @@ def test_a_skeleton_as_the_library_reads_it() -> None:
 
 def test_bytes_and_elements_of_a_list() -> None:
     data, at = np.arange(12, dtype=np.uint8).reshape(3, 4), np.array([0, 1, 2])
-    for k, row in enumerate(encode.Encoder("foxglove.PointCloud", {"point_stride": 4})({"data": data})):
+    for k, row in enumerate(protobuf.Encoder("foxglove.PointCloud", {"point_stride": 4})({"data": data})):
         assert message_class("foxglove.PointCloud").FromString(row.tobytes()).data == data[k].tobytes()
     constants = {"entities": [{"lines": [{"points": [{}, {}]}]}]}
     points = {"entities.0.timestamp": at, "entities.0.lines.0.points.1": np.arange(9.0).reshape(3, 3)}
-    for k, row in enumerate(encode.Encoder("foxglove.SceneUpdate", constants)(points)):
+    for k, row in enumerate(protobuf.Encoder("foxglove.SceneUpdate", constants)(points)):
         entity = message_class("foxglove.SceneUpdate").FromString(row.tobytes()).entities[0]
         first, last = entity.lines[0].points
         assert entity.timestamp.nanos == k and (first.x, last.x, last.z) == (0.0, 3.0 * k, 3.0 * k + 2.0)
