@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import threading
 import time
@@ -18,8 +17,8 @@ from ..errors import UnoccludeError
 from ..io.mcap.merge import Output, OutputStream
 from ..io.mcap.messages import nanoseconds
 from ..io.recording.read import METADATA, RESULT_PREFIX
-from ..io.recording.streams import ARRIVAL, ORDER, ArmFrames, ImuSamples
-from ..io.recording.write import CAMERA, arm_messages, imu_messages, imu_topic
+from ..io.recording.streams import ARRIVAL, ORDER, ArmFrames, ImuSamples, RecordingFile
+from ..io.recording.write import CAMERA, arm_messages, imu_messages, imu_topic, recording_metadata
 from ..recording import JOINTS
 from ..runtime.outputs import check_output, umask
 from .arrivals import LiveStep, Rows, SourceInfo, drained
@@ -191,12 +190,10 @@ class SessionRecording:
         self.is_whole = True
 
     def _write_metadata(self) -> None:
-        values = {"notes": json.dumps(self._notes), "name": self._infos[0].name, ORDER: ARRIVAL}
-        if self._infos[0].camera_frame is not None:
-            values["camera_frame"] = str(self._infos[0].camera_frame)
-        if self._infos[0].gravity_hint is not None:
-            values["gravity"] = json.dumps([float(value) for value in self._infos[0].gravity_hint])
-        self._output.metadata(METADATA, values)
+        info = self._infos[0]
+        file = RecordingFile(Path(info.name), camera_frame=info.camera_frame, gravity_hint=info.gravity_hint)
+        file.notes = self._notes
+        self._output.metadata(METADATA, recording_metadata(file) | {ORDER: ARRIVAL})
 
 
 def growing_name(path: Path) -> Path:

@@ -62,28 +62,30 @@ def write_recording(
 
 def recording_streams(output: Output, file: RecordingFile) -> list[OutputStream]:
     """Enter a recording's metadata and channels into an output; its messages, to be written."""
-    metadata = {"notes": json.dumps(file.notes), "name": file.name}
-    if file.camera_frame is not None:
-        metadata["camera_frame"] = str(file.camera_frame)
-    if file.gravity_hint is not None:
-        metadata["gravity"] = json.dumps([float(value) for value in file.gravity_hint])
-    if file.cameras:
-        metadata["cameras"] = json.dumps(cameras_plain(file.cameras))
-    if file.lenses:
-        metadata["lenses"] = json.dumps(lenses_plain(file.lenses))
-    if file.clocks_unrelated:
-        metadata["clocks"] = CLOCKS_UNRELATED
-    scores = {
-        poses.topic: [[run.start, run.stop] for run in runs(poses.score)]
-        for poses in file.poses
-        if poses.score is not None
-    }
-    if scores:
-        metadata["truth_score"] = json.dumps(scores)
-    output.metadata(METADATA, metadata)
+    output.metadata(METADATA, recording_metadata(file))
     outgoing = [imu_messages(output, imu) for imu in file.imus]
     outgoing += [arm_messages(output, arm) for arm in file.arms]
     return outgoing + [each for poses in file.poses for each in _pose_messages(output, poses)]
+
+
+def recording_metadata(file: RecordingFile) -> dict[str, str]:
+    """What a file states of its recording besides the streams."""
+    metadata = {"notes": json.dumps(file.notes), "name": file.name}
+    if file.camera_frame is not None:
+        metadata["camera_frame"] = str(file.camera_frame)
+    if file.clocks_unrelated:
+        metadata["clocks"] = CLOCKS_UNRELATED
+    plain = {
+        "gravity": None if file.gravity_hint is None else file.gravity_hint.tolist(),
+        "cameras": cameras_plain(file.cameras),
+        "lenses": lenses_plain(file.lenses),
+        "truth_score": {
+            each.topic: [[run.start, run.stop] for run in runs(each.score)]
+            for each in file.poses
+            if each.score is not None
+        },
+    }
+    return metadata | {name: json.dumps(value) for name, value in plain.items() if value}
 
 
 def as_file(recording: Recording | Sequence[Recording]) -> RecordingFile:
