@@ -1,4 +1,4 @@
-"""A session that is recorded while a recording is played: every byte that matters comes back."""
+"""Sessions while recordings are played: every byte that matters comes back, of one arm or both."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import dataclasses
 import json
 import threading
 import time
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -14,6 +15,8 @@ from made_recordings import make
 from mcap.reader import make_reader
 from scenes import ALONE, arm
 
+import smoother.live.smoother
+from smoother.cli.run import run
 from smoother.errors import UnoccludeError
 from smoother.io import open_recording, read_recording, write_recording
 from smoother.io.mcap.merge import repair_container
@@ -187,3 +190,62 @@ def test_a_slow_disk_delays_no_answer(original, tmp_path, monkeypatch):
         recording.close()
     assert np.percentile(waited, 95) < 0.001  # a write takes 2 ms at least
     same(read_recording(original), read_recording(tmp_path / "session.mcap"))
+
+
+SIDES = ("right", "left")
+
+
+@pytest.fixture(scope="module")
+def both(tmp_path_factory) -> Path:
+    path = tmp_path_factory.mktemp("both") / "both.mcap"
+    made = [*("--arms", "both", "--set", "imus=wrist,upper-arm", "--set", "protocol=random")]
+    assert run(["simulate", "arm", "-o", str(path), "--seed", "3", *made, "--set", "duration_s=6"]) == 0
+    return path
+
+
+@pytest.mark.slow
+def test_one_recording_one_file_of_figures_and_every_line_names_its_arm(both, tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(smoother.live.smoother, "LiveSmoother", CameraEcho)
+    session, figures = tmp_path / "session.mcap", tmp_path / "session.json"
+    arguments = ["--arms", "both", "--speed", "0", "--record", str(session), "--json", str(figures)]
+    assert run(["live", "--replay", str(both), *arguments]) == 0
+    said, errors = capsys.readouterr()
+    assert not errors
+    for side in SIDES:
+        assert f"IMU /imu/upper_arm_{side} on the upper arm" in said
+        assert f"s  {side} arm: calibrating" in said
+        assert f"{side} arm, " in said
+        played, kept = (read_recording(path, side=side) for path in (both, session))
+        upper = [each.further_imus["upper_arm"] for each in (kept, played)]
+        for own, names in (
+            ((kept.imu, played.imu), ("acc", "t_s")),
+            (upper, ("gyro",)),
+            ((kept.arm, played.arm), ("t_s", "position", "state")),
+        ):
+            for name in names:
+                np.testing.assert_array_equal(*(getattr(each, name) for each in own))
+    arms = {each["side"]: each for each in json.loads(figures.read_text())["arms"]}
+    assert list(arms) == list(SIDES)
+    assert arms["left"]["skeleton"]["count"] == arms["right"]["skeleton"]["count"] > 100
+
+
+def test_what_a_person_gets_wrong(both, capsys):
+    def sentence(*arguments: str, code: int = 2) -> str:
+        capsys.readouterr()
+        assert run(["live", *arguments]) == code
+        said = capsys.readouterr().err
+        assert said.count("\n") == 1
+        return said
+
+    played = ("--replay", str(both))
+    assert "'three' is not one of 'one', 'both'" in sentence(*played, "--arms", "three")
+    places = "of right, right-upper-arm, right-hand, left, left-upper-arm, left-hand"
+    for imu in ("wrist", "up=wrist", "hand=a"):
+        assert places in sentence("--arms", "both", "--imu", imu)
+    assert "once for each place, of upper-arm, hand" in sentence("--imu", "a", "--imu", "b")
+    assert "once for each place" in sentence("--imu", "hand=a", "--imu", "hand=b")
+    assert "of upper-arm, hand" in sentence("--imu", "leg=a")
+    assert "a further --imu is of a stream" in sentence(*played, "--imu", "hand=a")
+    same = ("--imu", "right=/imu/forearm_left", "--imu", "left=/imu/forearm_left")
+    said = sentence(*played, "--arms", "both", "--speed", "0", *same, code=1)
+    assert "/imu/forearm_left" in said or "which IMU is on which arm" in said

@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...angles import ForearmMounting, forearm_mounting, joint_angles
-from ...array_types import FloatArray, IntArray
 from ...angles.definitions import torso_axes
+from ...array_types import FloatArray, IntArray
 from ...linalg import median_rate_hz
 from ...measurements.visibility import Gap
 from ...recording import JOINTS, JointState

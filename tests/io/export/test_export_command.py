@@ -1,4 +1,4 @@
-"""`unocclude export` over formats, sides and axes, `simulate arm --mocap`, and what docs/exports.md says."""
+"""`unocclude export` over formats, sides and axes, of Parquet; `simulate arm --mocap`."""
 
 from __future__ import annotations
 
@@ -6,15 +6,22 @@ import json
 import re
 import tomllib
 from dataclasses import replace
+from itertools import product
 from pathlib import Path
 
+import ezc3d
 import numpy as np
+import pyarrow.parquet as pq
 import pytest
+from arms import make_recording
 from commands import done, refused
-from results import made, read_mot, read_trc, without_answer
+from results import made, read_trc, without_answer
+from scipy.spatial.transform import Rotation
 
-from smoother.io import write_recovery
+from smoother.io import read_recording, write_recording, write_recovery
 from smoother.io.export.prepare import prepare_export
+from smoother.recording import CameraFrame
+from smoother.result import Estimates
 
 FORMATS = ("csv", "trc", "mot", "c3d", "parquet")
 
@@ -50,45 +57,28 @@ def test_every_format_of_every_arm(results, tmp_path, format_name, arm):
     assert {row["frame"] for row in figures} == {{"trc": "opensim", "mot": None}.get(format_name, "camera")}
 
 
-@pytest.mark.parametrize("format_name", FORMATS)
-@pytest.mark.parametrize(
-    ("name", "sentence"),
-    [
-        ("strap", "it has no shoulder, no elbow, no wrist; export to csv, trc"),
-        ("nothing", "joint angles need shoulder, elbow and wrist"),
-    ],
-)
-def test_a_strap_alone_and_no_answer_at_all(results, tmp_path, capsys, format_name, name, sentence):
-    output = tmp_path / f"a.{format_name}"
-    command = ("export", results / f"{name}.mcap", "--format", format_name, "-o", output)
-    if format_name == "mot":
-        assert sentence in refused(capsys, *command)
-        assert list(tmp_path.iterdir()) == []
-    else:
-        done(*command)
-
-
-def test_one_arm_that_cannot_leaves_none(tmp_path, capsys):
+def test_a_strap_alone_and_no_answer_at_all_have_no_joint_angles(results, tmp_path, capsys):
+    """One arm that cannot leaves none."""
     write_recovery([made("left"), made(strap=True)], tmp_path / "mixed.mcap")
-    said = refused(capsys, "export", tmp_path / "mixed.mcap", "--format", "mot", "-o", tmp_path / "a.mot")
-    assert "joint angles need" in said
+    for name, sentence in (
+        (results / "strap.mcap", "it has no shoulder, no elbow, no wrist; export to csv, trc"),
+        (results / "nothing.mcap", "joint angles need shoulder, elbow and wrist"),
+        (tmp_path / "mixed.mcap", "joint angles need"),
+    ):
+        assert sentence in refused(capsys, "export", name, "--format", "mot", "-o", tmp_path / "a.mot")
     assert [path.name for path in tmp_path.iterdir()] == ["mixed.mcap"]
+    for other, name in product(FORMATS, ("strap", "nothing")):
+        if other != "mot":
+            done("export", results / f"{name}.mcap", "--format", other, "-o", tmp_path / f"{name}.{other}")
 
 
-def test_no_gravity(results, tmp_path, capsys):
+def test_no_gravity_and_a_camera_that_says_its_axes(results, tmp_path, capsys):
     command = ("export", results / "hold.mcap", "-o", tmp_path / "a.trc", "--format", "trc")
     said = refused(capsys, *command)
     assert "'hold' found no gravity" in said and "--frame camera" in said
-    done(*command, "--frame", "camera")
-    done("export", results / "hold.mcap", "-o", tmp_path / "a.c3d", "--format", "c3d")
-
-
-def test_no_gravity_but_a_camera_that_says_its_axes(tmp_path, capsys):
-    from arms import make_recording
-
-    from smoother.io import write_recording
-    from smoother.recording import CameraFrame
-
+    done(*command, "--frame", "camera", "--rate", "20", "--json", tmp_path / "j.json")
+    (row,) = json.loads((tmp_path / "j.json").read_text())["files"]
+    assert (row["rate_hz"], row["rows"]) == (20, 400)
     source = replace(make_recording(), camera_frame=CameraFrame.OPTICAL)
     write_recording(source, tmp_path / "rec.mcap")
     hold = replace(made("right"), method="hold", gravity_direction=np.full(3, np.nan))
@@ -104,39 +94,14 @@ def test_no_gravity_but_a_camera_that_says_its_axes(tmp_path, capsys):
     np.testing.assert_allclose(level, expected, atol=1e-6)
 
 
-@pytest.mark.parametrize("format_name", ["trc", "mot", "c3d"])
-def test_rate(results, tmp_path, format_name):
-    output = tmp_path / f"a.{format_name}"
-    done(
-        *("export", results / "left.mcap", "--format", format_name, "-o", output, "--rate", "20"),
-        *("--json", tmp_path / "j.json"),
-    )
-    (row,) = json.loads((tmp_path / "j.json").read_text())["files"]
-    assert (row["rate_hz"], row["rows"]) == (20, 400)
-    if format_name == "mot":
-        _, _, table = read_mot(output)
-        np.testing.assert_allclose(np.diff(table[:, 0]), 0.05, atol=2e-9)
-
-
 @pytest.mark.parametrize("side", ["left", "right"])
-def test_simulated_mocap_beside_its_recording(tmp_path, side):
-    import ezc3d
-    from scipy.spatial.transform import Rotation
-
-    done(
-        *("simulate", "arm", "-o", tmp_path / "sim.mcap", "--mocap", "--set", f"side={side}", "--seed", 3),
-        *(
-            "--set",
-            "protocol=random",
-            "--set",
-            "duration_s=6",
-            "--set",
-            "marker_noise_m=0",
-            "--set",
-            "mocap_rate_hz=100",
-        ),
-        *("--set", "mocap_offset_s=-1.5", "--set", "mocap_skew_ppm=0", "--json", tmp_path / "j.json"),
-    )
+def test_simulated_mocap_beside_its_recording(tmp_path, side, capsys):
+    settings = [f"side={side}", "protocol=random", "duration_s=6", "marker_noise_m=0", "mocap_rate_hz=100"]
+    settings += ["mocap_offset_s=-1.5", "mocap_skew_ppm=0"]
+    command = ["simulate", "arm", "-o", tmp_path / "sim.mcap", "--mocap", "--seed", 3]
+    command += [word for setting in settings for word in ("--set", setting)]
+    done(*command, "--json", tmp_path / "j.json")
+    assert "--force" in refused(capsys, *command)
     names = {"sim.mcap", "sim.c3d", "sim.trc", "sim_markers.toml", "sim_calibration.toml", "j.json"}
     assert {path.name for path in tmp_path.iterdir()} == names
     marks = tomllib.loads((tmp_path / "sim_markers.toml").read_text())["markers"]
@@ -150,8 +115,6 @@ def test_simulated_mocap_beside_its_recording(tmp_path, side):
     lost = np.isnan(trc).any(axis=2).mean(axis=0)
     assert (lost > 0).all()
     # Through the files alone: markers to the camera's axes and the IMU's clock, against the truth inside.
-    from smoother.io import read_recording
-
     truth = read_recording(tmp_path / "sim.mcap").truth
     turn = Rotation.from_quat(table["rotation"], scalar_first=True)
     kinect = np.diag([-1.0, -1.0, 1.0])  # of optical axes
@@ -166,36 +129,41 @@ def test_simulated_mocap_beside_its_recording(tmp_path, side):
         np.testing.assert_allclose(place[seen], there, atol=1e-3)
 
 
-def test_mocap_goes_into_the_calibration_that_is_named(tmp_path, capsys):
-    done(
-        *(
-            "simulate",
-            "arm",
-            "--mocap",
-            "--calibration-out",
-            tmp_path / "cal.toml",
-            "--set",
-            "protocol=random",
-        ),
-        *("--set", "duration_s=4", "-o", tmp_path / "a.mcap"),
-    )
-    assert "camera_from_mocap" in tomllib.loads((tmp_path / "cal.toml").read_text())
-    assert not (tmp_path / "a_calibration.toml").exists()
-    said = refused(capsys, "simulate", "arm", "--mocap", "-o", tmp_path / "a.mcap")
-    assert "--force" in said
-
-
-DOCUMENT = Path(__file__).parents[3] / "docs" / "exports.md"
-
-
-def document() -> str:
-    return DOCUMENT.read_text(encoding="utf-8")
-
-
 def test_examples_run(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
-    recovery = made()
-    prepare_export(recovery, "parquet").write(Path("out.parquet"), False)
-    (table,) = re.findall(r"^```python\n(.*?)^```", document(), re.DOTALL | re.MULTILINE)
+    prepare_export(made(), "parquet").write(Path("out.parquet"), False)
+    document = (Path(__file__).parents[3] / "docs" / "exports.md").read_text(encoding="utf-8")
+    (table,) = re.findall(r"^```python\n(.*?)^```", document, re.DOTALL | re.MULTILINE)
     exec(compile(table, "exports.md", "exec"), {})
     assert capsys.readouterr().out.split() == ["b'm'", "graph"]
+
+
+def test_columns_of_parquet_have_units_and_the_rest_of_the_result_goes_along(tmp_path):
+    recovery = replace(
+        made("left"),
+        config={"camera": {"noise_m": 0.008}},
+        estimates=Estimates(further={"rms_m": float("nan"), "biases": np.array([1.0, 2.0])}),
+        notes=("A note with “quotes”.",),
+    )
+    prepare_export(recovery, "parquet", version="9.9").write(tmp_path / "a.parquet", False)
+    schema = pq.read_table(tmp_path / "a.parquet").schema
+    units = {field.name: field.metadata[b"unit"].decode() for field in schema}
+    assert all(field.metadata[b"description"] for field in schema)
+    for pattern, unit in (
+        (r"(imu|elbow|wrist|shoulder|hand)_[xyz]", "m"),
+        (r"(\w+_)?sigma_[xyz]", "m"),
+        (r"sigma_deg", "deg"),
+        (r"v[xyz]", "m/s"),
+        (r"imu_q[wxyz]", ""),
+        (r"t_s", "s"),
+        (r"stamp_ns", "ns"),
+    ):
+        assert {units[name] for name in units if re.fullmatch(pattern, name)} == {unit}, pattern
+    # A strict reading: NaN is not JSON.
+    kept = json.loads(schema.metadata[b"unocclude"], parse_constant=lambda text: pytest.fail(text))
+    assert kept["config"] == {"camera": {"noise_m": 0.008}}
+    assert kept["figures"] == {"rms_m": None, "biases": [1.0, 2.0]}
+    assert kept["notes"] == ["A note with “quotes”."]
+    assert (kept["method"], kept["side"], kept["version"]) == ("graph", "left", "9.9")
+    assert len(kept["gaps"]) == len(recovery.gaps)
+    assert kept["clock_offset_sigma_s"] == 0.002

@@ -11,6 +11,7 @@ import ezc3d
 import numpy as np
 import pytest
 from results import HIDDEN, export, jittered, made, read_trc, without_answer
+from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation
 
 from smoother.errors import UnoccludeError
@@ -36,9 +37,8 @@ def read_c3d(path: Path) -> tuple[dict, list[str], np.ndarray, np.ndarray]:
     return parameters, parameters["POINT"]["LABELS"]["value"], position, residual
 
 
-@pytest.mark.parametrize("side", ["left", "right", ""])
-def test_trc_holds_every_recovered_sample(tmp_path, side):
-    recovery = made(side)
+def test_trc_holds_every_recovered_sample_and_is_blank_where_the_camera_had_nothing(tmp_path):
+    recovery = made()
     header, names, t_s, position = read_trc(export(recovery, tmp_path / "a.trc", frame="camera"))
     assert header["Units"] == "mm"
     assert float(header["DataRate"]) == pytest.approx(80)
@@ -48,11 +48,6 @@ def test_trc_holds_every_recovered_sample(tmp_path, side):
     for number, name in enumerate(AFTER):
         true = recovery.position if name == "imu" else recovery.joints[name]
         np.testing.assert_allclose(position[:, number] / 1000, true, atol=TRC_M)
-
-
-def test_before_is_blank_where_the_camera_had_nothing(tmp_path):
-    recovery = made()
-    _, names, t_s, position = read_trc(export(recovery, tmp_path / "a.trc", frame="camera"))
     wrist = position[:, names.index("camera_wrist")] / 1000
     frames = recovery.arm.t_s[recovery.arm.tracked("wrist")]
     for start, end in HIDDEN:
@@ -118,11 +113,6 @@ def test_c3d_flags_what_is_recovered(tmp_path):
     descriptions = parameters["POINT"]["DESCRIPTIONS"]["value"]
     assert descriptions[wrist] == "recovered"
     assert "camera" in descriptions[before]
-
-
-def test_c3d_has_the_gaps_as_events(tmp_path):
-    recovery = made("left")
-    parameters, *_ = read_c3d(export(recovery, tmp_path / "a.c3d"))
     events = parameters["EVENT"]
     times = 60 * events["TIMES"]["value"][0] + events["TIMES"]["value"][1]
     expected = [time for gap in recovery.gaps for time in (gap.start_s, gap.end_s)]
@@ -145,29 +135,22 @@ def test_uneven_stamps_come_to_a_constant_step(tmp_path):
         assert 1 / step == pytest.approx(rate or 80, rel=0.01)
         np.testing.assert_allclose(np.diff(t_s), step, atol=2e-9)
         # The hand-made path is white noise of 2 mm between samples; the spline follows its samples.
-        from scipy.interpolate import CubicSpline
-
         true = CubicSpline(uneven.t_s, uneven.joints["wrist"])(t_s)
         far = np.abs(uneven.t_s[:, None] - t_s[None]).min(axis=0) < 0.0126  # no hole of two samples
         np.testing.assert_allclose(position[far, names.index("wrist")] / 1000, true[far], atol=2e-3)
 
 
-def test_too_many_frames_for_a_c3d(tmp_path):
+def test_too_many_frames_for_a_c3d_and_too_few_samples(tmp_path):
     recovery = made()
     with pytest.raises(UnoccludeError, match=r"at most 65535 frames.*give --rate 3278\.\d+ or less"):
         prepare_export(recovery, "c3d", rate_hz=4000.0)
     with pytest.raises(UnoccludeError, match="65535"):
         write_c3d(tmp_path / "a.c3d", ["a"], np.zeros((MOST_FRAMES + 1, 1, 3)), 100.0)
+    with pytest.raises(UnoccludeError, match="1 samples are too few"):
+        prepare_export(replace(recovery, t_s=recovery.t_s[:1]), "c3d")
     write_c3d(tmp_path / "b.c3d", ["a"], np.ones((MOST_FRAMES, 1, 3)), 100.0)
     assert ezc3d.c3d(str(tmp_path / "b.c3d"))["data"]["points"].shape == (4, 1, MOST_FRAMES)
     assert os.listdir(tmp_path) == ["b.c3d"]
-
-
-def test_too_few_samples():
-    recovery = made()
-    nothing = replace(recovery, t_s=recovery.t_s[:1])
-    with pytest.raises(UnoccludeError, match="1 samples are too few"):
-        prepare_export(nothing, "c3d")
 
 
 @pytest.mark.parametrize("suffix", ["trc", "c3d", "mot", "parquet"])
@@ -185,15 +168,13 @@ def test_a_full_disk_leaves_nothing(tmp_path, monkeypatch, suffix):
 
 def test_a_c3d_that_was_cut_short_is_noticed(tmp_path, monkeypatch):
     """ezc3d returns without a word when the disk is full."""
-    from ezc3d import c3d
-
-    whole = c3d.write
+    whole = ezc3d.c3d.write
 
     def cut(self, path, **options):
         whole(self, path, **options)
         os.truncate(path, os.path.getsize(path) - 700)
 
-    monkeypatch.setattr(c3d, "write", cut)
+    monkeypatch.setattr(ezc3d.c3d, "write", cut)
     with pytest.raises(UnoccludeError, match="no space left on the disk"):
         prepare_export(made(), "c3d").write(tmp_path / "a.c3d", False)
     assert os.listdir(tmp_path) == []
