@@ -13,6 +13,7 @@ from made_recordings import make
 from made_results import assert_same as assert_same_result
 from made_results import recovery as made_recovery
 
+from smoother.array_types import FloatArray
 from smoother.calibration import LeverArm, SegmentMounting
 from smoother.cli.imports import skeleton_file
 from smoother.errors import UnoccludeError
@@ -26,7 +27,7 @@ from smoother.io import (
 )
 from smoother.io.export.tables import export_csv
 from smoother.io.recording.choose import choose_arms
-from smoother.io.recording.streams import RecordingFile
+from smoother.io.recording.write import as_file
 from smoother.recording import FOREARM_JOINTS, JOINTS, ImuStream, JointState, Recording, TrunkSensors
 from smoother.result import Recovery, SegmentMotion, TrunkMotion
 from smoother.simulation import ArmSimulation, simulate_arm
@@ -38,12 +39,12 @@ def two_cameras() -> Recording:
 
 
 def test_cameras_of_a_written_recording_are_read_back(tmp_path: Path) -> None:
-    recording = two_cameras()
+    recording, path = two_cameras(), tmp_path / "a.mcap"
     down = np.array([0.0, -1.0, 0.0])
     first, second = recording.cameras
     recording = replace(recording, cameras=(replace(first, gravity_hint=down), second))
-    write_recording(recording, tmp_path / "a.mcap")
-    read = read_recording(tmp_path / "a.mcap")
+    write_recording(recording, path)
+    read = read_recording(path)
     assert [camera.name for camera in read.cameras] == ["camera_2", "camera_3"]
     for camera, written in zip(read.cameras, recording.cameras, strict=True):
         np.testing.assert_allclose(camera.arm.t_s, written.arm.t_s, atol=1e-9)
@@ -51,13 +52,8 @@ def test_cameras_of_a_written_recording_are_read_back(tmp_path: Path) -> None:
         assert camera.camera_frame == written.camera_frame
     np.testing.assert_allclose(read.cameras[0].gravity_hint, down)  # type: ignore[arg-type]
     assert read.arm.name == "/skeleton"
-
-
-def test_a_skeleton_that_is_named_is_taken_alone(tmp_path: Path) -> None:
-    write_recording(two_cameras(), tmp_path / "a.mcap")
-    read = read_recording(tmp_path / "a.mcap", skeleton="/skeleton/camera_3")
-    assert read.arm.name == "/skeleton/camera_3"
-    assert not read.cameras
+    named = read_recording(path, skeleton="/skeleton/camera_3")
+    assert named.arm.name == "/skeleton/camera_3" and not named.cameras
 
 
 def test_skeletons_of_several_frames_are_several_cameras_in_any_file(tmp_path: Path) -> None:
@@ -105,18 +101,13 @@ def test_a_recording_toml_may_have_several_cameras(tmp_path: Path) -> None:
     write_folder(tmp_path, FIRST + LEFT)
     recording = import_csv(tmp_path)
     (left,) = recording.cameras
-    assert left.name == "left"
-    assert left.camera_frame == "optical"
+    assert (left.name, left.camera_frame) == ("left", "optical")
     np.testing.assert_allclose(left.gravity_hint, [0, 1, 0])  # type: ignore[arg-type]
     apart = left.arm.position - recording.arm.position
     np.testing.assert_allclose(apart[:, JOINTS.index("wrist"), 0], 0.5)
-
-
-def test_without_a_camera_of_its_own_the_first_named_one_is_it(tmp_path: Path) -> None:
-    write_folder(tmp_path, LEFT)
-    recording = import_csv(tmp_path)
-    assert not recording.cameras
-    assert recording.camera_frame == "optical"
+    write_folder(tmp_path, LEFT)  # without a camera of its own the first named one is it
+    alone = import_csv(tmp_path)
+    assert not alone.cameras and alone.camera_frame == "optical"
 
 
 @pytest.mark.parametrize(
@@ -149,8 +140,9 @@ def with_upper(name: str = "/imu/upper_arm_right", side: str = "right") -> Recor
     return made.with_imu("upper_arm", ImuStream(name, imu.t_s + 0.25, imu.acc + 0.1, 0.5 * imu.gyro))
 
 
-def test_round_trip(tmp_path: Path) -> None:
-    made = with_upper()
+@pytest.mark.parametrize("name", ["/imu/upper_arm_right", "Sensor 00B4"])  # written as the upper arm's
+def test_round_trip(tmp_path: Path, name: str) -> None:
+    made = with_upper(name)
     write_recording(made, tmp_path / "a.mcap")
     back = read_recording(tmp_path / "a.mcap")
     assert back.upper_imu is not None and made.upper_imu is not None
@@ -162,39 +154,28 @@ def test_round_trip(tmp_path: Path) -> None:
     assert describe(tmp_path / "a.mcap")["arms"][0]["upper_imu"] == "/imu/upper_arm_right"
 
 
-def test_any_name_is_written_as_the_upper_arms(tmp_path: Path) -> None:
-    write_recording(with_upper("Sensor 00B4"), tmp_path / "a.mcap")
-    back = read_recording(tmp_path / "a.mcap")
-    assert back.upper_imu is not None and back.upper_imu.name == "/imu/upper_arm_right"
-
-
-def renamed(file: RecordingFile, **names: str) -> RecordingFile:
-    imus = [
-        replace(imu, topic=names.get(imu.topic.rpartition("/")[2], imu.topic), frame_id="")
-        for imu in file.imus
-    ]
-    return replace(file, imus=imus)
-
-
 @pytest.mark.parametrize(
     ("name", "is_taken"),
     [("/imu/upper_arm", True), ("/imu/upperArmRight", True), ("/imu/upper_arm_left", False)],
 )
-def test_which_one_is_meant(tmp_path: Path, name: str, is_taken: bool) -> None:
-    write_recording(with_upper(), tmp_path / "a.mcap")
-    file = renamed(open_recording(tmp_path / "a.mcap"), upper_arm_right=name)
+def test_which_one_is_meant(name: str, is_taken: bool) -> None:
+    file = as_file(with_upper())
+    file.imus[1] = replace(file.imus[1], topic=name, frame_id="")
     assert ("upper_arm" in choose_arms(file, alone=True)[0][0].further) == is_taken
+
+
+def turns(count: int, rng: np.random.Generator) -> FloatArray:
+    quaternion = rng.normal(size=(count, 4))
+    return quaternion / np.linalg.norm(quaternion, axis=1, keepdims=True)
 
 
 def result() -> Recovery:
     made = made_recovery()
     rng = np.random.default_rng(3)
     root = rng.normal(size=(len(made), 6, 6))
-    quaternion = rng.normal(size=(len(made), 4))
-    quaternion /= np.linalg.norm(quaternion, axis=1, keepdims=True)
     upper = SegmentMotion(
         rng.normal(size=(len(made), 3)),
-        quaternion,
+        turns(len(made), rng),
         1e-4 * root @ root.transpose(0, 2, 1),
         np.array([0.02, 0.05, 0.02]),
         0.123,
@@ -216,11 +197,14 @@ def result() -> Recovery:
     )
 
 
+def rows_of_csv(recovery: Recovery, path: Path) -> list[dict[str, str]]:
+    export_csv(recovery, path)
+    return list(csv.DictReader(path.read_text().splitlines()))
+
+
 def test_columns(tmp_path: Path) -> None:
     made = result()
-    export_csv(made, tmp_path / "a.csv")
-    with open(tmp_path / "a.csv", newline="") as file:
-        rows = list(csv.DictReader(file))
+    rows = rows_of_csv(made, tmp_path / "a.csv")
     assert made.upper is not None
     assert [float(rows[10][f"upper_imu_{axis}"]) for axis in "xyz"] == pytest.approx(made.upper.position[10])
     assert float(rows[10]["upper_imu_qw"]) == pytest.approx(made.upper.quaternion[10, 0], abs=1e-8)
@@ -267,10 +251,9 @@ def test_round_trip_with_the_trunk(tmp_path: Path, side: str) -> None:
     assert describe(tmp_path / "a.mcap")["arms"][0]["trunk_imu"] == "/imu/trunk"
 
 
-def test_both_arms_share_the_trunk(tmp_path: Path) -> None:
+def test_both_arms_share_the_trunk() -> None:
     """Each arm's other arm is the one with the other IMU, whole."""
-    write_recording([with_trunk("right"), with_trunk("left")], tmp_path / "a.mcap")
-    file = open_recording(tmp_path / "a.mcap")
+    file = as_file([with_trunk("right"), with_trunk("left")])
     assert sum(imu.topic == "/imu/trunk" for imu in file.imus) == 1
     for side in ("left", "right"):
         one = select_recording(file, side=side)
@@ -281,10 +264,9 @@ def test_both_arms_share_the_trunk(tmp_path: Path) -> None:
 def test_an_arm_alone_and_two_trunks(tmp_path: Path) -> None:
     made = with_trunk()
     assert made.trunk is not None
-    write_recording(replace(made, trunk=TrunkSensors(made.trunk.imu)), tmp_path / "a.mcap")
-    alone = read_recording(tmp_path / "a.mcap")
+    file = as_file(replace(made, trunk=TrunkSensors(made.trunk.imu)))
+    alone = select_recording(file)
     assert alone.trunk is not None and alone.trunk.other_arm is None
-    file = open_recording(tmp_path / "a.mcap")
     (trunk,) = (imu for imu in file.imus if imu.topic == "/imu/trunk")
     file.imus.append(replace(trunk, topic="/imu/chest"))
     both = select_recording(file)
@@ -294,12 +276,9 @@ def test_an_arm_alone_and_two_trunks(tmp_path: Path) -> None:
 
 def trunk_of(count: int) -> TrunkMotion:
     rng = np.random.default_rng(4)
-    quaternion = rng.normal(size=(count, 4))
-    quaternion /= np.linalg.norm(quaternion, axis=1, keepdims=True)
     root = rng.normal(size=(count, 3, 3))
-    motion = TrunkMotion(
-        quaternion, 1e-3 * root @ root.transpose(0, 2, 1), np.eye(3), np.full(3, 0.02), 0.05, "/imu/trunk"
-    )
+    covariance = 1e-3 * root @ root.transpose(0, 2, 1)
+    motion = TrunkMotion(turns(count, rng), covariance, np.eye(3), np.full(3, 0.02), 0.05, "/imu/trunk")
     for values in (motion.quaternion, motion.covariance):
         values[40:44] = np.nan
     return motion
@@ -311,9 +290,7 @@ def test_a_result_keeps_both(tmp_path: Path) -> None:
     (back,) = read_recovery(tmp_path / "a.mcap")
     assert_same_result(made, back)
     assert made.trunk is not None
-    export_csv(replace(back, segments={}), tmp_path / "a.csv")
-    with open(tmp_path / "a.csv", newline="") as file:
-        rows = list(csv.DictReader(file))
+    rows = rows_of_csv(replace(back, segments={}), tmp_path / "a.csv")
     assert float(rows[10]["trunk_qw"]) == pytest.approx(made.trunk.quaternion[10, 0], abs=1e-8)
     assert float(rows[10]["trunk_sigma_deg"]) == pytest.approx(made.trunk.sigma_deg[10], abs=1e-8)
     assert rows[41]["trunk_qw"] == "" and list(rows[0])[-1] == "usable"

@@ -12,7 +12,6 @@ from made_recordings import make, plain_texts
 
 from smoother.errors import RecordingError
 from smoother.io import open_csv, read_recording, write_recording
-from smoother.io.tables.columns import read_exact
 from smoother.recording import CameraFrame
 
 Folder = Callable[..., Path]
@@ -107,20 +106,6 @@ def test_missing_and_empty_files(tmp_path: Path, plain_folder: Folder) -> None:
     for imu, said in (("", "is empty; export"), ("t_s,ax,ay,az,gx,gy,gz\n\n", "no rows")):
         with pytest.raises(RecordingError, match=said):
             import_csv(plain_folder(imu=imu))
-
-
-@pytest.mark.parametrize(
-    ("rows", "said"),
-    [
-        ("1,a,2\n" * 5000 + "\n1,a,2\n1,b,x\n", "line 5004: 'x' in column z is not a number"),
-        (",b,2\n", "line 2: column x is empty"),
-    ],
-)
-def test_the_wrong_line_of_a_table_is_named(tmp_path: Path, rows: str, said: str) -> None:
-    path = tmp_path / "t.csv"
-    path.write_text(f"x,word,z\n{rows}", encoding="utf-8", newline="")
-    with pytest.raises(RecordingError, match=said):
-        read_exact(path, ("x", "word"), ("z",), words=("word",), empty=("z",))
 
 
 def test_a_camera_without_skeleton_leaves_the_imus(plain_folder: Folder) -> None:

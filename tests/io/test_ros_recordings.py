@@ -23,7 +23,6 @@ from smoother.io.wire.layout import Grouper
 from smoother.recording import CameraFrame, JointState
 
 ZERO = 1_700_000_000 * 10**9
-IMU_BYTES = serialize_dynamic("sensor_msgs/msg/Imu", ros.IMU)["sensor_msgs/msg/Imu"]
 RIGHT, LEFT = {"shoulder": 12, "elbow": 13, "wrist": 14, "hand": 15}, {"elbow": 6, "wrist": 7}
 
 
@@ -140,40 +139,6 @@ def test_stamps_of_zero_and_before_1970(tmp_path: Path) -> None:
     assert streams["/early"] == [-1_500_000_000 + i for i in range(5)]
 
 
-numbers = st.floats(-1e9, 1e9)
-
-
-@settings(max_examples=60, deadline=None)
-@given(
-    st.lists(
-        st.tuples(
-            st.integers(-(2**31), 2**31 - 1),
-            st.integers(0, 999_999_999),
-            st.text(st.characters(codec="utf-8", exclude_characters="\0"), max_size=12),
-            st.lists(numbers, min_size=6, max_size=6),
-        ),
-        min_size=1,
-        max_size=12,
-    )
-)
-def test_imu_as_another_writer_encodes_it(samples: list[tuple[int, int, str, list[float]]]) -> None:
-    payloads = [
-        IMU_BYTES(ros.imu_message(sec * 10**9 + nsec, frame, np.array(v[:3]), np.array(v[3:])))
-        for sec, nsec, frame, v in samples
-    ]
-    seen = 0
-    for index, block, layout in groups(Grouper(partial(cdr.walk, kind="sensor_msgs/Imu")), payloads):
-        for row, i in enumerate(index):
-            sec, nsec, frame, values = samples[i]
-            assert layout.get(block, "sec")[row, 0] == sec
-            assert layout.get(block, "nsec")[row, 0] == nsec
-            assert layout.texts["frame_id"] == frame
-            assert layout.get(block, "acc")[row].tolist() == values[:3]
-            assert layout.get(block, "gyro")[row].tolist() == values[3:]
-            seen += 1
-    assert seen == len(samples)
-
-
 @settings(max_examples=200, deadline=None)
 @given(st.binary(max_size=400))
 def test_garbage_is_counted_and_dropped(data: bytes) -> None:
@@ -203,27 +168,25 @@ def test_deleting_markers_are_not_joints(tmp_path: Path) -> None:
 @pytest.mark.parametrize("cut", [False, True])
 def test_a_file_without_chunks_and_a_truth_of_ros(tmp_path: Path, cut: bool) -> None:
     path = tmp_path / "plain.mcap"
-    pose_bytes = serialize_dynamic("geometry_msgs/msg/PoseStamped", ros.POSE)["geometry_msgs/msg/PoseStamped"]
+    texts = {"sensor_msgs/msg/Imu": ros.IMU, "geometry_msgs/msg/PoseStamped": ros.POSE}
+    bytes_of = {kind: serialize_dynamic(kind, text)[kind] for kind, text in texts.items()}
     with open(path, "wb") as file:
         writer = Writer(file, use_chunking=False)
         writer.start()
         channels = []
-        for topic, kind, text in (
-            ("/arm/imu", "sensor_msgs/msg/Imu", ros.IMU),
-            ("/vicon/forearm", "geometry_msgs/msg/PoseStamped", ros.POSE),
-            ("/robot/goal", "geometry_msgs/msg/PoseStamped", ros.POSE),
-        ):
-            schema = writer.register_schema(kind, "ros2msg", text.encode())
+        imu, posed = texts
+        for topic, kind in (("/arm/imu", imu), ("/vicon/forearm", posed), ("/robot/goal", posed)):
+            schema = writer.register_schema(kind, "ros2msg", texts[kind].encode())
             channels.append(writer.register_channel(topic, "cdr", schema))
         for i in range(200):
             ns = ZERO + i * 10**7
             writer.add_message(
-                channels[0], ns, IMU_BYTES(ros.imu_message(ns, "a", np.ones(3), np.ones(3))), ns
+                channels[0], ns, bytes_of[imu](ros.imu_message(ns, "a", np.ones(3), np.ones(3))), ns
             )
             turn = {"x": 0.1, "y": 0.2, "z": 0.3, "w": 0.9}
             pose = {"position": ros.xyz(np.arange(3.0) + i), "orientation": turn}
             for channel in channels[1:]:
-                data = pose_bytes({"header": ros.header(ns, "camera"), "pose": pose})
+                data = bytes_of[posed]({"header": ros.header(ns, "camera"), "pose": pose})
                 writer.add_message(channel, ns, data, ns)
         writer.finish()
     if cut:

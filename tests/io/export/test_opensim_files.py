@@ -15,8 +15,6 @@ from scipy.interpolate import CubicSpline
 from scipy.ndimage import gaussian_filter1d
 from scipy.spatial.transform import Rotation
 
-from smoother.angles.definitions import torso_axes, wrapped_deg
-from smoother.calibration import ArmCalibration, SegmentMounting
 from smoother.errors import UnoccludeError
 from smoother.io import write_recovery
 from smoother.io.export.prepare import prepare_export
@@ -71,12 +69,6 @@ def test_the_angles_put_the_bones_where_they_are(tmp_path, side):
     np.testing.assert_allclose(forearm[:, :, 2], across, atol=1e-9)
 
 
-def test_without_gravity_or_forearm_axes_columns_are_left_out(tmp_path):
-    recovery = replace(made(), gravity_direction=np.full(3, np.nan))
-    _, columns, _ = read_mot(export(recovery, tmp_path / "a.mot"))
-    assert columns == ["time", "elbow_flexion", "occluded", "answered"]
-
-
 @pytest.mark.parametrize(("start", "end"), [(9.5, 10.5), (-1, 3), (17, 100)])
 def test_stretches_without_an_answer(tmp_path, start, end):
     recovery = without_answer(made(), start, end)
@@ -97,12 +89,18 @@ def test_stretches_without_an_answer(tmp_path, start, end):
         assert len(table) == ready.rows == np.isfinite(recovery.position[:, 0]).sum()
 
 
-def test_joints_that_are_never_there_together():
+def test_what_defines_no_angle_is_said_or_left_out(tmp_path):
     recovery = made()
+    level = replace(recovery, gravity_direction=np.full(3, np.nan))
+    _, columns, _ = read_mot(export(level, tmp_path / "a.mot"))
+    assert columns == ["time", "elbow_flexion", "occluded", "answered"]
     one, other = without_answer(recovery, -1, 10), without_answer(recovery, 10 - 1e-9, 100)
     apart = {**recovery.joints, "elbow": one.joints["elbow"], "wrist": other.joints["wrist"]}
     with pytest.raises(UnoccludeError, match="never all there at once"):
         prepare_export(replace(recovery, joints=apart), "mot")
+    hanging = {**recovery.joints, "elbow": recovery.joints["shoulder"] + [0.0, -0.3, 0.001]}
+    notes = prepare_export(replace(recovery, joints=hanging), "mot").notes
+    assert any(note.startswith("elv_angle and shoulder_rot: within 15 degrees") for note in notes)
 
 
 def test_uneven_stamps(tmp_path):
@@ -122,13 +120,6 @@ def test_uneven_stamps(tmp_path):
         off = wrapped_deg(uneven[answered, column] - true[answered])
         np.testing.assert_allclose(off, 0, atol=0.1)
         assert np.median(np.abs(off)) < 1e-4
-
-
-def test_a_posture_that_defines_no_angle_is_said():
-    recovery = made()
-    hanging = {**recovery.joints, "elbow": recovery.joints["shoulder"] + [0.0, -0.3, 0.001]}
-    notes = prepare_export(replace(recovery, joints=hanging), "mot").notes
-    assert any(note.startswith("elv_angle and shoulder_rot: within 15 degrees") for note in notes)
 
 
 @pytest.mark.skipif(opensim_python() is None, reason="OpenSim is not installed")
@@ -154,63 +145,12 @@ def test_opensim_opens_both_and_they_agree(tmp_path, side):
     assert check(wrong).returncode == 1
 
 
-R_F_A = Rotation.from_rotvec([0.4, -0.3, 0.9]).as_matrix()
-R_U_B = Rotation.from_rotvec([0.3, -0.8, 0.5]).as_matrix()
-UPPER_M, FORE_M = 0.31, 0.25
-
-
-def two_imus(side: str = "right", count: int = 60) -> Recovery:
-    """A rigid arm in front of a level Kinect, with an IMU on forearm and upper arm, moved by known angles.
-
-    The geometry is written out here: the humerus turns R_y(a) R_x(-b) R_y(c - a), the elbow bends about z,
-    the forearm turns about its bone; x forward, y up, z to the right. A left arm is the mirror image.
-    """
-    t = np.arange(count) / 50.0
-    a, b, c = np.radians(40 + 30 * np.sin(t)), np.radians(60 + 25 * np.sin(2 * t)), np.radians(-20 + 40 * t)
-    bend, turn = np.radians(70 + 40 * np.cos(3 * t)), np.radians(-30 + 50 * np.sin(2.5 * t))
-
-    def about(axis: str, angle: np.ndarray) -> Rotation:
-        return Rotation.from_rotvec(angle[:, None] * np.eye(3)["xyz".index(axis)])
-
-    humerus = about("y", a) * about("x", -b) * about("y", c - a)
-    radius = humerus * about("z", bend) * about("y", turn)
-    elbow = humerus.apply([0.0, -UPPER_M, 0.0])
-    wrist = elbow + radius.apply([0.0, -FORE_M, 0.0])
-    # {F}: y elbow to wrist, x to the back of the hand, which at pro_sup 0 (thumb up) faces right
-    F = np.stack([radius.apply(axis) for axis in ([0, 0, 1], [0, -1, 0], [1, 0, 0])], axis=2)
-    U = humerus.as_matrix()
-    to_K = np.array([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]])  # who faces the camera
-    if side == "left":
-        flip = np.diag([1.0, 1.0, -1.0])
-        elbow, wrist = elbow @ flip, wrist @ flip
-        F = flip @ F @ np.diag([1.0, 1.0, -1.0])  # z is x cross y, whichever the hand
-        U = flip @ U @ np.diag([-1.0, 1.0, 1.0])  # z to the lateral epicondyle, x = y cross z
-    place = np.array([0.1, 0.2, 2.0])
-    base = made(side).rows(slice(0, count))
-    q_A = Rotation.from_matrix(to_K @ F @ R_F_A).as_quat(scalar_first=True)
-    q_B = Rotation.from_matrix(to_K @ U @ R_U_B).as_quat(scalar_first=True)
-    at = place + (0.9 * wrist + 0.1 * elbow) @ to_K.T
-    joints = {
-        "shoulder": np.tile(place, (count, 1)),
-        "elbow": place + elbow @ to_K.T,
-        "wrist": place + wrist @ to_K.T,
-    }
-    upper = SegmentMotion(joints["elbow"], q_B, np.zeros((count, 6, 6)), np.zeros(3))
-    return replace(
-        base,
-        t_s=t,
-        position=at,
-        quaternion=q_A,
-        joints=joints,
-        joint_covariance={},
-        segments={"upper_arm": upper},
-        calibration=ArmCalibration(
-            side=side, R_F_A=R_F_A, mountings={"upper_arm": SegmentMounting({}, R_bone=R_U_B)}
-        ),
-        gravity_direction=np.array([0.0, -1.0, 0.0]),
-        gaps=(),
-        residuals=None,
-    )
+def two_imus() -> Recovery:
+    """With an IMU on the upper arm that turns in its own way."""
+    recovery = made().rows(slice(0, 60))
+    turns = Rotation.from_rotvec(recovery.t_s[:, None] * [2.0, -1.0, 3.0] + [0.3, -0.8, 0.5])
+    motion = recovery.position, turns.as_quat(scalar_first=True), np.zeros((60, 6, 6)), np.zeros(3)
+    return replace(recovery, segments={"upper_arm": SegmentMotion(*motion)})
 
 
 def read_sto(path: Path) -> tuple[dict[str, str], np.ndarray, dict[str, np.ndarray]]:
@@ -226,15 +166,10 @@ def read_sto(path: Path) -> tuple[dict[str, str], np.ndarray, dict[str, np.ndarr
     return dict(line.split("=") for line in lines[:end]), cells.pop("time")[:, 0], cells
 
 
-def written(recovery: Recovery, path: Path) -> Path:
-    prepare_export(recovery, "sto").write(path, False)
-    return path
-
-
 def test_what_is_written_is_the_motion_in_y_up_axes(tmp_path: Path):
     recovery = two_imus()
-    header, t_s, columns = read_sto(written(recovery, tmp_path / "a.sto"))
-    assert header == {"DataRate": "50.000000", "DataType": "Quaternion", "version": "3"}
+    header, t_s, columns = read_sto(export(recovery, tmp_path / "a.sto"))
+    assert header == {"DataRate": "80.000000", "DataType": "Quaternion", "version": "3"}
     assert list(columns) == ["radius_imu", "humerus_imu"]
     np.testing.assert_allclose(t_s, recovery.t_s, atol=1e-9)
     R_O_K = np.array(
@@ -249,12 +184,12 @@ def test_what_is_written_is_the_motion_in_y_up_axes(tmp_path: Path):
 
 def test_rows_without_an_orientation_are_left_out_and_counted(tmp_path: Path):
     recovery = without_answer(two_imus(), 0.3, 0.5)
-    export = prepare_export(recovery, "sto")
-    _, t_s, columns = read_sto(written(recovery, tmp_path / "a.sto"))
+    ready = prepare_export(recovery, "sto")
+    _, t_s, columns = read_sto(export(recovery, tmp_path / "a.sto"))
     gone = int(((recovery.t_s > 0.3) & (recovery.t_s < 0.5)).sum())
-    assert gone > 5 and len(t_s) == export.rows == len(recovery) - gone
+    assert gone > 5 and len(t_s) == ready.rows == len(recovery) - gone
     assert not ((t_s > 0.3) & (t_s < 0.5)).any()
-    assert f"{gone} of {len(recovery)} samples are left out" in export.notes[0]
+    assert f"{gone} of {len(recovery)} samples are left out" in ready.notes[0]
     assert all(np.isfinite(values).all() for values in columns.values())
 
 
@@ -264,16 +199,13 @@ def test_a_trunk_and_one_imu_alone(tmp_path: Path):
     trunk = TrunkMotion(
         np.tile(turned, (len(recovery), 1)), np.zeros((len(recovery), 3, 3)), np.eye(3), np.zeros(3)
     )
-    *_, columns = read_sto(written(replace(recovery, trunk=trunk), tmp_path / "a.sto"))
+    *_, columns = read_sto(export(replace(recovery, trunk=trunk), tmp_path / "a.sto"))
     assert list(columns) == ["radius_imu", "humerus_imu", "torso_imu"]
     alone = prepare_export(replace(recovery, segments={}), "sto")
     assert any("does not show OpenSense how the elbow is bent" in note for note in alone.notes)
     assert not prepare_export(recovery, "sto").notes
-
-
-def test_nothing_to_write_is_said():
     with pytest.raises(UnoccludeError, match="there is none of the forearm"):
-        prepare_export(without_answer(two_imus(), -1.0, 100.0), "sto")
+        prepare_export(without_answer(recovery, -1.0, 100.0), "sto")
 
 
 def test_the_command_of_orientations(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
