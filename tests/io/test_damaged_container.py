@@ -229,9 +229,8 @@ def test_a_chunk_unpacks_to_no_more_than_it_may(path: Path):
 
 
 event = st.tuples(st.integers(0, 2), st.integers(0, 2**40), st.integers(0, 90))
-events = st.lists(event, max_size=60) | st.lists(event, max_size=60).map(
-    lambda e: sorted(e, key=itemgetter(1))
-)
+events = st.lists(event, max_size=60)
+events |= events.map(lambda drawn: sorted(drawn, key=itemgetter(1)))
 ways = st.fixed_dictionaries(
     {
         "compression": st.sampled_from([CompressionType.NONE, CompressionType.ZSTD, CompressionType.LZ4]),

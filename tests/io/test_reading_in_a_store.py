@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Iterator
-from dataclasses import fields, is_dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +13,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 from made_recordings import make
+from made_results import assert_same
 from mcap.writer import CompressionType, Writer
 from mcap_messages import every
 from private_memory import program_output
@@ -35,26 +36,6 @@ def in_small_parts(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 small_parts = pytest.fixture(in_small_parts)
-
-
-def assert_equal(found: object, expected: object) -> None:
-    """Everything the same, arrays bit by bit."""
-    if isinstance(expected, np.ndarray):
-        assert isinstance(found, np.ndarray) and found.dtype == expected.dtype
-        np.testing.assert_array_equal(found, expected)
-    elif is_dataclass(expected):
-        for each in fields(expected):
-            assert_equal(getattr(found, each.name), getattr(expected, each.name))
-    elif isinstance(expected, list | tuple):
-        assert isinstance(found, list | tuple) and len(found) == len(expected)
-        for one, other in zip(found, expected, strict=True):
-            assert_equal(one, other)
-    elif isinstance(expected, dict):
-        assert isinstance(found, dict) and list(found) == list(expected)
-        for key, value in expected.items():
-            assert_equal(found[key], value)
-    else:
-        assert found == expected
 
 
 def plain(_: Path) -> RecordingFile:
@@ -107,7 +88,7 @@ def test_columns_in_files_are_the_same(made: object, tmp_path: Path, monkeypatch
     chosen = {"side": "right"} if made is two_arms else {"imu": "/imu/a"} if made is several_imus else {}
     expected = open_recording(path), read_recording(path, **chosen)
     in_small_parts(monkeypatch)
-    assert_equal((open_recording(path), read_recording(path, **chosen)), expected)
+    assert_same(expected, (open_recording(path), read_recording(path, **chosen)), exact=True)
 
 
 LONG = """
