@@ -15,6 +15,7 @@ from scipy.interpolate import CubicSpline
 from scipy.ndimage import gaussian_filter1d
 from scipy.spatial.transform import Rotation
 
+from smoother.angles.definitions import torso_axes, wrapped_deg
 from smoother.errors import UnoccludeError
 from smoother.io import write_recovery
 from smoother.io.export.prepare import prepare_export
