@@ -86,9 +86,7 @@ def test_crop_is_the_same_in_python() -> None:
     same_times(part, whole, 10.0, 20.5)
     assert part.origin_ns == whole.origin_ns and part.side == whole.side
     assert len(whole.crop(from_s=20.0).imu) + len(whole.crop(to_s=20.0).imu) == len(whole.imu)
-    with pytest.raises(
-        RecordingError, match=r"nothing is left between 90 and inf s; .* from 0\.0 to 31\.7 s"
-    ):
+    with pytest.raises(RecordingError, match=r"between 90 and inf s; .* from 0\.0 to 31\.7 s"):
         whole.crop(90.0)
 
 
