@@ -2,14 +2,19 @@
 
 python lsl_lab.py play REC.mcap IMU SKELETON [--late S] [--bare | --halves | --both]
 python lsl_lab.py read NAME SECONDS [--least SAMPLES]
+python lsl_lab.py again    (prints what an inlet says of an outlet that comes back, then with another unit)
+python lsl_lab.py send SOURCE_ID UNIT
 """
 
 from __future__ import annotations
 
 import argparse
 import json
+import subprocess
 import sys
 import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from itertools import count, product
 from pathlib import Path
 from queue import SimpleQueue
@@ -162,6 +167,58 @@ def read(options: argparse.Namespace) -> None:
     )
 
 
+def send(options: argparse.Namespace) -> None:
+    """Send for ever."""
+    outlet = imu_outlet("wrist", unit=options.unit, source_id=options.source_id)
+    while True:
+        outlet.push_sample([0.0] * 6)
+        time.sleep(0.02)
+
+
+@contextmanager
+def sent(source_id: str, unit: str) -> Iterator[None]:
+    """A program that sends meanwhile, and is killed, like a sensor whose battery is empty.
+
+    Destroying an outlet crashes liblsl 1.18 now and then.
+    """
+    program = subprocess.Popen([sys.executable, __file__, "send", source_id, unit])
+    try:
+        yield
+    finally:
+        program.kill()
+        program.wait()
+
+
+def again(_: argparse.Namespace) -> None:
+    from smoother.errors import UnoccludeError
+    from smoother.streams.lsl import LslInlet
+
+    said, inlet = {}, LslInlet("--imu ", "wrist", ("imu",), lambda: None)
+
+    def received(key: str, is_enough: Callable[[], object]) -> None:
+        """How many samples came at last, once it is enough."""
+        until = time.monotonic() + PATIENCE_S
+        said[key] = 0
+        while not is_enough() and time.monotonic() < until:
+            said[key] = len(inlet.samples())
+            time.sleep(0.02)
+
+    inlet.start()
+    try:
+        with sent("first", "m/s^2"):
+            received("first", lambda: said["first"])
+        with sent("second", "m/s^2"):
+            events = said["events"] = []  # what the first one had sent came late
+            received("second", lambda: events.extend(inlet.events()) or (said["second"] and events))
+        with sent("second", "g"):
+            received("third", lambda: False)
+    except UnoccludeError as error:
+        said["refused"] = str(error)
+    finally:
+        inlet.close()
+    print(json.dumps(said))
+
+
 def main() -> None:
     parser = argparse.ArgumentParser()
     commands = parser.add_subparsers(required=True)
@@ -179,6 +236,11 @@ def main() -> None:
     reader.add_argument("seconds", type=float)
     reader.add_argument("--least", type=int, default=0, help="go on until there are so many samples")
     reader.set_defaults(run=read)
+    commands.add_parser("again").set_defaults(run=again)
+    sender = commands.add_parser("send")
+    sender.add_argument("source_id")
+    sender.add_argument("unit")
+    sender.set_defaults(run=send)
     options = parser.parse_args()
     options.run(options)
 

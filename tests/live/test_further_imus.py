@@ -6,29 +6,19 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from live_play import Event, errors, events, play, rms, simulated
+from live_play import errors, rms, simulated
 
 from smoother.array_types import BoolArray, FloatArray
 from smoother.body import SEGMENTS
 from smoother.live.answers import LiveOutput, LiveState
-from smoother.live.calibrations import InlineCalibrator
 from smoother.live.imu import LiveImu
-from smoother.live.smoother import LiveSmoother
 from smoother.recording import ImuStream
 from smoother.simulation import SimulatedArm
+from tools.accuracy.live import play
 
 SIMULATION = simulated(4, 21.0, imus="wrist,upper-arm")
 #: The second IMU repeats a value; lies on a table; stops: from when to when, s.
 REPEATS, RESTS, STOPS = (10.0, 11.0), (13.0, 14.5), (18.0, 19.5)
-
-
-def answers(simulation: SimulatedArm, further: tuple[str, ...]) -> list[LiveOutput]:
-    arrivals: list[Event] = [
-        (at, event)
-        for at, event in events(simulation)
-        if further or not isinstance(event, tuple) or event[1] == "forearm"
-    ]
-    return list(play(arrivals, LiveSmoother("right", calibrator=InlineCalibrator(5), further=further)))
 
 
 def wrong() -> SimulatedArm:
@@ -50,7 +40,7 @@ def wrong() -> SimulatedArm:
 
 @pytest.fixture(scope="module")
 def one() -> list[LiveOutput]:
-    return answers(SIMULATION, ())
+    return play(replace(SIMULATION, recording=replace(SIMULATION.recording, further_imus={})))
 
 
 def off(outputs: list[LiveOutput], state: LiveState) -> FloatArray:
@@ -59,7 +49,7 @@ def off(outputs: list[LiveOutput], state: LiveState) -> FloatArray:
 
 @pytest.mark.slow
 def test_in_gaps_it_is_better_and_says_so(one: list[LiveOutput]) -> None:
-    two = answers(SIMULATION, ("upper_arm",))
+    two = play(SIMULATION)
     assert not [note for output in two for note in output.notes]
     in_gaps, alone = off(two, LiveState.GAP), off(one, LiveState.GAP)
     # a second into a gap, where the elbow is held (five seeds: 0.6 to 0.9 of the error, 0.6 to 0.8 of sigma)
@@ -74,7 +64,7 @@ def test_in_gaps_it_is_better_and_says_so(one: list[LiveOutput]) -> None:
 
 @pytest.mark.slow
 def test_where_it_is_wrong_it_is_left_out_and_the_forearm_goes_on_alone(one: list[LiveOutput]) -> None:
-    outputs = answers(wrong(), ("upper_arm",))
+    outputs = play(wrong())
     said = [(output.now_s, note) for output in outputs for note in output.notes]
     notes = [note for _, note in said]
     assert notes == [

@@ -6,12 +6,13 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from live_play import errors, events, play, rms, simulated
+from live_play import errors, rms, simulated
 
 from smoother.errors import UnoccludeError
 from smoother.live.answers import LiveState
 from smoother.live.smoother import LiveSmoother
 from tools import live_faults as bench
+from tools.accuracy.live import play
 
 pytestmark = pytest.mark.slow
 
@@ -20,7 +21,7 @@ SIMULATION = simulated(2, 27.0)  # a second calibration at 23 s
 
 @pytest.fixture(scope="module")
 def outputs():
-    return list(play(events(SIMULATION)))
+    return play(SIMULATION)
 
 
 def test_it_says_calibrating_until_it_knows_and_never_guesses(outputs):

@@ -12,6 +12,7 @@ import time
 import uuid
 from configparser import ConfigParser
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -57,11 +58,31 @@ class Lab:
         self.programs.append(program)
         return program
 
+    def outlets(self, *arguments: object) -> subprocess.Popen:
+        """Outlets of IMU and skeleton that wait for the word to begin."""
+        program = self.start("lsl_lab.py", "play", *arguments)
+        lines_until(program, "ready")
+        return program
+
+    def printed(self, *arguments: object) -> Any:
+        """What a program of the lab says in JSON."""
+        program = self.start("lsl_lab.py", *arguments)
+        said, errors = program.communicate(timeout=120)
+        assert program.returncode == 0, errors
+        return json.loads(said)
+
     def end(self) -> None:
         for program in self.programs:
             if program.poll() is None:
                 program.kill()
             program.communicate()
+
+
+def interrupted(live: subprocess.Popen) -> None:
+    """Ctrl-C ends it well, and without a word of error."""
+    live.send_signal(signal.SIGINT)
+    said, errors = live.communicate(timeout=20)
+    assert (live.returncode, errors) == (0, ""), said
 
 
 @pytest.fixture
@@ -85,13 +106,6 @@ def lines_until(program: subprocess.Popen, words: str) -> None:
         ender.cancel()
 
 
-def players(lab: Lab, *options: str) -> subprocess.Popen:
-    """Outlets of IMU and skeleton that wait for the word to begin."""
-    program = lab.start("lsl_lab.py", "play", DEMO, "wrist", "kinect", *options)
-    lines_until(program, "ready")
-    return program
-
-
 def tell(program: subprocess.Popen, words: str) -> None:
     assert program.stdin is not None
     program.stdin.write(f"{words}\n")
@@ -100,7 +114,7 @@ def tell(program: subprocess.Popen, words: str) -> None:
 
 @pytest.mark.slow
 def test_two_outlets_in_and_one_out(lab, tmp_path):
-    outlets = players(lab)
+    outlets = lab.outlets(DEMO, "wrist", "kinect")
     arguments = ["--imu", "wrist", "--skeleton", "kinect", "--lsl-out", "arm", "--record", "session.mcap"]
     # with the arm's calibration half a minute of motion suffices
     arguments += ["--calibration", str(DEMO.with_name("demo_calibration.toml"))]
@@ -109,17 +123,12 @@ def test_two_outlets_in_and_one_out(lab, tmp_path):
     tell(outlets, "go")
     lines_until(live, "  visible")
     # a machine with other work to do takes fewer, longer steps
-    reader = lab.start("lsl_lab.py", "read", "arm", 6, "--least", 200)
-    read, errors = reader.communicate(timeout=60)
-    assert reader.returncode == 0, errors
+    sent = lab.printed("read", "arm", 6, "--least", 200)
     tell(outlets, "imu 2")
     lines_until(live, "back, after")
     time.sleep(0.3)
-    live.send_signal(signal.SIGINT)
-    said, errors = live.communicate(timeout=20)
-    assert (live.returncode, errors) == (0, ""), said
+    interrupted(live)
 
-    sent = json.loads(read)
     assert sent["type"] == "MoCap"
     labels = [label for label, *_ in sent["labels"]]
     assert labels[:4] == ["imu_right_x", "imu_right_y", "imu_right_z", "imu_right_sigma"]
@@ -161,16 +170,14 @@ def test_two_outlets_in_and_one_out(lab, tmp_path):
 @pytest.mark.slow
 @pytest.mark.parametrize("named", [(), ("--gyro", "wrist")])
 def test_accelerometer_and_gyroscope_in_two_streams(lab, tmp_path, named):
-    outlets = players(lab, "--halves")
+    outlets = lab.outlets(DEMO, "wrist", "kinect", "--halves")
     arguments = ["--imu", "wrist", "--record", "session.mcap", *named]
     live = lab.start("live_program.py", "--echo", "live", *arguments)
     lines_until(live, "calibrating")
     tell(outlets, "go")
     for _ in range(3):  # a line every two seconds
         lines_until(live, " IMU ")
-    live.send_signal(signal.SIGINT)
-    said, errors = live.communicate(timeout=20)
-    assert (live.returncode, errors) == (0, ""), said
+    interrupted(live)
     recorded, original = read_recording(tmp_path / "session.mcap"), read_recording(DEMO)
     assert len(recorded.imu.t_s) > 100
     # each sample is known by its gyroscope; the accelerometer's stamps are 5 ms earlier
@@ -187,8 +194,7 @@ def test_both_arms_and_imus_on_the_upper_arms(lab, tmp_path):
     made = ["--arms", "both", "--set", "imus=wrist,upper-arm", "--set", "protocol=random"]
     made += ["--set", "duration_s=8"]
     assert run(["simulate", "arm", "-o", str(both), *made]) == 0
-    outlets = lab.start("lsl_lab.py", "play", both, "imu", "kinect", "--both")
-    lines_until(outlets, "ready")
+    outlets = lab.outlets(both, "imu", "kinect", "--both")
     arguments = ["--arms", "both", "--imu", "right=imu_right", "--imu", "left=imu_left"]
     arguments += ["--imu", "right-upper-arm=imu_right_upper_arm"]
     arguments += ["--imu", "left-upper-arm=imu_left_upper_arm", "--skeleton", "kinect"]
@@ -197,13 +203,8 @@ def test_both_arms_and_imus_on_the_upper_arms(lab, tmp_path):
     lines_until(live, "LSL: streams arm_left and arm_left_settled, for this computer")
     tell(outlets, "go")
     lines_until(live, "left arm: visible")
-    reader = lab.start("lsl_lab.py", "read", "arm_left", 3, "--least", 30)
-    read, errors = reader.communicate(timeout=60)
-    assert reader.returncode == 0, errors
-    live.send_signal(signal.SIGINT)
-    said, errors = live.communicate(timeout=20)
-    assert (live.returncode, errors) == (0, ""), said
-    sent = json.loads(read)
+    sent = lab.printed("read", "arm_left", 3, "--least", 30)
+    interrupted(live)
     assert sent["labels"][0][0] == "imu_left_x" and len(sent["samples"]) > 20
     arms = {each["side"]: each for each in json.loads((tmp_path / "session.json").read_text())["arms"]}
     assert set(arms) == {"right", "left"}
@@ -226,7 +227,7 @@ def test_both_arms_and_imus_on_the_upper_arms(lab, tmp_path):
 
 @pytest.mark.slow
 def test_streams_that_cannot_be_used(lab, tmp_path):
-    players(lab, "--bare")  # never begins: what a stream is shows before its first sample
+    lab.outlets(DEMO, "wrist", "kinect", "--bare")  # never begins: it shows before its first sample
 
     def refused(*arguments: str) -> str:
         live = lab.start("live_program.py", "live", *arguments)
@@ -247,10 +248,7 @@ def test_streams_that_cannot_be_used(lab, tmp_path):
 
 @pytest.mark.slow
 def test_an_outlet_that_comes_back_is_known_by_its_name_and_refused_with_another_unit(lab):
-    program = lab.start("lsl_again.py")
-    said, errors = program.communicate(timeout=90)
-    assert program.returncode == 0, errors
-    answers = json.loads(said)
+    answers = lab.printed("again")
     assert answers["first"] and answers["second"]
     assert answers["events"] == ["wrist: found again by its name, its source_id is another"]
     assert answers["refused"] == (

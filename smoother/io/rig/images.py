@@ -95,13 +95,10 @@ def decoded_messages(
 
 
 def read_images(
-    path: str | os.PathLike[str],
-    wanted: Callable[[Topic], bool] = lambda topic: True,
-    notes: list[str] | None = None,
+    path: str | os.PathLike[str], notes: list[str] | None = None
 ) -> Iterator[ImageMessage | LensMessage]:
     """Yield images and lenses in the file's order; nothing is unpacked, memory stays flat."""
-    taken = IMAGES | LENSES
-    return decoded_messages(path, lambda t: t.schema in taken and wanted(t), _decode, "images", notes)
+    return decoded_messages(path, lambda t: t.schema in IMAGES | LENSES, _decode, "images", notes)
 
 
 def _decode(message: McapMessage) -> Iterator[ImageMessage | LensMessage]:
