@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import struct
-from collections.abc import Callable
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -31,55 +29,31 @@ def values(layout: MessageLayout, data: bytes, name: str) -> list[list[float]]:
     return [list(each) for each in layout.many(rows, name)[0].tolist()]
 
 
-def imu(frame: str) -> bytes:
-    message = ros.imu_message(
-        SEC * 10**9 + NANOSEC, frame, np.array([1.0, -2, 3]), np.array([0.1, 0.2, -0.3])
-    )
-    message["orientation_covariance"] = [float(k) for k in range(20, 29)]
-    message["angular_velocity_covariance"] = [float(k) for k in range(30, 39)]
-    return write("sensor_msgs/msg/Imu", ros.IMU, message)
-
-
-def field(frame: str) -> bytes:
-    message = {
-        "header": ros.header(SEC * 10**9 + NANOSEC, frame),
-        "magnetic_field": ros.xyz(np.array([4.0, 5, 6])),
+def samples(frame: str) -> dict[str, tuple[str, dict[str, Any], dict[str, list[float]]]]:
+    """By type its definition, a message, and what is read of it."""
+    head, place = {"header": ros.header(SEC * 10**9 + NANOSEC, frame)}, {"x": 7.0, "y": 8.0, "z": -9.0}
+    imu = ros.imu_message(SEC * 10**9 + NANOSEC, frame, np.array([1.0, -2, 3]), np.array([0.1, 0.2, -0.3]))
+    imu["orientation_covariance"] = [float(k) for k in range(20, 29)]
+    field = head | {"magnetic_field": place, "magnetic_field_covariance": [0.0] * 9}
+    pose = head | {"pose": {"position": place, "orientation": {"x": 0.1, "y": -0.2, "z": 0.3, "w": 0.9}}}
+    return {
+        "sensor_msgs/Imu": (ros.IMU, imu, {"gyro": [0.1, 0.2, -0.3], "acc": [1.0, -2.0, 3.0]}),
+        "sensor_msgs/MagneticField": (ros.FIELD, field, {"mag": [7.0, 8.0, -9.0]}),
+        "geometry_msgs/PoseStamped": (
+            ros.POSE,
+            pose,
+            {"position": [7.0, 8.0, -9.0], "quaternion": [0.1, -0.2, 0.3, 0.9]},
+        ),
     }
-    return write(
-        "sensor_msgs/msg/MagneticField", ros.FIELD, message | {"magnetic_field_covariance": [0.0] * 9}
-    )
-
-
-def pose(frame: str) -> bytes:
-    turn = {"x": 0.1, "y": -0.2, "z": 0.3, "w": 0.9}
-    place = {"position": ros.xyz(np.array([7.0, 8, -9])), "orientation": turn}
-    message = {"header": ros.header(SEC * 10**9 + NANOSEC, frame), "pose": place}
-    return write("geometry_msgs/msg/PoseStamped", ros.POSE, message)
-
-
-Walk = Callable[[bytes], MessageLayout]
-IMU, FIELD, POSE = (
-    partial(cdr.walk, kind=kind)
-    for kind in ("sensor_msgs/Imu", "sensor_msgs/MagneticField", "geometry_msgs/PoseStamped")
-)
 
 
 @pytest.mark.parametrize("frame", ["", "x", "ab", "wrist_link", "K\u00e4mera", "12345678"])
-@pytest.mark.parametrize(
-    ("walk", "data", "expected"),
-    [
-        (IMU, imu, {"gyro": [0.1, 0.2, -0.3], "acc": [1.0, -2.0, 3.0]}),
-        (FIELD, field, {"mag": [4.0, 5.0, 6.0]}),
-        (POSE, pose, {"position": [7.0, 8.0, -9.0], "quaternion": [0.1, -0.2, 0.3, 0.9]}),
-    ],
-)
-def test_a_message_of_another_library(
-    walk: Walk, data: Callable[[str], bytes], expected: dict[str, list[float]], frame: str
-) -> None:
-    raw = data(frame)
-    layout = walk(raw)
-    assert values(layout, raw, "sec") == [[SEC]] and values(layout, raw, "nsec") == [[NANOSEC]]
-    for name, numbers in expected.items():
+@pytest.mark.parametrize("kind", samples(""))
+def test_a_message_of_another_library(kind: str, frame: str) -> None:
+    definition, message, expected = samples(frame)[kind]
+    raw = write(kind.replace("/", "/msg/"), definition, message)
+    layout = cdr.walk(raw, kind)
+    for name, numbers in {"sec": [SEC], "nsec": [NANOSEC], **expected}.items():
         assert values(layout, raw, name) == [numbers]
     assert layout.texts == {"frame_id": frame}
 
