@@ -8,21 +8,18 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 from made_results import assert_same, recovery
 
 from smoother.io import read_recovery, write_recovery
-from smoother.io.export.markers import write_c3d, write_trc
 from smoother.io.export.tables import METADATA_KEY, export_csv, export_parquet, file_columns
 from smoother.io.mcap.merge import repair_container
 from smoother.io.mcap.messages import nanoseconds
 from smoother.io.recording.read import open_recording
 from smoother.io.recording.streams import ArmFrames, ImuSamples, RecordingFile
 from smoother.io.recording.write import write_recording
-from smoother.io.tables.markers import read_c3d, read_trc
 from smoother.result import Recovery
 
 quick = settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
@@ -69,19 +66,6 @@ def test_recordings(tmp_path: Path, file: RecordingFile):
             np.testing.assert_array_equal(getattr(imu, name), getattr(file.imus[0], name))
         for name in ("stamp_ns", "position", "state", "body", "side"):
             np.testing.assert_array_equal(getattr(arm, name), getattr(file.arms[0], name))
-
-
-@quick
-@given(
-    arrays.arrays(np.float64, st.tuples(st.integers(2, 6), st.integers(1, 4), st.just(3)), elements=places)
-)
-def test_markers(tmp_path: Path, position: np.ndarray):
-    position[abs(position).max(axis=2) < 1e-6] = 0.5  # the origin stands for a hidden marker
-    names = [f"M{i}" for i in range(position.shape[1])]
-    write_trc(tmp_path / "a.trc", names, np.arange(len(position)) * 0.01, position, 100.0, True)
-    back = read_trc(tmp_path / "a.trc")
-    assert list(back.names) == names
-    np.testing.assert_allclose(back.position, position, atol=1e-6)  # six decimals of a mm or so
 
 
 few = settings(max_examples=15, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
@@ -142,25 +126,3 @@ def test_tables_of_results(tmp_path: Path, made: Recovery):
     for name, column in zip(names, values.T, strict=True):
         np.testing.assert_array_equal(table[name].to_numpy(), column)
     assert json.loads(table.schema.metadata[METADATA_KEY])["name"] == made.name
-
-
-@pytest.mark.slow
-@few
-@given(
-    arrays.arrays(
-        np.float64,
-        st.tuples(st.integers(1, 6), st.integers(1, 4), st.just(3)),
-        elements=large,
-    ),
-    st.data(),
-)
-def test_c3d(tmp_path: Path, position: np.ndarray, data: st.DataObject):
-    position[abs(position).max(axis=2) < 1e-3] = 0.5  # the origin stands for a hidden marker
-    hidden = data.draw(arrays.arrays(np.bool_, position.shape[:2]))
-    position[hidden] = np.nan
-    names = [f"M{i}" for i in range(position.shape[1])]
-    rate = data.draw(st.sampled_from([30.0, 100.0, 119.88]))
-    write_c3d(tmp_path / "a.c3d", names, position, rate, force=True)
-    back = read_c3d(tmp_path / "a.c3d")
-    assert list(back.names) == names and abs(back.rate_hz - rate) < 1e-5
-    np.testing.assert_allclose(back.position, position, rtol=2e-7, atol=1e-30)  # four bytes a number
