@@ -16,13 +16,14 @@ from .tables.table import HEAD_BYTES, FileHead, Format, Tables, first_rows, no_t
 @cache
 def formats() -> tuple[Format, ...]:
     """All formats; where two recognise a file, the earlier one has it."""
-    from .tables import binary, markers, rosbag, skeleton_json, xdf
-    from .tables.skeleton_formats import JOINT_ARRAY, JOINT_ROWS, KINECT_NUMBERS, SKELETON_FORMATS
+    from .tables import binary, markers
+    from .tables import skeleton_formats as skeletons
 
     return (
-        *(xdf.XDF, rosbag.ROSBAG1, rosbag.MCAP),
-        *(JOINT_ARRAY, markers.C3D_SKELETON, markers.TRC_SKELETON),
-        *(skeleton_json.KINECT_JSON, skeleton_json.POSE_JSON, *SKELETON_FORMATS, JOINT_ROWS, KINECT_NUMBERS),
+        *(binary.XDF, binary.ROSBAG1, binary.MCAP),
+        *(skeletons.JOINT_ARRAY, markers.C3D_SKELETON, markers.TRC_SKELETON),
+        *(skeletons.KINECT_JSON, skeletons.POSE_JSON, *skeletons.SKELETON_FORMATS),
+        *(skeletons.JOINT_ROWS, skeletons.KINECT_NUMBERS),
         *(binary.MVNX, binary.APDM_HDF, binary.AXIVITY, *IMU_FORMATS, NAMED_IMU),
     )
 

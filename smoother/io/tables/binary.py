@@ -1,9 +1,14 @@
-"""Files of sensors that are not text: APDM Opal's HDF5, Axivity's CWA (AX3, AX6), Xsens' MVNX."""
+"""Files that are not text: HDF5 of APDM, CWA of Axivity, Xsens' MVNX, recordings of messages and of LSL."""
 
 from __future__ import annotations
 
+import logging
 import re
+from contextlib import suppress
+from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 from xml.etree.ElementTree import iterparse
 
@@ -12,11 +17,28 @@ from numpy.typing import NDArray
 
 from ...array_types import FloatArray
 from ...errors import RecordingError
+from ...recording import JOINTS, CameraFrame
 from ...runtime.inputs import crashes_in_subprocess
 from ...runtime.packages import extra_module
 from ...units import STANDARD_GRAVITY
-from .imu import ImuTable, holds_gravity
-from .table import Format, begins, read_bytes
+from ..mcap.messages import seconds
+from ..recording.clean import LEFT_OUT
+from ..recording.read import open_recording
+from ..recording.streams import ArmFrames
+from .imu import (
+    Columns,
+    ImuTable,
+    channel_labels,
+    find_sensors,
+    holds_gravity,
+    stem_of,
+    unit_of,
+    with_halves_joined,
+)
+from .joints import find_joint_columns, has_arm, program_of
+from .skeletons import Conventions, RawSkeleton, SkeletonTable
+from .table import Format, begins, read_bytes, shown
+from .units import ACCELERATION, ANGULAR_VELOCITY, METRES, plain_unit
 
 
 def _read_apdm_hdf(path: Path) -> list[ImuTable]:
@@ -277,3 +299,238 @@ def _number(text: str | None) -> float | None:
     except ValueError:
         return None
     return value if np.isfinite(value) else None
+
+
+def read_mcap(path: Path) -> list[ImuTable | SkeletonTable]:
+    """IMUs and arms of an MCAP file, as `unocclude smooth` reads them too."""
+    file = open_recording(path, truth=False)
+    by_body: dict[tuple[str, int], list[ArmFrames]] = {}
+    for arm in file.arms:
+        by_body.setdefault((arm.topic, arm.body), []).append(arm)
+    tables: list[ImuTable | SkeletonTable] = [_skeleton(arms) for arms in by_body.values()]
+    for imu in file.imus:
+        name, t_s = imu.topic.strip("/"), seconds(imu.stamp_ns, 0)
+        one = ImuTable(name, t_s, imu.acc, imu.gyro, imu.mag, units=imu.units, made_of=imu.made_of)
+        tables.append(one)
+    tables += [] if file.imus else file.halves
+    if not tables:
+        listed = ", ".join(f"{topic.name} ({topic.schema}, {topic.encoding})" for topic in file.topics)
+        raise RecordingError(
+            f"{path} has no IMU and no skeleton that can be read (topics: {shown(listed or 'none', 150)});"
+            " record sensor_msgs/Imu and the body tracking's MarkerArray."
+        )
+    tables[0].notes += [note for note in file.notes if file.imus or not note.endswith(LEFT_OUT)]
+    for table in tables:
+        if isinstance(table, SkeletonTable) and file.camera_frame is not None:
+            table.frame = file.camera_frame
+        if isinstance(table, SkeletonTable) and file.gravity_hint is not None:
+            table.gravity_hint = file.gravity_hint
+    return tables
+
+
+MCAP = Format(
+    "mcap", "MCAP recording", "recording", "MCAP's first bytes", begins(b"\x89MCAP0\r\n"), read_mcap
+)
+
+
+def _skeleton(arms: list[ArmFrames]) -> SkeletonTable:
+    """One body of the arms that it has."""
+    first = arms[0]
+    table = SkeletonTable(first.body, seconds(first.stamp_ns, 0), {}, {}, first.camera_frame, units="m")
+    for arm in arms:
+        for at, joint in enumerate(JOINTS):
+            if (arm.state[:, at] != 0).any():
+                name = f"{joint}_{arm.side}" if arm.side else joint
+                table.position[name], table.state[name] = arm.position[:, at], arm.state[:, at]
+    return table
+
+
+#: What is read of a bag; `JointState` so that it can be said that it contains angles.
+_KINDS = (
+    *("sensor_msgs/msg/Imu", "sensor_msgs/msg/MagneticField", "sensor_msgs/msg/JointState"),
+    *("visualization_msgs/msg/MarkerArray",),
+)
+
+
+def read_rosbag1(path: Path) -> list[ImuTable | SkeletonTable]:
+    """Bags of ROS 1, whose messages become those of ROS 2 in an MCAP file that is read."""
+    reader_module = extra_module("rosbags.rosbag1", "rosbags", "devices")
+    with TemporaryDirectory() as folder:
+        copy = Path(folder) / path.with_suffix(".mcap").name
+        with reader_module.Reader(path) as reader:
+            _write_messages(reader, copy)
+        try:
+            return read_mcap(copy)
+        except RecordingError as error:
+            raise RecordingError(str(error).replace(str(copy), str(path))) from error
+
+
+ROSBAG1 = Format(
+    "rosbag1", "ROS 1 bag", "recording", "the first bytes #ROSBAG V2.0", begins(b"#ROSBAG V2.0"), read_rosbag1
+)
+
+
+def _write_messages(reader: Any, copy: Path) -> None:
+    """Messages of a bag that can be used, as an MCAP file; of the other topics their names."""
+    from mcap.writer import CompressionType, Writer
+    from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+    header = {"std_msgs/msg/Header": get_typestore(Stores.ROS2_FOXY).fielddefs["std_msgs/msg/Header"]}
+    types, channels = get_typestore(Stores.EMPTY), {}
+    with copy.open("wb") as stream:
+        writer = Writer(stream, compression=CompressionType.NONE)
+        writer.start()
+        for connection in reader.connections:
+            text = ""
+            if connection.msgtype in _KINDS:
+                types.register({**get_types_from_msg(connection.msgdef.data, connection.msgtype), **header})
+                text, _ = types.generate_msgdef(connection.msgtype, ros_version=2)
+            schema = writer.register_schema(connection.msgtype, "ros2msg", text.encode())
+            channels[connection.id] = writer.register_channel(connection.topic, "cdr", schema)
+        wanted = [each for each in reader.connections if each.msgtype in _KINDS]
+        for connection, log_ns, data in reader.messages(connections=wanted) if wanted else ():
+            message = bytes(types.ros1_to_cdr(data, connection.msgtype))
+            writer.add_message(channels[connection.id], log_ns, message, log_ns)
+        writer.finish()
+
+
+#: What is larger is not a measurement in any unit.
+_DAMAGED = 1e9
+
+
+@dataclass(frozen=True)
+class _Stream:
+    """One stream with numbers."""
+
+    name: str
+    kind: str
+    rate_hz: float | None
+    labels: list[str]
+    types: list[str]
+    units: list[str]
+    t_s: np.ndarray
+    values: np.ndarray
+
+
+def read_xdf(path: Path) -> list[ImuTable | SkeletonTable]:
+    """Streams whose channels' labels are a sensor's axes or joints; the file's clock offsets are applied."""
+    import pyxdf
+
+    logger = logging.getLogger("pyxdf")  # its warnings stay off the terminal
+    logger.propagate, logger.handlers = False, [logging.NullHandler()]
+    loaded, _ = pyxdf.load_xdf(str(path), dejitter_timestamps=False, verbose=False)
+    streams = [stream for entry in loaded if (stream := _stream(entry)) is not None]
+    skeletons = [table for stream in streams for table in _xdf_skeletons(stream, path)]
+    imus, reasons = _imus(streams, path)
+    if not skeletons and not imus:
+        listed = (
+            "; ".join(f"{s.name} ({s.kind}, {len(s.labels)} channels)" for s in streams)
+            or "none with numbers"
+        )
+        why = f"; {reasons[0]}" if reasons else ""
+        raise RecordingError(
+            f"{path} has no stream of an accelerometer, a gyroscope or joints by its channels' labels"
+            f" (streams: {shown(listed, 150)}{why}); stream them with labels such as acc_x, gyro_x,"
+            " WristRight_X and units."
+        )
+    for reason in reasons:
+        (imus or skeletons)[0].notes.append(f"A stream was left out: {reason}.")
+    for number, table in enumerate(skeletons):
+        table.body = number if len({other.body for other in skeletons}) < len(skeletons) else table.body
+    return [*skeletons, *imus]
+
+
+XDF = Format(
+    "xdf",
+    "XDF recording (Lab Streaming Layer)",
+    "recording",
+    "the first bytes XDF:",
+    begins(b"XDF:"),
+    read_xdf,
+)
+
+
+def _stream(entry: dict[str, Any]) -> _Stream | None:
+    """A stream with numbers and stamps; None for markers in words, and for what is empty."""
+    info, values = entry.get("info", {}), entry.get("time_series")
+    t_s = np.asarray(entry.get("time_stamps", ()), dtype=float)
+    if not isinstance(values, np.ndarray) or values.ndim != 2 or len(t_s) != len(values) or len(t_s) < 2:
+        return None
+    if values.dtype.kind not in "fiu" or values.shape[1] < 3:
+        return None
+    try:
+        channels = [dict(channel) for channel in info["desc"][0]["channels"][0]["channel"]]
+    except (KeyError, IndexError, TypeError, ValueError):
+        channels = []
+    channels = (channels + [{}] * values.shape[1])[: values.shape[1]]
+    labels, types, units = channel_labels(partial(_stated, channel) for channel in channels)
+    rate = 0.0
+    with suppress(ValueError):
+        rate = float(_stated(info, "nominal_srate"))
+    rate_hz = rate if 0 < rate < 1e5 else None
+    return _Stream(_stated(info, "name"), _stated(info, "type"), rate_hz, labels, types, units, t_s, values)
+
+
+def _stated(entry: Any, key: str) -> str:
+    value = entry.get(key) if isinstance(entry, dict) else None
+    value = value[0] if isinstance(value, list) and value else value
+    return str(value) if isinstance(value, str | int | float) else ""
+
+
+def _xdf_skeletons(stream: _Stream, path: Path) -> list[SkeletonTable]:
+    """Bodies of a stream whose labels name joints."""
+    columns = find_joint_columns(stream.labels)
+    if not has_arm(columns.axes):
+        return []
+    values = stream.values.astype(float)
+    raw = RawSkeleton(path, time=stream.t_s, time_unit="s")
+    raw.add_columns(columns, lambda at: values[:, at], lambda at: values[:, at])
+    raw.notes.append(f"Joints are of the stream {stream.name} ({stream.kind}).")
+    if columns.body is not None and (body := values[:, columns.body] > 0).any():
+        raw.body = np.where(body, values[:, columns.body], np.nan)
+    frames = {"azure": CameraFrame.OPTICAL, "kinect": CameraFrame.KINECT}
+    stated = METRES.get(stream.units[next(iter(columns.axes.values()))[0]].strip().lower())
+    unit = next((unit for unit in ("m", "cm", "mm") if METRES[unit] == stated), "")
+    return raw.skeletons(Conventions(unit, frames.get(program_of(stream.labels))))
+
+
+def _imus(streams: list[_Stream], path: Path) -> tuple[list[ImuTable], list[str]]:
+    """Sensors of all streams, and why some were left out; halves of a sensor are put together."""
+    whole: list[ImuTable] = []
+    halves: list[ImuTable] = []
+    reasons: list[str] = []
+    for stream in streams:
+        if has_arm(find_joint_columns(stream.labels).axes):
+            continue
+        sensors = find_sensors(stream.labels, stream.types, f"{stream.name} {stream.kind}")
+        for name, axes in sensors.items():
+            table, why = _imu(stream, "_".join(filter(None, (stream.name, name.replace(" ", "_")))), axes)
+            if why:
+                reasons.append(why)
+            else:
+                (halves if table.acc is None or table.gyro is None else whole).append(table)
+    joined, _, alone = with_halves_joined(halves, str(path))
+    for table in joined:
+        table.name = stem_of(table.name).replace(" ", "_") or "imu"
+    return whole + joined, reasons + alone
+
+
+def _imu(stream: _Stream, name: str, axes: dict[str, Columns]) -> tuple[ImuTable, str]:
+    """A sensor's samples in SI units; or why its units are not known."""
+    values = np.where(np.abs(stream.values) < _DAMAGED, stream.values, np.nan)
+    vectors = {kind: values[:, columns].astype(float) for kind, columns in axes.items()}
+    table = ImuTable(name, stream.t_s, None, None, vectors.get("mag"), stream.rate_hz)
+    units = []
+    for kind, known in (("acc", ACCELERATION), ("gyro", ANGULAR_VELOCITY)):
+        if kind not in vectors:
+            continue
+        stated = stream.units[axes[kind][0]]
+        unit, why = unit_of(kind, vectors[kind], stated, "", table.acc, table.t_s, table.rate_hz)
+        if not unit or (not why and unit == "rad/s"):
+            return table, f"{name}: the unit of {kind} is not stated, and the motion does not show it"
+        if plain_unit(stated) not in known:
+            table.notes.append(f"{name}: assumed {unit} for {kind} ({why or 'it is too fast in rad/s'}).")
+        setattr(table, kind, vectors[kind] * known[unit])
+        units.append(unit)
+    table.units = ", ".join(units)
+    return table, ""

@@ -54,7 +54,7 @@ def z_up(points: np.ndarray) -> np.ndarray:
     return points[..., [0, 2, 1]] * [1, -1, 1]
 
 
-# ------------------------------------------------------------------------------------------ a row of all joints
+# ------------------------------------------------------------------------------------ a row of all joints
 
 
 def test_mkv_extractor(tmp_path: Path) -> None:
@@ -218,7 +218,7 @@ def test_a_row_a_joint(tmp_path: Path, set_back: int) -> None:
     assert (table.state["wrist_left"] == JointState.TRACKED).all()
 
 
-# ---------------------------------------------------------------------------------------------------- landmarks
+# ------------------------------------------------------------------------------------ landmarks
 
 
 def mediapipe(style: str = "{name}_{axis}", points: np.ndarray | None = None) -> Rows:
@@ -421,7 +421,7 @@ def test_nobody_in_view(tmp_path: Path) -> None:
         tables(azure(tmp_path / "a.csv", nobody), "azure-kinect")
 
 
-# ------------------------------------------------------------------------------ markers that are called joints
+# --------------------------------------------------------------------------- markers that are called joints
 
 #: Names by what they mean; of single words and of parts of the arm that are no joint nothing is made.
 NAMES = {
