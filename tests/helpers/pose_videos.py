@@ -1,4 +1,4 @@
-"""Videos of people drawn as discs, which the stand-in for MediaPipe finds; and what phones do to videos."""
+"""Videos, and models of a stand-in for MediaPipe that say who is in them; and what phones do to videos."""
 
 from __future__ import annotations
 
@@ -8,19 +8,20 @@ import sys
 import zipfile
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import cv2
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from smoother.recording import JOINTS, JointState, Recording
 
 STAND_IN = Path(__file__).parent / "stand_in"
-WIDTH, HEIGHT, PIXELS_PER_M, RADIUS = 320, 240, 110.0, 6
-#: Hips below the shoulder's height and beside the worn arm's shoulder, and half the shoulders' width, m.
-TRUNK_M, HALF_M = 0.5, 0.18
-DISC_PIXELS = float(np.count_nonzero(cv2.circle(np.zeros((40, 40), np.uint8), (20, 20), RADIUS, 1, -1)))
+WIDTH, HEIGHT, PIXELS_PER_M = 320, 240, 110.0
+#: How red the quarters of each picture are, and with which landmark those of the left arm and hip begin.
+QUARTERS = np.array([[240, 170], [90, 20]])
+LEFT = {"shoulder": 11, "elbow": 13, "wrist": 15, "hip": 23}
 
 
 @contextmanager
@@ -38,92 +39,66 @@ def mediapipe_stand_in() -> Iterator[None]:
         sys.modules.update(kept)
 
 
-@dataclass
+@dataclass(frozen=True)
 class Person:
-    """Discs of a person: (F, 8, 3) m in optical axes about the middle of the hips, and which are seen."""
+    """Landmarks of a person in optical axes about the middle of the hips."""
 
-    points: np.ndarray
-    seen: np.ndarray
+    points: np.ndarray  # (F, 33, 3) m; nan where nobody is there
+    visibility: np.ndarray  # (F, 33)
+    middle: tuple[float, float] = (0.5, 0.62)  # Of the hips, as a part of the picture
+    turn_deg: int = 0  # Clockwise, of the person in the picture
 
     def moved(self, x_m: float) -> Person:
         """The same elsewhere in the picture."""
-        return Person(self.points + np.array([x_m, 0.0, 0.0]), self.seen.copy())
+        return replace(self, middle=(self.middle[0] + x_m * PIXELS_PER_M / WIDTH, self.middle[1]))
+
+    @property
+    def landmarks(self) -> np.ndarray:
+        """As the stand-in gives them (F, 33, 6)."""
+        turned = self.points @ Rotation.from_euler("z", self.turn_deg, degrees=True).as_matrix().T
+        image = turned[..., :2] * PIXELS_PER_M / (WIDTH, HEIGHT) + self.middle
+        return np.concatenate([self.points, self.visibility[..., None], image], axis=2)
 
 
 def person_of(recording: Recording, t_s: np.ndarray) -> Person:
     """Whoever wears the right arm of a simulated recording (frame: x left, y up, z forward), at times."""
-    arm = recording.arm
-    turned = arm.position * [-1, -1, 1]
-    names = ("shoulder", "elbow", "wrist")
-    columns = {}
-    for name in names:
-        rows = turned[:, JOINTS.index(name)]
-        good = np.isfinite(rows).all(axis=1)
-        columns[name] = np.stack(
-            [np.interp(t_s, arm.t_s[good], rows[good, axis]) for axis in range(3)], axis=1
-        )
+    arm, points = recording.arm, np.zeros((len(t_s), 33, 3))
+    visibility = np.full((len(t_s), 33), 0.95)
     nearest = np.abs(t_s[:, None] - arm.t_s[None]).argmin(axis=1)
-    shoulder = np.median(columns["shoulder"], axis=0)
-    hips = shoulder + np.array([HALF_M, TRUNK_M, 0.0])  # a right shoulder is on the picture's left
-    still = np.zeros((len(t_s), 3))
-    left = {
-        "shoulder": [HALF_M, -TRUNK_M, 0.0],
-        "elbow": [HALF_M + 0.06, -0.22, 0.0],
-        "wrist": [HALF_M + 0.08, 0.06, 0.0],
-    }
-    points, seen = [], []
-    for name in names:
-        points += [still + left[name], columns[name] - hips]
-        seen += [np.ones(len(t_s), bool), arm.state[nearest, JOINTS.index(name)] != JointState.NOT_TRACKED]
-    points += [still + np.array([0.12, 0.0, 0.0]), still - np.array([0.12, 0.0, 0.0])]
-    seen += [np.ones(len(t_s), bool)] * 2
-    seen[1] = np.ones(len(t_s), bool)
-    return Person(np.stack(points, axis=1), np.stack(seen, axis=1))
-
-
-def draw(person: Sequence[Person], row: int) -> np.ndarray:
-    """A picture (240, 320, 3), blue first."""
-    from mediapipe.tasks.python.vision import PARTS, colour
-
-    picture = np.full((HEIGHT, WIDTH, 3), 20, np.uint8)
-    for who, each in enumerate(person):
-        for k in range(2 * len(PARTS)):
-            if each.seen[row, k]:
-                u, v = each.points[row, k, :2] * PIXELS_PER_M + (WIDTH / 2, 0.62 * HEIGHT)
-                at = (round(16 * u), round(16 * v))
-                rgb = colour(who, k // 2, k % 2)
-                cv2.circle(picture, at, 16 * RADIUS, [int(c) for c in rgb[::-1]], -1, cv2.LINE_AA, 4)
-    return picture
+    for name in ("shoulder", "elbow", "wrist"):
+        rows = arm.position[:, JOINTS.index(name)] * [-1, -1, 1]
+        good = np.isfinite(rows).all(axis=1)
+        for axis in range(3):
+            points[:, LEFT[name] + 1, axis] = np.interp(t_s, arm.t_s[good], rows[good, axis])
+        lost = arm.state[nearest, JOINTS.index(name)] == JointState.NOT_TRACKED
+        visibility[lost, LEFT[name] + 1] = 0.95 if name == "shoulder" else 0.05
+    # a right shoulder is on the picture's left
+    points[:, 12:17:2] -= np.median(points[:, 12], axis=0) + np.array([0.18, 0.5, 0.0])
+    points[:, 11:16:2] = [[0.18, -0.5, 0.0], [0.24, -0.22, 0.0], [0.26, 0.06, 0.0]]
+    points[:, 23:25] = [[0.12, 0.0, 0.0], [-0.12, 0.0, 0.0]]
+    return Person(points, visibility)
 
 
 def write_video(path: Path, people: Sequence[Person], rate_hz: float, turn: int | None = None) -> Path:
-    """Pictures of people as a video; `turn` as cv2.rotate has it, and mirrored with `turn` -1."""
-    size = (
-        (HEIGHT, WIDTH)
-        if turn in (cv2.ROTATE_90_CLOCKWISE, cv2.ROTATE_90_COUNTERCLOCKWISE)
-        else (WIDTH, HEIGHT)
-    )
-    kind = "mp4v" if path.suffix == ".mp4" else "MJPG"
-    writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*kind), rate_hz, size)
+    """As many pictures as people have places; `turn` as cv2.rotate has it, and mirrored with `turn` -1."""
+    picture = np.full((HEIGHT, WIDTH, 3), 20, np.uint8)
+    picture[..., 2] = np.kron(QUARTERS, np.ones((HEIGHT // 2, WIDTH // 2)))
+    if turn is not None:
+        picture = cv2.flip(picture, 1) if turn == -1 else cv2.rotate(picture, turn)
+    writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"mp4v"), rate_hz, picture.shape[1::-1])
     assert writer.isOpened()
-    frames = len(people[0].points) if people else 30
-    with mediapipe_stand_in():
-        for row in range(frames):
-            picture = draw(people, row)
-            if turn is not None:
-                picture = cv2.flip(picture, 1) if turn == -1 else cv2.rotate(picture, turn)
-            writer.write(picture)
+    for _ in range(len(people[0].points) if people else 30):
+        writer.write(picture)
     writer.release()
     return path
 
 
 def write_model(path: Path, people: Sequence[Person], t_s: np.ndarray) -> Path:
-    """A bundle for the stand-in, which knows the depths by time."""
-    depth = np.zeros((2, len(t_s), 8))
-    for who, each in enumerate(people):
-        depth[who] = each.points[..., 2]
+    """A bundle for the stand-in, which gives people in another order from picture to picture."""
+    each = np.array([person.landmarks for person in people]).reshape(-1, len(t_s), 33, 6)
+    each[:, 1::2] = each[::-1, 1::2]
     numbers = io.BytesIO()
-    np.savez(numbers, t_ms=1e3 * t_s, depth_m=depth, pixels_per_m=PIXELS_PER_M, disc_pixels=DISC_PIXELS)
+    np.savez(numbers, t_ms=1e3 * t_s, people=each)
     with zipfile.ZipFile(path, "w") as bundle:
         bundle.writestr("pose_detector.tflite", b"")
         bundle.writestr("pose_landmarks_detector.tflite", numbers.getvalue())
