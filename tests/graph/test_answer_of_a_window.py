@@ -28,13 +28,14 @@ from smoother.errors import SolveError
 from smoother.graph.build import bias_of_intervals, build
 from smoother.graph.columns import constant_error_columns, evidence, stamp_columns
 from smoother.graph.linear_system import Jacobian
-from smoother.graph.shared_prior import shared_jacobian
+from smoother.graph.shared_prior import gravity_axes, have_turned, shared_jacobian
 from smoother.graph.solve import TIGHTEN, solve
 from smoother.graph.solved import SolvedWindow, levers_of
+from smoother.linalg import unit
 from smoother.recording import JOINTS
 from smoother.units import GRAVITY
 from smoother.window.problem import Window
-from smoother.window.shared import JOINT_ERRORS, SIZE, STRAP_ERRORS, STRAP_PLACE
+from smoother.window.shared import JOINT_ERRORS, SIZE, STRAP_ERRORS, STRAP_PLACE, Gaussian
 from smoother.window.solution import Solution
 
 ELBOW, WRIST, SHOULDER = (JOINTS.index(joint) for joint in ("elbow", "wrist", "shoulder"))
@@ -148,18 +149,6 @@ def test_states_and_their_covariance(pair: tuple[Optimum, Solution], number: int
     np.testing.assert_array_equal(body.states.R[hidden], np.tile(np.eye(3), (len(hidden), 1, 1)))
 
 
-def test_gravity_and_the_shoulder(pair: tuple[Optimum, Solution]) -> None:
-    best, found = pair
-    assert found.accepted and found.t is best.window.t
-    assert found.error == pytest.approx(best.graph.error(best.values), rel=1e-6)
-    np.testing.assert_allclose(found.forearm.gravity, GRAVITY * best.values.atUnit3(G(0)).point3(), atol=1e-3)
-    of_knots = np.array([best.of(S(k)) for k in range(6)])
-    at = best.window.shoulder.node  # in between it is interpolated
-    close(found.shoulder[at], np.array([best.values.atPoint3(S(k)) for k in range(6)]), of_knots)
-    like(found.shoulder_covariance[at], of_knots)
-    assert found.shoulder.shape == (NODES, 3)
-
-
 def shared_of(best: Optimum) -> tuple[FloatArray, FloatArray]:
     """The shared vector and its covariance, by differences of the shared vector's definition."""
     keys = [B(1), G(0), U(0), L(ELBOW), L(WRIST), M(ELBOW), M(SHOULDER), C(1)]
@@ -190,16 +179,25 @@ def shared_of(best: Optimum) -> tuple[FloatArray, FloatArray]:
     return vector(best.values), J @ best.of(*keys) @ J.T
 
 
-def test_what_is_shared_and_the_lever_arms(pair: tuple[Optimum, Solution]) -> None:
-    """A lever arm of each joint in the axes of the IMU that it is tied to: the hand's, where it has one."""
+def test_gravity_the_shoulder_what_is_shared_and_residuals(pair: tuple[Optimum, Solution]) -> None:
     best, found = pair
+    assert found.accepted and found.t is best.window.t
+    assert found.error == pytest.approx(best.graph.error(best.values), rel=1e-6)
+    np.testing.assert_allclose(found.forearm.gravity, GRAVITY * best.values.atUnit3(G(0)).point3(), atol=1e-3)
+    of_knots = np.array([best.of(S(k)) for k in range(6)])
+    at = best.window.shoulder.node  # in between it is interpolated
+    close(found.shoulder[at], np.array([best.values.atPoint3(S(k)) for k in range(6)]), of_knots)
+    like(found.shoulder_covariance[at], of_knots)
     mean, covariance = shared_of(best)
     close(found.shared, mean, covariance)
     layout = best.window.priors.layout
     assert list(found.levers) == ["elbow", "wrist"]
     for joint, lever in found.levers.items():
         np.testing.assert_array_equal(lever, found.shared[layout.lever(joint)])
-    np.testing.assert_array_equal(found.lever("strap"), np.zeros(3))
+    states = found.forearm.states
+    for measured in best.window.joint_measurements:
+        at = states.p[measured.node] + states.R[measured.node] @ found.lever(measured.joint) + measured.shift
+        np.testing.assert_allclose(found.residuals[measured.joint], measured.position - at, atol=1e-12)
     three = replace(layout, joints=("elbow", "wrist", "hand"), further=("upper_arm", "hand"))
     levers = levers_of(np.arange(three.size), three)
     assert {joint: int(lever[0]) for joint, lever in levers.items()} == {
@@ -207,27 +205,6 @@ def test_what_is_shared_and_the_lever_arms(pair: tuple[Optimum, Solution]) -> No
         "wrist": three.lever("wrist").start,
         "hand": three.lever("hand", "hand").start,
     }
-
-
-def test_residuals(pair: tuple[Optimum, Solution]) -> None:
-    best, found = pair
-    assert list(found.residuals) == ["elbow", "wrist", "strap"]
-    states = found.forearm.states
-    for measured in best.window.joint_measurements:
-        at = states.p[measured.node] + states.R[measured.node] @ found.lever(measured.joint) + measured.shift
-        np.testing.assert_allclose(found.residuals[measured.joint], measured.position - at, atol=1e-12)
-
-
-def test_only_what_is_asked_for() -> None:
-    window = small_window(upper=False)[0]
-    found = solve(window, with_covariance=False)
-    forearm = found.forearm
-    for absent in (forearm.pose_covariance, forearm.velocity_covariance, found.shoulder_covariance):
-        assert absent is None
-    assert found.evidence is None and len(found.bodies) == 1 and found.offset_information == 0.0
-    assert np.isfinite(found.shared).all()
-    found = solve(replace(window, shoulder=None), with_covariance=True)
-    assert found.shoulder is found.shoulder_covariance is None and found.forearm.pose_covariance is not None
 
 
 @pytest.mark.parametrize(
@@ -324,24 +301,18 @@ def test_what_the_window_says_of_constant_errors(pair: tuple[Optimum, Solution])
     project = np.eye(len(P)) - P @ np.linalg.solve(P.T @ P, P.T)
     information = turn.T @ (sides.T @ project @ sides) @ turn
     vector = turn.T @ (sides.T @ project @ best.b)
-    prior = np.linalg.inv(priors.covariance[6:, 6:])
-    size = len(kept)
+    prior, size = np.linalg.inv(priors.covariance[6:, 6:]), len(kept)
     information[:size, :size] -= prior
     vector[:size] -= prior @ (priors.mean - mean)[6:]
     vector += information[:, :size] @ mean[6:]
     stated = evidence(best.solved, best.system, priors)
-    close_evidence(stated.information, information, 1e-6)
-    close_evidence(np.diag(stated.vector), np.diag(vector), 1e-6)
-    close_evidence(found.evidence.information, information, 1e-2)
-
-
-def close_evidence(found: FloatArray, expected: FloatArray, atol: float) -> None:
-    """Informations, each element to a share of its diagonal; joints that nobody saw have none."""
-    scale = np.sqrt(np.abs(np.diag(expected)))
-    scale[scale == 0.0] = 1.0
-    np.testing.assert_allclose(
-        found / scale[:, None] / scale, expected / scale[:, None] / scale, rtol=0.0, atol=atol
-    )
+    scale = np.sqrt(np.abs(np.diag(information)))
+    scale[scale == 0.0] = 1.0  # joints that nobody saw have none
+    information /= scale[:, None] * scale
+    np.testing.assert_allclose(stated.information / scale[:, None] / scale, information, atol=1e-6)
+    vector /= scale
+    np.testing.assert_allclose(stated.vector / scale, vector, atol=1e-6 * np.abs(vector).max())
+    np.testing.assert_allclose(found.evidence.information / scale[:, None] / scale, information, atol=1e-2)
 
 
 @pytest.mark.parametrize("rows", [0, 6])
@@ -372,60 +343,94 @@ def test_considered_errors_widen_the_covariance(rows: int) -> None:
     like(found.shoulder_covariance[window.shoulder.node[2]], total, 5e-3)
 
 
-@pytest.fixture
-def built(monkeypatch: pytest.MonkeyPatch) -> list[Window]:
-    """The windows that graphs were built of."""
+def test_made_up_stamps_widen_the_covariance_by_their_square() -> None:
+    window, traces = small_window(upper=False)[0], []
+    for sigma_s in (0.0, 0.01, 0.02):
+        considered = replace(window.considered, stamp_sigma_s=sigma_s)
+        found = solve(replace(window, considered=considered), with_covariance=True)
+        traces.append(np.trace(found.forearm.pose_covariance[:, :3, :3], axis1=1, axis2=2))
+    assert (traces[1] > traces[0]).all()
+    np.testing.assert_allclose(traces[2] - traces[0], 4.0 * (traces[1] - traces[0]), rtol=1e-6)
+
+
+def test_between_computed_covariances_it_errs_on_the_careful_side(monkeypatch: pytest.MonkeyPatch) -> None:
+    window = replace(small_window()[0], considered=None)
+    sigmas = []
+    for apart_s in (0.12, 1e-6):
+        for name in ("COVARIANCE_S", "COVARIANCE_NEAR_S", "SHOULDER_COVARIANCE_S", "CHAIN_COVARIANCE_S"):
+            monkeypatch.setattr(smoother.graph.solve, name, apart_s)
+        covariance = solve(window, with_covariance=True).forearm.pose_covariance
+        sigmas.append(np.sqrt(np.einsum("nii->ni", covariance)))
+    ratio = sigmas[0] / sigmas[1]
+    assert ratio.min() > 0.85 and 1.0 < ratio.mean() < 1.15 and ratio.max() < 1.7
+    np.testing.assert_allclose(ratio[[0, -1]], 1.0)
+
+
+def test_a_prior_that_alone_holds_the_orientation_is_tightened(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where the solver calls a direction free; the covariance gets back what that took, and no more."""
     windows: list[Window] = []
     monkeypatch.setattr(smoother.graph.solve, "build", lambda window: build(windows.append(window) or window))
-    return windows
-
-
-def test_tightening_gives_back_what_it_took(built: list[Window], monkeypatch: pytest.MonkeyPatch) -> None:
-    """A window whose first tries are refused: the attitude's prior is tightened, the covariance is not."""
-    window = replace(small_window(upper=False)[0], considered=None)
-    weak = np.diag([1e-6, 2e-6, 3e-6])  # the prior alone holds the orientation
-    window = with_forearm(window, attitude_covariance=weak)
-    straight = solve(window, with_covariance=True)
-    refusals = [RuntimeError("Indeterminant linear system detected"), np.linalg.LinAlgError(), DEFAULT]
-    refusing = Mock(wraps=smoother.graph.solve.optimise, side_effect=refusals)
-    monkeypatch.setattr(smoother.graph.solve, "optimise", refusing)
-    tightened = solve(window, with_covariance=True)
-    assert len(built) == 4
-    for each, share in zip(built[1:], TIGHTEN, strict=False):
-        np.testing.assert_allclose(each.forearm.attitude_covariance, weak * share**2)
+    window = replace(small_window()[0], considered=None)
+    prior = np.diag([1e-6, 2e-6, 4.0])  # about the third axis the data hold it
+    window = with_forearm(window, attitude_covariance=prior)
     node = window.forearm.attitude_node
-    like(
-        tightened.forearm.pose_covariance[node, 3:, 3:], straight.forearm.pose_covariance[node, 3:, 3:], 0.05
-    )
-    np.testing.assert_allclose(straight.forearm.pose_covariance[node, 3:, 3:], weak, atol=5e-8)
+    straight = solve(window, with_covariance=True).forearm.pose_covariance[node, 3:, 3:]
+    np.testing.assert_allclose(straight[:2, :2], prior[:2, :2], atol=5e-8)
+    assert straight[2, 2] < 0.01
+    refuse, free = smoother.graph.solve.optimise, np.linalg.LinAlgError
+    for refusals, error, tries in (
+        ([RuntimeError("Indeterminant linear system detected"), free, DEFAULT], None, 3),
+        (free, r"between 20\.0 s and 20\.\d s is not determined", 4),
+        (RuntimeError("out of luck"), "out of luck", 1),  # that is no free direction
+    ):
+        windows.clear()
+        monkeypatch.setattr(smoother.graph.solve, "optimise", Mock(wraps=refuse, side_effect=refusals))
+        if error is None:
+            found = solve(window, with_covariance=True).forearm.pose_covariance[node, 3:, 3:]
+            like(found, straight, 0.05)
+        else:
+            with pytest.raises((SolveError, RuntimeError), match=error):
+                solve(window, with_covariance=True)
+        assert len(windows) == tries
+        for each, share in zip(windows, TIGHTEN, strict=False):
+            for body, before in zip(each.bodies, window.bodies, strict=True):
+                np.testing.assert_allclose(body.attitude_covariance, before.attitude_covariance * share**2)
 
 
-def test_only_what_the_prior_holds_is_given_back() -> None:
-    """A direction in which the data hold the orientation lost nothing."""
-    rng = np.random.default_rng(4)
-    axes, _ = np.linalg.qr(rng.normal(size=(3, 3)))
+def test_the_prior_on_gravity_stays_where_axes_across_it_turn() -> None:
+    """GTSAM counts gravity's changes along axes that jump on the way; the prior is anything but round."""
     window = small_window()[0]
-    window = with_forearm(window, attitude_covariance=(axes * [4.0, 9.0, 16.0]) @ axes.T)
-    stated = np.zeros((NODES, 3, 3))
-    # held by the prior to a hundredth of its variance; half of that; and hardly at all by it
-    stated[window.forearm.attitude_node] = (axes * [0.04, 0.046, 0.01]) @ axes.T
-    lost = smoother.graph.solve._lost_to_tightening(stated, window, 0.1)
-    np.testing.assert_allclose(lost, (axes * [3.96, 8.91, 0.0]) @ axes.T, atol=1e-12)
+    layout, shared = window.priors.layout, window.priors.shared
+    mean, covariance = shared.mean.copy(), shared.covariance.copy()
+    mean[layout.gravity] = layout.gravity_axes @ unit(np.array([0.2, -0.95, 0.1]))  # x and z exchanged
+    covariance[layout.gravity] = covariance[:, layout.gravity] = 0.0
+    covariance[layout.gravity, layout.gravity] = np.diag(np.radians([8.0, 1.0]) ** 2)
+    across = layout.gravity.start, 0  # tied to the accelerometer's bias
+    covariance[across] = covariance[across[::-1]] = 0.8 * np.radians(8.0) * np.sqrt(covariance[0, 0])
+    window = replace(window, priors=replace(window.priors, shared=Gaussian(mean, covariance)))
+    graph, start, groups = build(window)
+    found = smoother.graph.optimise.optimise(graph, start, groups, window, 1e-10)
+    assert have_turned(gravity_axes(start), gravity_axes(found.values))
+
+    def cost(move: FloatArray) -> float:
+        values = gtsam.Values(found.values)
+        values.update(G(0), values.atUnit3(G(0)).retract(move))
+        factors = [graph.at(i) for i in range(graph.size())]
+        rest = [each for each in factors if not isinstance(each, gtsam.LinearContainerFactor)]
+        off = SolvedWindow(window, graph, values, groups).shared - mean
+        return sum(each.error(values) for each in rest) + 0.5 * off @ np.linalg.solve(covariance, off)
+
+    for step in 1e-4 * np.eye(2):
+        below, here, above = cost(-step), cost(0.0 * step), cost(step)
+        curvature = (above - 2 * here + below) / 1e-8
+        assert abs(above - below) / 2e-4 < 0.02 * np.sqrt(curvature)  # so far in sigmas
 
 
-def test_other_failures_are_no_free_direction(built: list[Window], monkeypatch: pytest.MonkeyPatch) -> None:
-    """Where a direction is free, the priors of both IMUs are tightened step by step before it is said."""
-    window = small_window()[0]
-    monkeypatch.setattr(smoother.graph.solve, "optimise", Mock(side_effect=RuntimeError("out of luck")))
-    with pytest.raises(RuntimeError, match="out of luck"):
-        solve(window, with_covariance=False)
-    monkeypatch.setattr(smoother.graph.solve, "optimise", Mock(side_effect=np.linalg.LinAlgError))
-    built.clear()
-    with pytest.raises(SolveError, match=r"between 20\.0 s and 20\.\d s is not determined"):
-        solve(window, with_covariance=False)
-    for each, share in zip(built, TIGHTEN, strict=True):
-        for body, before in zip(each.bodies, window.bodies, strict=True):
-            np.testing.assert_allclose(body.attitude_covariance, before.attitude_covariance * share**2)
+def test_without_a_shoulder_and_with_nothing_asked_for() -> None:
+    window = replace(small_window(upper=False)[0], shoulder=None)
+    found = solve(window, with_covariance=False)
+    assert found.shoulder is found.forearm.pose_covariance is found.evidence is None
+    assert solve(window, with_covariance=True).forearm.pose_covariance is not None
 
 
 def test_a_stamp_s_column_is_the_derivative_of_the_data() -> None:
@@ -469,19 +474,3 @@ def test_what_the_window_says_of_its_clock(pair: tuple[Optimum, Solution]) -> No
             off = (velocity[rows] - velocity[rows].mean(axis=0)) / measured.sigma_m[rows, None]
             expected += float(np.sum(off**2))
     assert found.offset_information == pytest.approx(expected, rel=1e-2)
-
-
-def test_synthetic_stamps_widen_the_covariance() -> None:
-    """More the farther the frames may be off, and nothing where they were measured."""
-    window = small_window(upper=False)[0]
-    assert window.considered is not None
-
-    def spread(stamp_sigma_s: float) -> FloatArray:
-        considered = replace(window.considered, stamp_sigma_s=stamp_sigma_s)
-        found = solve(replace(window, considered=considered), with_covariance=True)
-        return np.asarray(np.trace(found.forearm.pose_covariance[:, :3, :3], axis1=1, axis2=2))
-
-    measured, little, much = (spread(sigma) for sigma in (0.0, 0.01, 0.02))
-    assert (little > measured).all()
-    # considered errors add to the covariance: four times as much for twice the sigma
-    np.testing.assert_allclose(much - measured, 4.0 * (little - measured), rtol=1e-6)
