@@ -46,16 +46,9 @@ def test_they_have_the_covariance_that_the_answer_states(drawn: Recovery) -> Non
     # between the shoulder's knots the stated covariance is that of the knots, a straight line has less
     square = whitened(draws.joints["shoulder"], drawn.joint_covariance["shoulder"][rows])
     assert square.max() < 1.25 and square.min() > 0.4 and np.percentile(square, 95) > 0.9
-
-
-def test_their_mean_is_the_answer(drawn: Recovery) -> None:
-    draws = drawn.draws
     for values in (draws.position, draws.rotation, *draws.joints.values()):
         # the mean of 300 draws is off by 0.06 sigma; four times that anywhere
         assert (np.abs(values.mean(axis=0)) < 0.25 * values.std(axis=0)).all()
-
-
-def test_speeds_of_drawn_motions_vary_as_the_answer_states(drawn: Recovery) -> None:
     inner = (drawn.t_s > 1.0) & (drawn.t_s < 19.0)
     faster = np.array([drawn.drawn(k).velocity - drawn.velocity for k in range(100)])[:, inner]
     ratio = faster.var(axis=0).sum(axis=1) / np.trace(drawn.velocity_covariance[inner], axis1=1, axis2=2)
@@ -73,9 +66,6 @@ def test_the_same_seed_gives_the_same_motions_and_the_answer_stays(
     np.testing.assert_allclose(few.draws.rotation, drawn.draws.rotation[:2], atol=1e-6)
     for name in ("position", "quaternion", "pose_covariance"):
         np.testing.assert_array_equal(getattr(few, name), getattr(drawn, name))
-
-
-def test_numbers_below_zero_are_refused(made: SimulatedArm) -> None:
     for wrong in ({"draws": -1}, {"draws": 2, "seed": -1}):
         with pytest.raises(UnoccludeError, match="0 or more; not -1"):
             answer(made.recording, made.calibration, **wrong)

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
-from scenes import FIELD_K, Scene, point, recovered, with_field
+from scenes import FIELD_K, Scene, answer, point, recovered, with_field
 
-from smoother.array_types import FloatArray
+from smoother.recording import Recording
 from smoother.recovery.magnetometer import Field, middle_direction
 from smoother.simulation import SimulatedArm
 
@@ -24,80 +26,72 @@ def made() -> SimulatedArm:
 
 
 @pytest.fixture(scope="module")
-def plain(made) -> Scene:
+def plain(made: SimulatedArm) -> Scene:
     return recovered(made)
 
 
 @pytest.fixture(scope="module")
-def helped(made) -> Scene:
+def helped(made: SimulatedArm) -> Scene:
     return recovered(made, with_field(made.recording))
 
 
-@pytest.mark.slow
 def test_an_undisturbed_field_makes_the_orientation_better(plain: Scene, helped: Scene) -> None:
     assert "magnetometer is used" in note(helped) and "left out" not in note(helped)
     with_it, without = helped.validation.all, plain.validation.all
     assert with_it.orientation_rms_deg < without.orientation_rms_deg
     assert with_it.position_rms_m < 1.05 * without.position_rms_m
-
-
-def off_deg(direction: FloatArray) -> float:
-    """Angle of a direction of the field from the true one."""
-    return float(np.degrees(np.arccos(np.array(direction) @ FIELD_K / np.linalg.norm(FIELD_K))))
-
-
-def test_the_fields_direction_is_found_and_not_pulled_by_a_few(helped: Scene) -> None:
-    assert off_deg(helped.recovery.estimates.magnetic_field_direction) < 2.0
     rng = np.random.default_rng(1)
     good, bad = FIELD_K + rng.normal(0.0, 0.02, (60, 3)), rng.normal(0.0, 1.0, (20, 3))
-    assert off_deg(middle_direction(np.vstack([good, bad]))) < 2.0
+    few = middle_direction(np.vstack([good, bad]))  # is not pulled by a few
+    for direction in (helped.recovery.estimates.magnetic_field_direction, few):
+        assert np.degrees(np.arccos(np.array(direction) @ FIELD_K / np.linalg.norm(FIELD_K))) < 2.0
 
 
-def test_magnets_are_left_out(made: SimulatedArm, plain: Scene) -> None:
-    """One that comes near for six seconds there, one on the sensor everywhere."""
-    t = made.recording.imu.t_s
+def near_for_six_seconds(seen: Recording) -> Recording:
+    t = seen.imu.t_s
     near = ((t > 11.0) & (t < 17.0))[:, None] * np.array([0.35, -0.3, 0.25])
-    scene = recovered(made, with_field(made.recording, near))
-    assert "as it disagrees there" in note(scene)
-    assert scene.validation.all.orientation_rms_deg < 1.02 * plain.validation.all.orientation_rms_deg
-    scene = recovered(made, with_field(made.recording, np.array([0.9, 0.6, -0.8])))
-    assert "was left out" in note(scene)
-    assert np.allclose(scene.recovery.position, plain.recovery.position, atol=1e-4, equal_nan=True)
+    return with_field(seen, near)
 
 
-@pytest.mark.slow
-def test_samples_that_are_missing_are_no_iron(made: SimulatedArm, helped: Scene) -> None:
-    def begins_at(start_s: float) -> Scene:
-        seen = with_field(made.recording)
-        mag = np.where(seen.imu.t_s[:, None] < start_s, np.nan, seen.imu.mag)
-        return recovered(made, replace(seen, imu=replace(seen.imu, mag=mag)))
-
-    scene = begins_at(11.0)
-    assert "magnetometer is used" in note(scene) and "left out" not in note(scene)
-    estimates = scene.recovery.estimates
-    assert estimates.magnetometer_blocks_used == estimates.magnetometer_blocks
-    # five means of two seconds have nothing, the windows overlap
-    assert 8 <= estimates.magnetometer_blocks <= helped.recovery.estimates.magnetometer_blocks - 5
-    # too little is left to know the direction by, which is no word of magnets either
-    said = note(begins_at(24.0))
-    assert "has too few of its samples" in said and "iron" not in said
+def begins_at(start_s: float, seen: Recording) -> Recording:
+    seen = with_field(seen)
+    mag = np.where(seen.imu.t_s[:, None] < start_s, np.nan, seen.imu.mag)
+    return replace(seen, imu=replace(seen.imu, mag=mag))
 
 
-def test_without_a_calibration_it_is_not_looked_at(made: SimulatedArm, plain: Scene) -> None:
-    raw = with_field(made.recording)
-    scene = recovered(made, replace(raw, imu=replace(raw.imu, mag_calibrated=False)))
-    assert not note(scene)
-    assert np.array_equal(scene.recovery.position, plain.recovery.position, equal_nan=True)
+def uncalibrated(seen: Recording) -> Recording:
+    seen = with_field(seen)
+    return replace(seen, imu=replace(seen.imu, mag_calibrated=False))
 
 
-def test_a_short_recording_and_an_empty_magnetometer_are_noted() -> None:
-    made = point(3, "white", duration_s=9.0)
-    seen = with_field(made.recording)
-    dead = replace(seen, imu=replace(seen.imu, mag=np.full_like(seen.imu.acc, np.nan)))
-    assert "too short" in note(recovered(made, seen)) and "has no samples" in note(recovered(made, dead))
+@pytest.mark.parametrize(
+    ("change", "said", "is_used"),
+    [
+        (near_for_six_seconds, "as it disagrees there", True),
+        (lambda seen: with_field(seen, np.array([0.9, 0.6, -0.8])), "was left out", False),  # on the sensor
+        (uncalibrated, "", False),
+        # samples that are missing are no iron; too little is left to know the direction by
+        pytest.param(partial(begins_at, 11.0), "magnetometer is used", True, marks=pytest.mark.slow),
+        pytest.param(partial(begins_at, 24.0), "too few of its samples", False, marks=pytest.mark.slow),
+        pytest.param(partial(begins_at, 99.0), "has no samples", False, marks=pytest.mark.slow),
+    ],
+    ids=["a magnet for a while", "a magnet", "not calibrated", "late", "too late", "empty"],
+)
+def test_what_is_wrong_is_left_out(
+    change: Callable[[Recording], Recording], said: str, is_used: bool, made: SimulatedArm, plain: Scene
+) -> None:
+    scene = recovered(made, change(made.recording))
+    assert said in note(scene) and bool(said) == bool(note(scene))
+    assert ("iron" in note(scene)) <= ("was left out" in note(scene))
+    if is_used:
+        assert scene.validation.all.orientation_rms_deg < 1.02 * plain.validation.all.orientation_rms_deg
+        estimates = scene.recovery.estimates
+        assert (estimates.magnetometer_blocks_used == estimates.magnetometer_blocks) == ("used" in said)
+    else:
+        np.testing.assert_allclose(scene.recovery.position, plain.recovery.position, atol=1e-4)
 
 
-def test_a_window_has_the_directions_of_its_time():
+def test_a_window_has_the_directions_of_its_time() -> None:
     """At the nearest node; their mean is known no better than the field's direction in the room."""
     directions = np.eye(3)[[0, 1, 2, 0]]
     field = Field(np.array([1.0, 3.0, 5.0, 9.0]), directions, FIELD_K, 0.04, 0.01)
@@ -108,3 +102,5 @@ def test_a_window_has_the_directions_of_its_time():
     np.testing.assert_array_equal(found.in_K, FIELD_K)
     assert found.sigma_rad == pytest.approx(np.sqrt(0.04**2 + 2 * 0.01**2))
     assert field.at_nodes(t + 10.0) is None
+    short = with_field(point(3, "white", duration_s=9.0).recording)
+    assert "too short" in " ".join(answer(short).notes)

@@ -152,15 +152,16 @@ def test_what_the_camera_leaves_out(
         if unanswered[1] == 180.0:  # the IMU is read no farther
             assert recording.imu.t_s[last - 1] == pytest.approx(unanswered[0] + CONTEXT_S, abs=0.1)
     assert bool(notes) == beyond.any() and not recovery.answered[beyond].any()
-    assert recovery.answered[~beyond].mean() > 0.995 and recovery.occluded[beyond].all()
+    assert recovery.answered[~beyond].mean() > 0.99 and recovery.occluded[beyond].all()
     opened = [(gap.open_start, gap.open_end) for gap in recovery.gaps if gap.open_start or gap.open_end]
     assert opened == ends
     longest = max(recovery.gaps, key=lambda gap: gap.length_s)
     error, sigma = error_and_sigma(recovery, three_minutes)
-    away = (t > longest.start_s - 10.0) & (t < longest.end_s + 10.0) | beyond
+    long = [gap for gap in recovery.gaps if gap.length_s > 5.0]
+    away = np.any([(t > gap.start_s - 10.0) & (t < gap.end_s + 10.0) for gap in long], axis=0)
     usual = error_and_sigma(sectioned, three_minutes)[0]
     # a third of the windows say nothing any more of what all share
-    assert np.sqrt(np.mean(error[~away] ** 2)) < 1.2 * np.sqrt(np.mean(usual[~away] ** 2))
+    assert np.sqrt(np.nanmean(error[~away] ** 2)) < 1.2 * np.sqrt(np.mean(usual[~away] ** 2))
     if not ends:
         inside = (t > longest.start_s) & (t < longest.end_s)
         assert longest.length_s > 5.5 and recovery.occluded[inside].all()
@@ -220,7 +221,9 @@ def test_a_section_drops_out_and_the_others_answer_as_without_it(
     """
     imu, t = three_minutes.recording.imu, three_minutes.recording.imu.t_s
     margin_s = 2.0 if section is None else 13.0
-    recording = hidden(start_s - margin_s, end_s + margin_s)(three_minutes.recording)
+    middle_s = 0.5 * (start_s + end_s) + np.array([-0.02, 0.02])  # a frame there is too few to say a thing
+    recording = hidden(start_s - margin_s, middle_s[0])(three_minutes.recording)
+    recording = hidden(middle_s[int(section is not None)], end_s + margin_s)(recording)
     pause = np.minimum(np.abs(t - start_s + 0.25), np.abs(t - end_s - 0.25)) < 0.25
     inside = (t >= start_s) & (t <= end_s)
     recording = replace(recording, imu=imu.select(~pause))
