@@ -11,6 +11,7 @@ from scipy.signal import find_peaks
 from scipy.spatial import transform
 
 from smoother.array_types import FloatArray
+from smoother.error_radius import error_radius, pooled_radius
 from smoother.filters import gaussian_smoothed, moving_mean, moving_median
 from smoother.linalg import by_columns, largest_trace, nearest_rotation, nonnegative_pair, peaks
 from smoother.rotation import Rotation, Slerp, chained
@@ -18,40 +19,32 @@ from smoother.splines import PiecewiseCubic, natural_spline
 
 
 @pytest.mark.parametrize("width", [1, 2, 3, 8, 25])
-def test_means_and_medians_are_scipys(width: int) -> None:
+def test_means_medians_and_gaussians_are_scipys(width: int) -> None:
     x = np.random.default_rng(width).normal(5.0, 1.0, (60, 3))
     mean = ndimage.uniform_filter1d(x[:, 0], width, mode="nearest")
     np.testing.assert_allclose(moving_mean(x[:, 0], width), mean, atol=1e-12)
+    for sigma, order in ((0.31 * width, 0), (0.31 * width, 1)):
+        theirs = ndimage.gaussian_filter1d(x, sigma, axis=0, order=order)
+        np.testing.assert_allclose(gaussian_smoothed(x, sigma, bool(order)), theirs, atol=1e-12)
     if width % 2:
         median = ndimage.median_filter(x, size=(width, 1), mode="nearest")
         np.testing.assert_array_equal(moving_median(x, width), median)
 
 
-@pytest.mark.parametrize("derivative", [False, True])
-@pytest.mark.parametrize("sigma", [0.8, 3.0, 6.2])
-def test_gaussians_are_scipys(sigma: float, derivative: bool) -> None:
-    x = np.random.default_rng(0).normal(size=(80, 2))
-    theirs = ndimage.gaussian_filter1d(x, sigma, axis=0, order=int(derivative))
-    np.testing.assert_allclose(gaussian_smoothed(x, sigma, derivative), theirs, atol=1e-12)
-
-
-@pytest.mark.parametrize("seed", range(40))
-def test_peaks_and_nonnegative_pairs_are_scipys(seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    y = np.convolve(rng.normal(size=400), np.ones(5), "valid")
-    rows, _ = find_peaks(y, height=1.0, distance=12)
-    highest = rows[np.argsort(-y[rows], kind="stable")]
-    np.testing.assert_array_equal(peaks(y, 1.0, 12, 8), highest[:8])
-    A, y = rng.normal(size=(12, 2)), rng.normal(size=12)
-    x, misfit = nonnegative_pair(A, y)
-    theirs, their_misfit = nnls(A, y)
-    np.testing.assert_allclose(x, theirs, atol=1e-10)
-    assert misfit == pytest.approx(their_misfit)
-
-
-@pytest.mark.parametrize(("y", "rows"), [(np.arange(9.0), []), (np.zeros(9), []), ([0.0, 1, 1, 0], [1])])
-def test_ends_and_flat_places(y: FloatArray, rows: list[int]) -> None:
-    assert peaks(np.array(y), 0.0, 1, 5).tolist() == rows
+def test_peaks_and_nonnegative_pairs_are_scipys() -> None:
+    rng = np.random.default_rng(0)
+    for _ in range(40):
+        y = np.convolve(rng.normal(size=400), np.ones(5), "valid")
+        rows, _ = find_peaks(y, height=1.0, distance=12)
+        highest = rows[np.argsort(-y[rows], kind="stable")]
+        np.testing.assert_array_equal(peaks(y, 1.0, 12, 8), highest[:8])
+        A, y = rng.normal(size=(12, 2)), rng.normal(size=12)
+        x, misfit = nonnegative_pair(A, y)
+        theirs, their_misfit = nnls(A, y)
+        np.testing.assert_allclose(x, theirs, atol=1e-10)
+        assert misfit == pytest.approx(their_misfit)
+    for ends, found in ((np.arange(9.0), []), (np.zeros(9), []), (np.array([0.0, 1, 1, 0]), [1])):
+        assert peaks(ends, 0.0, 1, 5).tolist() == found
 
 
 def test_the_largest_trace_is_that_of_the_nearest_rotation() -> None:
@@ -88,21 +81,14 @@ def test_every_form_is_that_of_scipy(rows: int | slice) -> None:
         ours.as_quat(scalar_first=True), again.as_quat(scalar_first=True), atol=1e-8
     )  # the sign too, where no two parts are equal
     np.testing.assert_allclose(np.abs(np.sum(ours.as_quat() * theirs.as_quat(), axis=-1)), 1.0, atol=ROUNDING)
+    back, angle = ours.as_rotvec(), ANGLES[rows]
+    np.testing.assert_allclose(np.linalg.norm(back, axis=-1), angle, atol=NEAR_PI)
+    np.testing.assert_allclose(ours.magnitude(), angle, atol=NEAR_PI)
+    sharp = angle < np.pi - 1e-3
+    np.testing.assert_allclose(back[sharp], ROTVECS[rows][sharp], atol=1e-12)
     canonical = ours.as_quat(canonical=True)
     assert (canonical[..., 3] >= 0).all()
     np.testing.assert_allclose(Rotation.from_quat(canonical).as_matrix(), theirs.as_matrix(), atol=ROUNDING)
-
-
-def test_rotation_vectors_come_back() -> None:
-    ours = Rotation.from_rotvec(ROTVECS)
-    back = ours.as_rotvec()
-    sharp = np.pi - 1e-3 > ANGLES
-    np.testing.assert_allclose(back[sharp], ROTVECS[sharp], atol=1e-12)
-    np.testing.assert_allclose(np.linalg.norm(back, axis=1), ANGLES, atol=NEAR_PI)
-    np.testing.assert_allclose(ours.magnitude(), ANGLES, atol=NEAR_PI)
-    np.testing.assert_allclose(back[5], transform.Rotation.from_rotvec(ROTVECS[5]).as_rotvec(), atol=NEAR_PI)
-    tiny = np.array([3e-9, -2e-9, 1e-9])  # relative, not absolute
-    np.testing.assert_allclose(Rotation.from_rotvec(tiny).as_rotvec(), tiny, rtol=1e-12)
 
 
 def test_products_and_application() -> None:
@@ -181,3 +167,32 @@ def test_columns_that_are_known_differently() -> None:
     assert list(together) == list(arrays)
     for name, array in arrays.items():
         np.testing.assert_array_equal(together[name], known_sums(array))
+
+
+def rotation(seed: int) -> FloatArray:
+    q, r = np.linalg.qr(np.random.default_rng(seed).standard_normal((3, 3)))
+    return np.asarray(q * np.sign(np.diag(r)))
+
+
+@pytest.mark.parametrize(
+    "shares", [(1, 1, 1), (1, 1, 0), (1, 0, 0), (1, 0.5, 0.5), (1, 0.3, 0.02), (1, 0.8, 0.1)]
+)
+def test_a_share_of_random_errors_lies_within_a_radius(shares: tuple[float, float, float]) -> None:
+    """Of errors of one covariance, and of several together."""
+    rng, turns = np.random.default_rng(1), [rotation(k) for k in range(3)]
+    several = [turn @ np.diag(shares) @ turn.T * s * 1e-4 for turn, s in zip(turns, (1, 2, 9), strict=True)]
+    errors = [rng.multivariate_normal(np.zeros(3), each, 200_000) for each in several]
+    distance = np.linalg.norm(errors, axis=2)
+    assert error_radius(several[0]) == pytest.approx(np.quantile(distance[0], 0.95), rel=0.01)
+    assert error_radius(several[0], 0.5) == pytest.approx(np.quantile(distance[0], 0.5), rel=0.03)
+    unknown = np.full((1, 3, 3), np.nan)
+    together = pooled_radius(np.concatenate([several, unknown]))
+    assert together == pytest.approx(np.quantile(distance, 0.95), rel=0.03)
+    assert pooled_radius(unknown) is None
+
+
+def test_a_radius_is_exact_where_one_two_or_three_axes_are_equal_none_is_known_or_all_are() -> None:
+    exact = [1.959964, np.sqrt(-2 * np.log(0.05)), 2.795483, np.nan, 0.0]
+    unknown = np.full((3, 3), np.nan)
+    covariance = np.stack([np.diag([1.0, 0, 0]), np.diag([1.0, 1, 0]), np.eye(3), unknown, 0 * np.eye(3)])
+    assert error_radius(covariance) == pytest.approx(exact, rel=1e-5, nan_ok=True)
