@@ -138,8 +138,9 @@ def test_what_changes_distrusts_the_recording_or_the_gap(
     assert any(all(word in reason for word in words) for reason in said), said
     assert whole or any(each.trusted for each in verdicts)
     severity = {each.sentence: each.severity for each in found.findings}
-    assert {severity[reason] for reason in found.reasons} <= {"recording", "times"}
-    assert all(severity[why] == "times" for each in found.untrusted for why in each.reasons)
+    if words:  # a slip's own gap may be the only one
+        assert {severity[reason] for reason in found.reasons} <= {"recording", "times"}
+        assert all(severity[why] == "times" for each in found.untrusted for why in each.reasons)
 
 
 @pytest.mark.slow

@@ -16,7 +16,7 @@ from smoother.body import FOREARM
 from smoother.linalg import interpolate
 from smoother.measurements.inertial import InertialSignal
 from smoother.measurements.visibility import Gap
-from smoother.recording import JOINTS, ImuStream, Recording
+from smoother.recording import JOINTS
 from smoother.simulation import SimulatedArm
 from smoother.window.cut import FREE_RAD, KNOT_S, STILL_ACCELERATION, window_between
 from smoother.window.nodes import GAP_NODE_CHAIN_S, GAP_NODE_S, GROUPED_S, group_frames, insert_nodes
@@ -107,14 +107,6 @@ def rows_of(prepared: PreparedSegment, span: tuple[float, float]) -> IntArray:
     return np.flatnonzero((prepared.t >= span[0]) & (prepared.t <= span[1]))
 
 
-def test_it_answers_for_its_part_of_the_wanted_time() -> None:
-    prepared = replace(PREPARED, start_s=2.0, end_s=31.0)
-    cores = [(window.core_start_s, window.core_end_s) for window in windows_of(prepared)]
-    t = PREPARED.t
-    expected = [(max(2.0, t[t >= a][0]), min(31.0, t[t <= b][-1])) for a, b in SPANS]
-    assert cores == expected and cores[0] == (2.0, 31.0)
-
-
 @given(gap_lengths)
 @settings(max_examples=15, deadline=None)
 def test_measurements_belong_to_their_nodes(steps: list[tuple[float, float]]) -> None:
@@ -138,13 +130,7 @@ def test_measurements_belong_to_their_nodes(steps: list[tuple[float, float]]) ->
         assert {measured.joint for measured in window.joint_measurements} == (
             set(LEVERS) if inside.any() else set()
         )
-
-
-@given(gap_lengths)
-@settings(max_examples=15, deadline=None)
-def test_only_intervals_in_a_gap_keep_their_velocity(steps: list[tuple[float, float]]) -> None:
-    prepared = prepared_of(gaps_of(steps))
-    for window in windows_of(prepared):
+        # only intervals in a gap keep their velocity
         middle, dt = 0.5 * (window.t[1:] + window.t[:-1]), np.diff(window.t)
         in_gap = np.array([any(g.start_s < t < g.end_s for g in prepared.gaps) for t in middle])
         np.testing.assert_array_equal(np.isfinite(window.velocity_change), in_gap)
@@ -152,99 +138,68 @@ def test_only_intervals_in_a_gap_keep_their_velocity(steps: list[tuple[float, fl
         np.testing.assert_allclose(window.velocity_change[in_gap], expected)
 
 
-@pytest.fixture(scope="module")
-def windows() -> list[Window]:
-    return windows_of(PREPARED)
-
-
-def test_the_shoulders_knots(windows: list[Window]) -> None:
-    for window in windows:
-        shoulder = window.shoulder
-        knots = window.t[shoulder.node]
-        assert (shoulder.node[0], shoulder.node[-1]) == (0, len(window.t) - 1)
+def test_the_core_the_shoulders_knots_and_the_attitude_prior() -> None:
+    """At each window's best node, as many times as wide as there are windows, never wider than free."""
+    prepared = replace(PREPARED, start_s=2.0, end_s=31.0)
+    for (start_s, end_s), window in zip(SPANS, windows_of(prepared), strict=True):
+        t, shoulder = window.t, window.shoulder
+        assert (window.core_start_s, window.core_end_s) == (max(2.0, t[0]), min(31.0, t[-1]))
+        knots = t[shoulder.node]
+        assert (shoulder.node[0], shoulder.node[-1]) == (0, len(t) - 1)
         assert np.diff(knots)[:-1].min() >= KNOT_S
-        np.testing.assert_allclose(shoulder.start[:, 1] - 0.3, 0.01 * knots, atol=0.01 * KNOT_S)
+        at = 0.3 + 0.01 * knots
+        np.testing.assert_allclose(shoulder.start[:, 1], at, atol=0.01 * KNOT_S)
         visible = np.isfinite(shoulder.position[:, 0])
         assert visible[:-1].all()  # the end of the segment has no frame of its own
         assert (shoulder.sigma_m[visible] <= 0.01 + 1e-12).all()  # a mean of one frame or more
-        np.testing.assert_allclose(
-            shoulder.position[visible, 1] - 0.3, 0.01 * knots[visible], atol=0.01 * KNOT_S
-        )
-
-
-def test_the_attitude_prior_is_shared(windows: list[Window]) -> None:
-    """At each window's best node, as many times as wide as there are windows, never wider than free."""
-    for span, window in zip(SPANS, windows, strict=True):
-        rows = rows_of(PREPARED, span)
+        np.testing.assert_allclose(shoulder.position[visible, 1], at[visible], atol=0.01 * KNOT_S)
+        rows = rows_of(PREPARED, (start_s, end_s))
         traces = np.trace(PREPARED.forearm.attitude_covariance[rows], axis1=1, axis2=2)
         best = int(np.argmin(traces))
         assert window.forearm.attitude_node == best
         np.testing.assert_array_equal(window.forearm.attitude, PREPARED.forearm.attitude[rows][best])
         expected = np.minimum(traces[best] / 3 * SHARING, FREE_RAD**2) * np.eye(3)
         np.testing.assert_allclose(window.forearm.attitude_covariance, expected, atol=1e-12)
-
-
-def test_without_a_shoulder_or_a_sample() -> None:
     accepted = PREPARED.accepted.copy()
     accepted[:, SHOULDER] = False
     accepted[PREPARED.frame_t_imu < 15.0] = False
     _, first, *_, last = windows_of(replace(PREPARED, accepted=accepted))
-    assert first.shoulder is None
-    assert first.joint_measurements == ()
+    assert first.shoulder is None and first.joint_measurements == ()
     assert [measured.joint for measured in last.joint_measurements] == ["elbow", "wrist"]
 
 
 @pytest.fixture(scope="module")
 def made() -> SimulatedArm:
-    return arm(
-        4,
-        imus="wrist,upper-arm",
-        protocol="random",
-        duration_s=22.0,
-        occlusion_lengths_s=(8.0,),
-        occlusion_every_s=16.0,
-    )
-
-
-def off_in_gap(made: SimulatedArm, recording: Recording) -> tuple[float, float]:
-    """Rms error of the start values inside gaps, m, and the longest interval there, s."""
-    truth, window = made.recording.truth, first_window(recording, made.calibration)
-    hidden = np.flatnonzero(np.isfinite(window.velocity_change))
-    off = window.forearm.start.p[hidden] - interpolate(truth.t_s, truth.position, window.t[hidden])
-    return float(np.sqrt(np.mean(np.sum(off**2, axis=1)))), float(np.diff(window.t)[hidden].max())
+    gaps = {"occlusion_lengths_s": (8.0,), "occlusion_every_s": 16.0}
+    return arm(4, imus="wrist,upper-arm", protocol="random", duration_s=22.0, **gaps)
 
 
 def test_start_values_in_a_gap_come_from_the_chain(made: SimulatedArm) -> None:
-    with_two, step_two = off_in_gap(made, made.recording)
-    with_one, step_one = off_in_gap(made, made.recording.with_imu("upper_arm", None))
-    assert with_two < 0.04 < 0.10 < with_one  # a cubic bridge over 8 s against the inertial filter's heading
-    assert step_two <= GAP_NODE_CHAIN_S + 1e-9 < step_one <= GAP_NODE_S + 1e-9
+    """Else from a cubic bridge over 8 s, against the inertial filter's heading."""
+    truth, off, step_s = made.recording.truth, [], []
+    for recording in (made.recording, made.recording.with_imu("upper_arm", None)):
+        window = first_window(recording, made.calibration)
+        hidden = np.flatnonzero(np.isfinite(window.velocity_change))
+        true = interpolate(truth.t_s, truth.position, window.t[hidden])
+        off.append(np.sqrt(np.mean(np.sum((window.forearm.start.p[hidden] - true) ** 2, axis=1))))
+        step_s.append(np.diff(window.t)[hidden].max())
+    assert off[0] < 0.04 < 0.10 < off[1]
+    assert step_s[0] <= GAP_NODE_CHAIN_S + 1e-9 < step_s[1] <= GAP_NODE_S + 1e-9
 
 
-def test_parts_beside_a_pause(made: SimulatedArm) -> None:
-    upper = made.recording.upper_imu
-    assert isinstance(upper, ImuStream)
+@pytest.mark.parametrize("unseen", [False, True])
+def test_parts_beside_a_pause(made: SimulatedArm, unseen: bool) -> None:
+    """One in which the camera sees nothing of the upper arm is left out: its heading is open there."""
+    upper, seen = made.recording.upper_imu, made.recording.arm
     paused = upper.select((upper.t_s < 12.0) | (upper.t_s > 15.0))
-    window = first_window(made.recording.with_imu("upper_arm", paused), made.calibration)
+    recording = made.recording.with_imu("upper_arm", paused)
+    if unseen:
+        recording = replace(recording, arm=seen.hide(seen.t_s > 14.5, ("shoulder", "elbow")))
+    window = first_window(recording, made.calibration)
     covered = np.zeros(len(window.t), dtype=bool)
-    assert len(window.further) == 2
     for run in window.further:
         covered[run.first : run.first + len(run.start.p)] = True
         assert len(run.increments.first) == len(run.start.p)
-    inside = (window.t > 12.1) & (window.t < 14.9)
-    outside = (window.t > 0.1) & ((window.t < 11.9) | (window.t > 15.1)) & (window.t < 21.8)
-    assert not covered[inside].any() and covered[outside].all()
-
-
-def test_a_part_without_the_camera_is_left_out(made: SimulatedArm) -> None:
-    """After a pause, and nothing seen of the upper arm to the end: its heading is open there."""
-    upper = made.recording.upper_imu
-    t = made.recording.arm.t_s
-    recording = replace(
-        made.recording,
-        further_imus={"upper_arm": upper.select((upper.t_s < 12.0) | (upper.t_s > 18.0))},
-        arm=made.recording.arm.hide(t > 17.5, ("shoulder", "elbow")),
-    )
-    window = first_window(recording, made.calibration)
-    (start,) = (window.t[run.first] for run in window.further)
-    assert start < 12.0
+    before, after = (window.t > 0.1) & (window.t < 11.9), (window.t > 15.1) & (window.t < 21.8)
+    assert not covered[(window.t > 12.1) & (window.t < 14.9)].any()
+    assert covered[before].all() and (covered[after].all(), covered[after].any()) == (not unseen,) * 2
