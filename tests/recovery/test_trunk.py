@@ -12,9 +12,9 @@ from measured_arms import recovery_of
 from scipy.spatial.transform import Rotation
 
 from smoother.angles import shoulder_angles
+from smoother.angles.definitions import wrapped_deg
 from smoother.array_types import FloatArray
 from smoother.io import read_recovery, write_recovery
-from smoother.joint_angles import wrapped_deg
 from smoother.linalg import unit
 from smoother.measures.measuring import measure
 from smoother.recording import JOINTS, ImuStream, JointTracks, Recording, TrunkSensors
