@@ -1,4 +1,4 @@
-"""The random numbers of draws, and the axes that gravity is told in."""
+"""The random numbers of draws."""
 
 from __future__ import annotations
 
@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from smoother.window.draw_plan import DrawPlan, samples_apart
-from smoother.window.shared import SharedLayout, axes_across
 
 
 def covariance(size: int, seed: int) -> np.ndarray:
@@ -55,15 +54,3 @@ def test_what_windows_share_has_each_windows_own_covariance_and_is_nearly_the_sa
 def test_drawn_times_are_25_a_second_or_more(rate: float, every: int) -> None:
     assert samples_apart(np.arange(300) / rate) == samples_apart(np.arange(500_000) / rate) == every
     assert samples_apart(np.zeros(1)) == 1
-
-
-def test_axes_across_are_right_handed_with_down() -> None:
-    rng = np.random.default_rng(2)
-    for down in rng.normal(size=(20, 3)):
-        axes, unit = axes_across(down), down / np.linalg.norm(down)
-        np.testing.assert_allclose(np.vstack([axes, unit]) @ np.vstack([axes, unit]).T, np.eye(3), atol=1e-12)
-        layout = SharedLayout((), False, axes)
-        tilted = unit + 0.1 * axes[0] - 0.05 * axes[1]
-        tilted /= np.linalg.norm(tilted)
-        vector = np.concatenate([np.zeros(6), axes @ tilted])
-        np.testing.assert_allclose(layout.down(vector), tilted, atol=1e-12)

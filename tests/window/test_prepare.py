@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from scenes import arm
 
 from smoother.array_types import BoolArray, FloatArray
+from smoother.linalg import interpolate
 from smoother.measurements.clock import Clock, constant_clock
 from smoother.measurements.segment import Segment, split_into_segments
 from smoother.measurements.timestamps import PAUSE_S, split_at_pauses
@@ -44,14 +45,8 @@ def segment(made: SimulatedArm) -> Segment:
     return segment
 
 
-@pytest.fixture(scope="module")
-def prepared(made: SimulatedArm, segment: Segment, clock: Clock) -> PreparedSegment:
-    return ready(segment, made, clock)
-
-
 def ready(segment: Segment, made: SimulatedArm, clock: Clock) -> PreparedSegment:
-    answer = prepare(segment, made.calibration, clock, SIGMA_M, MARGIN_S)
-    return answer[0]
+    return prepare(segment, made.calibration, clock, SIGMA_M, MARGIN_S)[0]
 
 
 def hidden(segment: Segment, frames: BoolArray) -> Segment:
@@ -59,72 +54,52 @@ def hidden(segment: Segment, frames: BoolArray) -> Segment:
     return replace(segment, accepted=segment.accepted & ~frames[:, None])
 
 
-def core(segment: Segment, start_s: float, end_s: float) -> Segment:
-    return replace(segment, core_start_s=start_s, core_end_s=end_s)
-
-
-def test_frames_are_on_the_imus_clock(segment: Segment, prepared: PreparedSegment, clock: Clock) -> None:
-    t = segment.frame_t_camera + clock.offset[0]
+def test_nodes_frames_and_start_values(made: SimulatedArm, segment: Segment, clock: Clock) -> None:
+    """Frames are on the IMU's clock, with a node near each; beside gaps they are nodes of their own."""
+    found, t = ready(segment, made, clock), segment.frame_t_camera + clock.offset[0]
     inside = (t >= segment.start_s) & (t <= segment.end_s)
-    np.testing.assert_allclose(prepared.frame_t_imu, t[inside], atol=1e-12)
-    np.testing.assert_array_equal(prepared.position, segment.position[inside])
-    np.testing.assert_array_equal(prepared.accepted, segment.accepted[inside])
-    assert (prepared.sigma_m == 0.01).all()
-
-
-def test_every_frame_with_a_joint_has_a_node_near_it(prepared: PreparedSegment) -> None:
-    with_node = prepared.frame_node >= 0
-    apart = np.abs(prepared.t[prepared.frame_node] - prepared.frame_t_imu)[with_node]
-    assert apart.max() <= 1.5 * GROUPED_S
-    assert (np.diff(prepared.frame_node[with_node]) >= 0).all()
-    np.testing.assert_array_equal(with_node, enough_joints(prepared.accepted, 1))
+    np.testing.assert_allclose(found.frame_t_imu, t[inside], atol=1e-12)
+    np.testing.assert_array_equal(found.position, segment.position[inside])
+    np.testing.assert_array_equal(found.accepted, segment.accepted[inside])
+    with_node = found.frame_node >= 0
+    np.testing.assert_array_equal(with_node, enough_joints(found.accepted, 1))
+    nodes, t = found.frame_node[with_node], found.frame_t_imu[with_node]
+    apart = np.abs(found.t[nodes] - t)
+    assert apart.max() <= 1.5 * GROUPED_S and (np.diff(nodes) >= 0).all()
     # of a group one frame is the node itself
-    nodes = np.unique(prepared.frame_node[with_node])
-    exact = prepared.frame_node[with_node][apart < 1e-9]
-    np.testing.assert_array_equal(np.unique(exact), nodes)
-
-
-def test_frames_beside_a_gap_are_nodes_of_their_own(prepared: PreparedSegment) -> None:
-    inner = [gap for gap in prepared.gaps if not (gap.open_start or gap.open_end)]
+    np.testing.assert_array_equal(np.unique(nodes[apart < 1e-9]), np.unique(nodes))
+    inner = [gap for gap in found.gaps if not (gap.open_start or gap.open_end)]
     assert len(inner) >= 2
     for gap in inner:
-        assert np.abs(prepared.t - gap.start_s).min() < 1e-9
-        assert np.abs(prepared.t - gap.end_s).min() < 1e-9
-        between = (prepared.frame_t_imu > gap.start_s) & (prepared.frame_t_imu < gap.end_s)
-        assert not enough_joints(prepared.accepted[between], 2).any()
-
-
-def test_initial_values_are_near_the_truth(made: SimulatedArm, prepared: PreparedSegment) -> None:
-    truth = made.recording.truth
-    near = np.abs(prepared.t[:, None] - prepared.frame_t_imu[enough_joints(prepared.accepted, 2)]).min(axis=1)
-    rows = np.flatnonzero((near < 0.02) & (prepared.t > truth.t_s[0]) & (prepared.t < truth.t_s[-1]))
-    true = np.stack([np.interp(prepared.t[rows], truth.t_s, axis) for axis in truth.position.T], axis=1)
-    assert np.median(np.linalg.norm(prepared.forearm.start.p[rows] - true, axis=1)) < 0.02
-    nearest = np.searchsorted(truth.t_s, prepared.t[rows])
-    R = Rotation.from_quat(truth.quaternion[nearest], scalar_first=True)
-    off = (Rotation.from_matrix(prepared.forearm.start.R[rows]) * R.inv()).magnitude()
+        assert np.abs(found.t - gap.start_s).min() < 1e-9 and np.abs(found.t - gap.end_s).min() < 1e-9
+        between = (found.frame_t_imu > gap.start_s) & (found.frame_t_imu < gap.end_s)
+        assert not enough_joints(found.accepted[between], 2).any()
+    truth, start = made.recording.truth, found.forearm.start
+    near = np.abs(found.t[:, None] - found.frame_t_imu[enough_joints(found.accepted, 2)]).min(axis=1)
+    rows = np.flatnonzero((near < 0.02) & (found.t > truth.t_s[0]) & (found.t < truth.t_s[-1]))
+    true = interpolate(truth.t_s, truth.position, found.t[rows])
+    assert np.median(np.linalg.norm(start.p[rows] - true, axis=1)) < 0.02
+    R = Rotation.from_quat(truth.quaternion[np.searchsorted(truth.t_s, found.t[rows])], scalar_first=True)
+    off = (Rotation.from_matrix(start.R[rows]) * R.inv()).magnitude()
     assert np.degrees(np.median(off)) < 6.0
-    np.testing.assert_array_equal(prepared.forearm.start.R, prepared.forearm.attitude)
 
 
 def test_a_core_is_solved_with_its_margins(made: SimulatedArm, segment: Segment, clock: Clock) -> None:
+    """Which go beyond a gap at either end."""
     whole = ready(segment, made, clock)
     gap = next(gap for gap in whole.gaps if not (gap.open_start or gap.open_end))
-    inside = ready(core(segment, gap.end_s + 3.0, gap.end_s + 5.0), made, clock)
-    assert (inside.start_s, inside.end_s) == (gap.end_s + 3.0, gap.end_s + 5.0)
-    assert inside.t[0] >= inside.start_s - MARGIN_S
-    assert inside.t[-1] <= inside.end_s + MARGIN_S
-    assert np.isin(inside.t, whole.t).all()
-    in_gap = ready(core(segment, 0.5 * (gap.start_s + gap.end_s), gap.end_s + 5.0), made, clock)
-    assert gap.start_s - MARGIN_S <= in_gap.t[0] <= gap.start_s - MARGIN_S + GAP_NODE_S
-
-
-def test_reach_goes_beyond_a_gap_at_either_end() -> None:
+    a_s, b_s = gap.end_s + 3.0, gap.end_s + 5.0
+    inside = ready(replace(segment, core_start_s=a_s, core_end_s=b_s), made, clock)
+    assert (inside.start_s, inside.end_s) == (a_s, b_s) and np.isin(inside.t, whole.t).all()
+    assert inside.t[0] >= a_s - MARGIN_S and inside.t[-1] <= b_s + MARGIN_S
     gaps = (Gap(10.0, 14.0), Gap(20.0, 30.0))
-    assert reach(15.0, 18.0, gaps, 2.0) == (13.0, 20.0)
-    assert reach(12.0, 18.0, gaps, 2.0) == (8.0, 20.0)
-    assert reach(15.0, 21.0, gaps, 2.0) == (13.0, 32.0)
-    assert reach(12.0, 28.0, gaps, 2.0) == (8.0, 32.0)
+    for start_s, end_s, expected in (
+        (15.0, 18.0, (13.0, 20.0)),
+        (12.0, 18.0, (8.0, 20.0)),
+        (15.0, 21.0, (13.0, 32.0)),
+        (12.0, 28.0, (8.0, 32.0)),
+    ):
+        assert reach(start_s, end_s, gaps, 2.0) == expected
     assert reach(15.0, 18.0, (), 2.0) == (13.0, 20.0)
 
 
@@ -137,67 +112,46 @@ def test_far_from_any_visible_frame_there_are_no_nodes(
     found = ready(hidden(segment, ~(t > 30.0 if side == "start" else t < 10.0)), made, clock)
     shown: FloatArray = found.frame_t_imu[enough_joints(found.accepted, 1)]
     if side == "start":
-        assert found.start_s == found.t[0] == pytest.approx(shown[0] - REACH_S)
-        assert found.gaps[0].open_start
+        assert found.start_s == found.t[0] == pytest.approx(shown[0] - REACH_S) and found.gaps[0].open_start
     else:
-        assert found.end_s == found.t[-1] == pytest.approx(shown[-1] + REACH_S)
-        assert found.gaps[-1].open_end
+        assert found.end_s == found.t[-1] == pytest.approx(shown[-1] + REACH_S) and found.gaps[-1].open_end
     assert np.isfinite(found.forearm.start.p).all()
     # beyond the last visible frame the arm rests
     beyond = (found.t < shown[0]) | (found.t > shown[-1])
-    assert beyond.sum() > REACH_S / GAP_NODE_S - 2
-    assert not found.forearm.start.v[beyond].any()
-
-
-def test_too_little_seen_is_no_segment(
-    made: SimulatedArm, segment: Segment, clock: Clock, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("smoother.window.prepare.REACH_S", REACH_S)
+    assert beyond.sum() > REACH_S / GAP_NODE_S - 2 and not found.forearm.start.v[beyond].any()
+    # too little seen is no segment
     number = np.arange(len(segment.frame_t_camera))
-    for shown in (0, 1):
-        few = hidden(segment, (number < 300) | (number >= 300 + shown))
+    for few in (
+        hidden(segment, number != 300),
+        hidden(segment, number >= 0),
+        replace(hidden(segment, t > 10.0), core_start_s=10.0 + REACH_S, core_end_s=40.0),
+    ):
         assert prepare(few, made.calibration, clock, SIGMA_M, MARGIN_S) is None
-    t = segment.frame_t_imu(clock)
-    early = core(hidden(segment, t > 10.0), 10.0 + REACH_S, 40.0)
-    assert prepare(early, made.calibration, clock, SIGMA_M, MARGIN_S) is None
 
 
 #: Rounding of sums of steps: times are some tens of seconds.
 EPS = 1e-9
-steps = st.lists(st.floats(0.0, 3.0) | st.floats(0.0, 0.02), min_size=0, max_size=60)
-starts = st.floats(-5.0, 60.0)
 
 
-def stream(t: np.ndarray) -> ImuStream:
-    return ImuStream("", t, np.zeros((len(t), 3)), np.zeros((len(t), 3)))
-
-
-def times(start: float, gaps: list[float]) -> FloatArray:
-    return start + np.concatenate(([0.0], np.cumsum(gaps)))
-
-
-@given(starts, steps)
-def test_thin_keeps_times_apart_and_no_fewer_than_needed(start: float, gaps: list[float]) -> None:
-    t = times(start, gaps)
-    keep = decimate(t)
-    sparse = t[keep]
-    assert keep[0]
-    assert (np.diff(sparse) >= CLOSEST_S - EPS).all()
-    for other in t[~keep]:  # only because another is just before it
-        assert other - sparse[sparse <= other].max() < CLOSEST_S + EPS
-
-
-@given(starts, steps, st.floats(0.1, 50.0), st.floats(0.0, 1.0))
+@given(
+    st.floats(-5.0, 60.0),
+    st.lists(st.floats(0.0, 3.0) | st.floats(0.0, 0.02), min_size=0, max_size=60),
+    st.floats(0.1, 50.0),
+    st.floats(0.0, 1.0),
+)
 def test_nodes_keep_the_given_times_and_are_the_fewest_between_them(
     start: float, gaps: list[float], length: float, shift: float
 ) -> None:
-    """Evenly spaced between two given times, increasing and close enough."""
-    t = times(start, gaps)
-    t = t[decimate(t)]
-    start_s = start + shift
-    end_s = start_s + length
-    nodes = insert_nodes(t, start_s, end_s)
-    inner = t[(t > start_s + CLOSEST_S) & (t < end_s - CLOSEST_S)]
+    """Of the given times those that are apart; between two of them evenly spaced and close enough."""
+    t = start + np.concatenate(([0.0], np.cumsum(gaps)))
+    keep = decimate(t)
+    sparse = t[keep]
+    assert keep[0] and (np.diff(sparse) >= CLOSEST_S - EPS).all()
+    for other in t[~keep]:  # only because another is just before it
+        assert other - sparse[sparse <= other].max() < CLOSEST_S + EPS
+    start_s, end_s = start + shift, start + shift + length
+    nodes = insert_nodes(sparse, start_s, end_s)
+    inner = sparse[(sparse > start_s + CLOSEST_S) & (sparse < end_s - CLOSEST_S)]
     knots = np.concatenate(([start_s], inner, [end_s]))
     assert np.isin(knots, nodes).all() and (nodes[0], nodes[-1]) == (start_s, end_s)
     # an interval is cut into parts longer than half of the limit; given times are CLOSEST_S apart
@@ -221,23 +175,18 @@ def test_nodes_are_closer_in_gaps_only() -> None:
 @given(st.lists(st.integers(2, 30), min_size=1, max_size=5), st.sampled_from([20.0, 40.0, 100.0, 285.0]))
 @settings(max_examples=50)
 def test_pauses_split_the_stream(lengths: list[int], rate: float) -> None:
-    """Runs of samples per second apart come back as they were made."""
+    """Runs of samples per second apart come back as they were made; a lost sample or four are no pause."""
     t, at = [], 0.0
     for n in lengths:
         t.append(at + np.arange(n) / rate)
         at = t[-1][-1] + 1.0
-    joined = np.concatenate(t)
-    if (np.diff(joined) > 0.5).sum() * 2 >= len(joined) - 1:
-        return  # then the pause is the median spacing, and there is no rate to speak of
-    segments = split_at_pauses(stream(joined))
-    assert [joined[rows].tolist() for rows in segments] == [times.tolist() for times in t]
-
-
-def test_a_lost_sample_or_four_are_no_pause() -> None:
-    """Five sample periods are bridged where they are longer than a tenth of a second."""
-    for rate in (20.0, 100.0, 285.0):
-        t = np.arange(200) / rate
-        lost = max(1, int(min(4.0, PAUSE_S * rate - 1.5)))
-        keep = np.ones(200, dtype=bool)
-        keep[100 : 100 + lost] = False
-        assert len(split_at_pauses(stream(t[keep]))) == 1
+    keep = np.ones(200, dtype=bool)
+    keep[100 : 100 + max(1, int(min(4.0, PAUSE_S * rate - 1.5)))] = False
+    joined, bridged = np.concatenate(t), np.arange(200)[keep] / rate
+    # else the pause is the median spacing, and there is no rate to speak of
+    spoken = (np.diff(joined) > 0.5).sum() * 2 < len(joined) - 1
+    for times, expected in ((joined, t), (bridged, [bridged])):
+        zeros = np.zeros((len(times), 3))
+        parts = split_at_pauses(ImuStream("", times, zeros, zeros))
+        found = [times[rows].tolist() for rows in parts]
+        assert found == [each.tolist() for each in expected] or (times is joined and not spoken)
