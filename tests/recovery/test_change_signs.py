@@ -14,7 +14,6 @@ from scipy.spatial.transform import Rotation
 from smoother import Recording
 from smoother.evaluation.validate import sample_errors
 from smoother.linalg import interpolate, runs
-from smoother.measurements.outliers import interpolated
 from smoother.measurements.visibility import Rejection
 from smoother.recording import JOINTS, JointState
 from smoother.recovery.camera_blocks import Excluded, Suspect, left_out
@@ -188,27 +187,6 @@ def test_what_chance_gives_is_no_step() -> None:
     assert (doubt.start_s, doubt.end_s) == pytest.approx((9.0, 11.0))
     # a tracked point has no mounting to step: its columns are zero, and chance gives that always
     assert not list(changed_for_good([Step("mounting", 10.0, np.zeros(6), 0.0)], []))
-
-
-@pytest.mark.parametrize("kind", ["line", "cubic", "by frame"])
-def test_fillings_are_found_and_what_is_seen_is_kept(kind: str) -> None:
-    rng = np.random.default_rng(5)
-    t = np.sort(np.arange(0.0, 20.0, 1 / 30) + rng.uniform(0, 0.004, 600))
-    x = np.column_stack([0.3 * np.sin((1 + k) * t) for k in range(3)]) + 0.004 * rng.normal(size=(600, 3))
-    clean, at = x.copy(), t if kind != "by frame" else np.arange(600.0)
-    gap = slice(200, 230)
-    ends = [198, 199, 230, 231] if kind == "cubic" else [199, 230]
-    for axis in range(3):
-        line = np.polyfit(at[ends] - at[215], clean[ends, axis], len(ends) - 1)
-        x[gap, axis] = np.polyval(line, at[gap] - at[215])
-    everywhere = np.ones(600, bool)
-    found = interpolated(t, x, everywhere)
-    assert found[gap].mean() > 0.9
-    found[197:233] = False  # the samples that the cubic was drawn through lie on it too
-    assert not found.any()
-    # neither noise nor a curve without any, of a simulation or a reference
-    for sound in (clean, np.column_stack([t, t**2, 0 * t])):
-        assert not interpolated(t, sound, everywhere).any()
 
 
 def drape(made: SimulatedArm, at_s: float) -> Recording:
