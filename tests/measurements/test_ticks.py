@@ -83,91 +83,54 @@ def test_counters() -> None:
     counts, restarts = counted((number + 65_000) % 65_536, 65_536)
     assert np.array_equal(counts, number) and restarts == 2
     # one that counts ticks of a faster clock, and one that was started anew
+    t, stamps = delivered(0)  # beside bad stamps
+    keep = np.random.default_rng(3).random(len(t)) > 0.05
+    even = even_times(stamps[keep], np.flatnonzero(keep))
+    assert even is not None and np.std(even.t_s - t[keep]) < 1e-3
     for ticks, wrap, expected in (([0, 4, 8, 16], 0, [0, 1, 2, 4]), ([900, 901, 5, 6], 65_536, [0, 1, 2, 3])):
         np.testing.assert_array_equal(counted(np.array(ticks), wrap)[0], expected)
 
 
-def test_a_counter_and_bad_stamps():
-    t, stamps = delivered(0)
-    keep = np.random.default_rng(3).random(len(t)) > 0.05
-    even = even_times(stamps[keep], np.flatnonzero(keep))
-    assert even is not None and np.std(even.t_s - t[keep]) < 1e-3
-
-
-RATE_HZ = 80.0
-
-
-def ticks(count: int = 4000) -> np.ndarray:
-    return np.arange(count) / RATE_HZ
-
-
 @pytest.mark.parametrize("sigma_s", [0.003, 0.005])
 def test_scatter_is_taken_off(sigma_s: float) -> None:
-    rng = np.random.default_rng(0)
-    stamps = np.sort(ticks() + rng.normal(0.0, sigma_s, 4000))
-    error = dejitter(stamps) - ticks()
+    rng, t = np.random.default_rng(0), np.arange(4000) / 80.0
+    stamps = np.sort(t + rng.normal(0.0, sigma_s, 4000))
+    error = dejitter(stamps) - t
     # 4 s of samples average 320 stamps: sigma / 18, and four of those bound all of them; at the ends the
     # average is of fewer
     assert np.abs(error[200:-200]).max() < 4 * sigma_s / np.sqrt(320) + 2e-4
-    assert np.abs(error).max() < 0.5 * np.abs(stamps - ticks()).max()
-
-
-def test_packets_of_four_become_even() -> None:
+    assert np.abs(error).max() < 0.5 * np.abs(stamps - t).max()
+    lost = np.delete(stamps, 2000)
+    np.testing.assert_array_equal(dejitter(lost), lost)  # a missing sample leaves the stamps alone
     k = np.arange(2400)
-    arrival = ticks(2400)[np.minimum((k // 4) * 4 + 3, 2399)] + (k % 4) * 1e-3
-    steadied = dejitter(arrival)
-    assert np.ptp(np.diff(arrival)) > 0.04
-    assert np.ptp(np.diff(steadied)) < 0.002
+    packets = t[np.minimum((k // 4) * 4 + 3, 2399)] + (k % 4) * 1e-3  # of four
+    assert np.ptp(np.diff(packets)) > 0.04 and np.ptp(np.diff(dejitter(packets))) < 0.002
 
 
-def test_a_missing_sample_leaves_the_stamps_alone() -> None:
-    rng = np.random.default_rng(2)
-    stamps = np.delete(np.sort(ticks() + rng.normal(0.0, 0.002, 4000)), 2000)
-    np.testing.assert_array_equal(dejitter(stamps), stamps)
-
-
-def recording(jitter_s: float = 0.004, joints: tuple[str, ...] = FOREARM_JOINTS, seed: int = 0) -> Recording:
-    """Three segments of a sensor whose stamps scatter, joints tracked at random; no value is finite."""
-    rng = np.random.default_rng(seed)
-    t = np.concatenate(
-        [start + np.arange(count) / RATE_HZ for start, count in ((0.0, 1500), (21.0, 30), (24.0, 2000))]
-    )
-    t = np.sort(t + rng.uniform(-jitter_s, jitter_s, len(t)))
+@pytest.mark.parametrize("joints", [FOREARM_JOINTS, ("elbow", "wrist"), ("wrist",), ("strap",)], ids="-".join)
+def test_a_timeline_has_even_stamps_by_segment_and_what_is_visible(joints: tuple[str, ...]) -> None:
+    """Two tracked forearm joints, or one where the recording has only one; the shoulder is none."""
+    rng = np.random.default_rng(0)
+    starts = ((0.0, 1500), (21.0, 30), (24.0, 2000))
+    t = np.concatenate([start + np.arange(count) / 80.0 for start, count in starts])
+    t = np.sort(t + rng.uniform(-0.004, 0.004, len(t)))
     frame_t = np.arange(0.0, 50.0, 1 / 30)
     state = np.full((len(frame_t), len(JOINTS)), JointState.NOT_TRACKED, np.int8)
-    state[:, JOINTS.index("shoulder")] = JointState.TRACKED
-    for joint in joints:
+    for joint in ("shoulder", *joints):
         state[:, JOINTS.index(joint)] = rng.choice(list(JointState), len(frame_t))
-    nothing = np.full((len(t), 3), np.nan)
-    arm = JointTracks("camera", frame_t, np.full((len(frame_t), len(JOINTS), 3), np.nan), state)
-    return Recording(ImuStream("imu", t, nothing, nothing), arm)
-
-
-def test_stamps_are_even_segment_by_segment() -> None:
-    made = recording()
-    t, timeline = made.imu.t_s, Timeline.of(made)
+    nothing, nowhere = np.full((len(t), 3), np.nan), np.full((len(frame_t), len(JOINTS), 3), np.nan)
+    imu, arm = ImuStream("imu", t, nothing, nothing), JointTracks("camera", frame_t, nowhere, state)
+    timeline, needed = Timeline.of(Recording(imu, arm)), min(2, len(joints))
     assert [(rows.start, rows.stop) for rows in timeline.segments] == [(0, 1500), (1500, 1530), (1530, 3530)]
     for rows in timeline.segments:
         np.testing.assert_array_equal(timeline.even_t_imu[rows], dejitter(t[rows]))
     assert np.std(np.diff(timeline.even_t_imu[:1500])) < 0.1 * np.std(np.diff(t[:1500]))
     np.testing.assert_array_equal(timeline.even_t_imu[1500:1530], t[1500:1530])  # too few to be dejittered
-
-
-@pytest.mark.parametrize("joints", [FOREARM_JOINTS, ("elbow", "wrist"), ("wrist",), ("strap",)], ids="-".join)
-def test_visible_is_the_definition(joints: tuple[str, ...]) -> None:
-    """A loop: two tracked forearm joints, or one where the recording has only one; the shoulder is none."""
-    made = recording(joints=joints)
-    needed = min(2, len(joints))
     expected = [
         sum(frame[JOINTS.index(joint)] == JointState.TRACKED for joint in FOREARM_JOINTS) >= needed
-        for frame in made.arm.state
+        for frame in state
     ]
-    np.testing.assert_array_equal(Timeline.of(made).visible, expected)
-    assert 0.02 < np.mean(expected) < 0.98
-
-
-def test_stamps_of_a_program_are_noticed() -> None:
-    made = recording()
-    assert not Timeline.of(made).synthetic_stamps
-    arm = JointTracks("camera", np.arange(1500) / 27.3, made.arm.position, made.arm.state)
-    assert Timeline.of(Recording(made.imu, arm)).synthetic_stamps
+    np.testing.assert_array_equal(timeline.visible, expected)
+    assert 0.02 < np.mean(expected) < 0.98 and not timeline.synthetic_stamps
+    made_up = JointTracks("camera", np.arange(len(frame_t)) / 27.3, nowhere, state)  # stamps of a program
+    assert Timeline.of(Recording(imu, made_up)).synthetic_stamps

@@ -51,79 +51,59 @@ def test_a_drawn_motion_is_the_answer_and_its_deviation_at_every_sample() -> Non
     assert drawn.draws is None and not drawn.pose_covariance.any()
     np.testing.assert_array_equal(drawn.t_s, recovery.t_s)
     assert drawn.gaps == recovery.gaps
-
-
-def test_velocity_is_the_derivative_of_the_drawn_position() -> None:
-    recovery = with_draws()
-    faster = recovery.drawn(2).velocity - recovery.velocity
-    slope = np.gradient(swing(recovery, 2), recovery.t_s, axis=0)
+    faster = drawn.velocity - recovery.velocity
+    slope = np.gradient(moved, recovery.t_s, axis=0)
     rows = np.flatnonzero(np.isfinite(faster).all(axis=1))
     rows = rows[(rows > 30) & (rows < 370)]
     np.testing.assert_allclose(faster[rows], slope[rows], atol=2e-4)  # of 0.03 m/s; both are differences
+    for number in (3, -1):
+        with pytest.raises(UnoccludeError, match="3 were drawn"):
+            recovery.drawn(number)
+    with pytest.raises(UnoccludeError, match="--draws"):
+        replace(recovery, draws=None).drawn(0)
 
 
 def test_what_was_not_drawn_is_nan_and_ends_are_held() -> None:
     recovery = with_draws()
-    draws = recovery.draws
-    position = draws.position.copy()
-    away = (draws.t_s > 1.0) & (draws.t_s < 3.0)
-    position[:, away] = np.nan
+    draws, t, position = recovery.draws, recovery.t_s, recovery.draws.position.copy()
+    position[:, (draws.t_s > 1.0) & (draws.t_s < 3.0)] = np.nan
     drawn = replace(recovery, draws=replace(draws, position=position)).drawn(0)
-    t = recovery.t_s
     assert np.isnan(drawn.position[(t > 1.6) & (t < 2.4)]).all()
-    late = recovery.rows(slice(380, 400))
-    cut = replace(draws, t_s=draws.t_s[:95], position=draws.position[:, :95])
-    held = replace(late, draws=replace(cut, rotation=cut.rotation[:, :95], joints={})).drawn(0)
-    beyond = late.t_s > cut.t_s[-1]
-    assert beyond.any()
-    np.testing.assert_allclose(
-        (held.position - late.position)[beyond], np.tile(cut.position[0, -1], (beyond.sum(), 1)), atol=1e-9
-    )
-    np.testing.assert_allclose(held.velocity[beyond], late.velocity[beyond])
-
-
-def test_wrong_numbers_are_refused() -> None:
-    few = with_draws(2)
-    for number in (2, -1):
-        with pytest.raises(UnoccludeError, match="2 were drawn"):
-            few.drawn(number)
-    with pytest.raises(UnoccludeError, match="--draws"):
-        replace(few, draws=None).drawn(0)
+    cut = {name: getattr(draws, name)[:, :95] for name in ("position", "rotation")}
+    short = replace(draws, t_s=draws.t_s[:95], joints={}, **cut)
+    late = recovery.rows(np.flatnonzero(t > short.t_s[-1]))
+    held = replace(late, draws=short).drawn(0)
+    expected = np.tile(short.position[0, -1], (len(late), 1))
+    np.testing.assert_allclose(held.position - late.position, expected, atol=1e-9)
+    np.testing.assert_allclose(held.velocity, late.velocity)
 
 
 GAPS = (Gap(1.0, 2.0), Gap(5.0, 6.0), Gap(8.0, 9.0))
 BODY = UntrustedInterval(5.5, 7.0, ("another body",))
 
 
-def test_a_gap_that_an_untrusted_interval_reaches_into_is_not_trusted() -> None:
-    verdicts = gap_verdicts(GAPS, True, (), (BODY, UntrustedInterval(5.9, 6.0, ("another body", "late"))))
-    assert [each.trusted for each in verdicts] == [True, False, True]
-    assert verdicts[1].reasons == ("another body", "late")
-    assert (verdicts[1].start_s, verdicts[1].end_s) == (5.0, 6.0)
-
-
-def test_no_gap_of_an_untrusted_recording_is_trusted() -> None:
-    assert [each.reasons for each in gap_verdicts(GAPS[:1], False, ("mirrored",), ())] == [("mirrored",)]
-    assert not gap_verdicts(GAPS[:1], False, (), ())[0].trusted
-
-
-def test_an_interval_that_ends_where_a_gap_begins_does_not_touch_it() -> None:
-    assert gap_verdicts(GAPS[1:2], True, (), (UntrustedInterval(3.0, 5.0, ("x",)),))[0].trusted
-
-
-@pytest.mark.parametrize(("trusted", "rest"), [(True, True), (None, True), (False, False)])
-def test_samples_inside_an_interval_are_not_trusted(trusted: bool | None, rest: bool) -> None:
-    t = np.arange(0.0, 10.0, 0.1)
-    good = trusted_at(t, trusted, (BODY,))
-    assert not good[(t >= 5.5) & (t < 7.0)].any()
-    assert (good[(t < 5.5) | (t >= 7.0)] == rest).all()
-
-
 @pytest.mark.parametrize(
-    "values", [{}, {"stretches": "8"}, {"stretches": 8, "rms_m": [1]}, {"stretches": 8, "note": 3}, 7, None]
+    ("trusted", "intervals", "expected"),
+    [
+        (True, (BODY, UntrustedInterval(5.9, 6.0, ("another body", "late"))), [True, False, True]),
+        (True, (UntrustedInterval(3.0, 5.0, ("x",)),), [True, True, True]),  # it ends where a gap begins
+        (None, (BODY,), [True, False, True]),
+        (False, (BODY,), [False, False, False]),
+    ],
 )
-def test_values_of_another_kind_are_no_self_check(values: object) -> None:
-    assert from_plain(SelfCheck, values) is None
+def test_what_an_untrusted_interval_reaches_into_is_not_trusted(
+    trusted: bool | None, intervals: tuple[UntrustedInterval, ...], expected: list[bool]
+) -> None:
+    whole = ("mirrored",) if trusted is False else ()
+    verdicts = gap_verdicts(GAPS, trusted, whole, intervals)
+    assert [each.trusted for each in verdicts] == expected
+    assert [(each.start_s, each.end_s) for each in verdicts] == [(gap.start_s, gap.end_s) for gap in GAPS]
+    if len(intervals) == 2:
+        assert verdicts[1].reasons == ("another body", "late")
+    assert verdicts[0].reasons == whole
+    t = np.arange(0.0, 10.0, 0.1)
+    inside = np.any([(t >= each.start_s) & (t < each.end_s) for each in intervals], axis=0)
+    np.testing.assert_array_equal(trusted_at(t, trusted, intervals), ~inside & (trusted is not False))
 
 
 @pytest.mark.parametrize(
@@ -141,3 +121,12 @@ def test_the_self_check_speaks_plainly(check: SelfCheck, words: str) -> None:
     assert stated["rms_m"] is None if math.isnan(check.rms_m) else stated["rms_m"] == check.rms_m
     back = from_plain(SelfCheck, stated)
     assert back is not None and plain(back) == stated
+    for other in (
+        {},
+        {"stretches": "8"},
+        {"stretches": 8, "rms_m": [1]},
+        {"stretches": 8, "note": 3},
+        7,
+        None,
+    ):
+        assert from_plain(SelfCheck, other) is None  # values of another kind are none
