@@ -6,8 +6,8 @@ from dataclasses import fields, replace
 
 import numpy as np
 import pytest
+from scenes import ALONE, SolvedArm, solved_arm, without_gaps
 from scipy.spatial.transform import Rotation
-from solved_arms import ALONE, SolvedArm, solved_arm, without_gaps
 
 from smoother.baselines.registry import recover
 from smoother.baselines.scene import Path, Scene, recovery_of, scenes_of

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from solved_arms import SolvedArm, solved_arm
+from scenes import SolvedArm, solved_arm
 
 from smoother.array_types import FloatArray
 from smoother.baselines.registry import recover

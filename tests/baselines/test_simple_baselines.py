@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from solved_arms import solved_arm
+from scenes import solved_arm
 
 from smoother.baselines.scene import Scene, between, scenes_of
 from smoother.baselines.simple import autoregressive, camera_only, constant_velocity, hold

@@ -20,7 +20,7 @@ from smoother.graph.build import build
 from smoother.graph.sampling import sample_window
 from smoother.graph.solve import solve
 from smoother.graph.solved import SolvedWindow
-from smoother.window.draw_plan import DrawPlan
+from smoother.window.draw_plan import DrawPlan, samples_apart
 from smoother.window.problem import Window
 
 
@@ -118,3 +118,9 @@ def test_neighbouring_sections_draw_the_same_motion(monkeypatch: pytest.MonkeyPa
         a, b = getattr(first, name)[:, at], getattr(second, name)[:, there]
         correlation = (a * b).sum() / np.sqrt((a * a).sum() * (b * b).sum())
         assert correlation > least, (name, correlation)
+
+
+@pytest.mark.parametrize(("rate", "every"), [(100.0, 4), (25.0, 1), (60.0, 2), (1000.0, 40), (10.0, 1)])
+def test_drawn_times_are_25_a_second_or_more(rate: float, every: int) -> None:
+    assert samples_apart(np.arange(300) / rate) == samples_apart(np.arange(500_000) / rate) == every
+    assert samples_apart(np.zeros(1)) == 1
