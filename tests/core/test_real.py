@@ -8,13 +8,12 @@ import numpy as np
 import pytest
 from scenes import ALONE, answer, there
 
-from calib.imu import MagnetometerCalibration, calibrate_magnetometer
+from calib.imu import calibrate_magnetometer
 from calib.motion import calibrate_motion
-from smoother.calibration import ArmCalibration
 from smoother.evaluation.gaps import GapTable, evaluate_gaps
-from smoother.evaluation.metrics import Figures
 from smoother.evaluation.validate import validate
 from smoother.io import import_broad, import_utd_mhad
+from smoother.linalg import interpolate
 from smoother.recording import Recording
 
 pytestmark = pytest.mark.real
@@ -67,81 +66,51 @@ def kinect_trial(action: int, number: int) -> Recording:
     return import_utd_mhad(inertial, there("utd_mhad", "Skeleton", f"{name}_skeleton.mat"))
 
 
-@pytest.fixture(scope="module")
-def wrist_of_a_person() -> ArmCalibration:
-    """One person's arm from the first trial of every other action."""
+@pytest.mark.slow
+def test_a_real_kinect_beats_interpolation() -> None:
+    """Half a second hidden in the middle of three trials that calibration never saw.
+
+    One person's arm is found from the first trial of every other action.
+    """
     first = [kinect_trial(action, 1) for action in range(1, 22, 2)]
-    return calibrate_motion(first, None, ALONE).calibration
-
-
-@pytest.mark.slow
-def test_lever_arms_of_a_person(wrist_of_a_person: ArmCalibration) -> None:
-    """A watch's place: elbow and wrist a forearm apart along the sensor's x axis, the wrist nearer."""
-    levers = wrist_of_a_person.lever_arms
-    elbow, wrist = levers["elbow"].position_m, levers["wrist"].position_m
-    assert 0.18 < np.linalg.norm(wrist - elbow) < 0.33
-    assert np.linalg.norm(wrist) < np.linalg.norm(elbow)
-    along = wrist_of_a_person.forearm_direction
-    assert np.degrees(np.arccos(along[0])) < 25.0  # the publishers' mounting: +x towards the hand
-
-
-@pytest.mark.slow
-def test_a_real_kinect_beats_interpolation(wrist_of_a_person: ArmCalibration) -> None:
-    """Half a second hidden in the middle of three trials that calibration never saw."""
+    calibration = calibrate_motion(first, None, ALONE).calibration
+    elbow, wrist = (calibration.lever_arms[joint].position_m for joint in ("elbow", "wrist"))
+    # a watch's place: elbow and wrist a forearm apart along the sensor's x axis, the wrist nearer
+    assert 0.18 < np.linalg.norm(wrist - elbow) < 0.33 and np.linalg.norm(wrist) < np.linalg.norm(elbow)
+    assert np.degrees(np.arccos(calibration.forearm_direction[0])) < 25.0
     ours, line = [], []
     for action in ACTIONS:
         whole = kinect_trial(action, 2)
-        t = whole.arm.t_s
+        t, tracked, wrist = whole.arm.t_s, whole.arm.tracked("wrist"), whole.arm.joint("wrist")
         hidden = np.abs(t - 0.5 * (t[0] + t[-1])) <= 0.5 * GAP_S
-        recovery = answer(replace(whole, arm=whole.arm.hide(hidden)), wrist_of_a_person)
-        seen, kept = whole.arm.tracked("wrist") & hidden, whole.arm.tracked("wrist") & ~hidden
-        wrist, path = whole.arm.joint("wrist"), recovery.joints["wrist"]
-        at = recovery.arm.t_s[seen]
-        found = np.stack([np.interp(at, recovery.t_s, path[:, i]) for i in range(3)], axis=1)
-        straight = np.stack([np.interp(t[seen], t[kept], wrist[kept, i]) for i in range(3)], axis=1)
-        ours.append(np.linalg.norm(found - wrist[seen], axis=1))
-        line.append(np.linalg.norm(straight - wrist[seen], axis=1))
-    error, simple = np.concatenate(ours), np.concatenate(line)
-    assert np.isfinite(error).all()
-    assert np.sqrt(np.mean(error**2)) < np.sqrt(np.mean(simple**2))
+        recovery = answer(replace(whole, arm=whole.arm.hide(hidden)), calibration)
+        seen, kept = tracked & hidden, tracked & ~hidden
+        found = interpolate(recovery.t_s, recovery.joints["wrist"], recovery.arm.t_s[seen])
+        straight = interpolate(t[kept], wrist[kept], t[seen])
+        for errors, path in ((ours, found), (line, straight)):
+            errors.append(np.sum((path - wrist[seen]) ** 2, axis=1))
+    assert np.mean(np.concatenate(ours)) < np.mean(np.concatenate(line))
 
 
-#: A trial whose rotations reach all directions, and one with a magnet on the sensor for a third of it.
+#: A trial whose rotations reach all directions, and one with a magnet on the sensor from about 40 to 95 s.
 ROTATION, MAGNET = "05_undisturbed_slow_rotation_with_breaks_B.mat", "33_disturbed_attached_magnet_2cm.mat"
-#: The parts that are looked at, s: in the second trial the magnet is there from about 40 to 95 s.
-PARTS_S = {ROTATION: (25.0, 85.0), MAGNET: (80.0, 140.0)}
-
-
-@pytest.fixture(scope="module")
-def found() -> MagnetometerCalibration:
-    mag = import_broad(there("broad", ROTATION)).imu.mag
-    return calibrate_magnetometer(mag)
-
-
-def both(trial: str, found: MagnetometerCalibration) -> tuple[Figures, Figures, str]:
-    """Without and with the magnetometer, and what is said of it."""
-    recording = part(import_broad(there("broad", trial), seed=5), PARTS_S[trial])
-    imu = replace(recording.imu, mag=found.apply(recording.imu.mag), mag_calibrated=True)
-    plain, helped = answer(recording), answer(replace(recording, imu=imu))
-    said = " ".join(note for note in helped.notes if "magnetometer" in note)
-    return validate(plain, recording.truth).all, validate(helped, recording.truth).all, said
-
-
-def test_the_calibration_of_a_real_sensor(found: MagnetometerCalibration) -> None:
-    # a factory-calibrated sensor of 44 uT: hard iron below 2 uT, 1.7 % off the sphere measured
-    assert np.abs(found.offset).max() < 2.0
-    assert found.residual < 0.025
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("trial", "words", "share"),
+    ("trial", "part_s", "words", "share"),
     # 2.4 against 3.0 degrees measured on 80 s; the whole trial gains more, as it knows the field better
-    [(ROTATION, "magnetometer is used", 0.95), (MAGNET, "left out", 1.02)],
+    [(ROTATION, (25.0, 85.0), "magnetometer is used", 0.95), (MAGNET, (80.0, 140.0), "left out", 1.02)],
     ids=["undisturbed the orientation gains", "disturbed nothing is lost"],
 )
-def test_a_real_magnetometer(found: MagnetometerCalibration, trial: str, words: str, share: float) -> None:
-    plain, helped, said = both(trial, found)
-    assert words in said
+def test_a_real_magnetometer(trial: str, part_s: tuple[float, float], words: str, share: float) -> None:
+    field = calibrate_magnetometer(import_broad(there("broad", ROTATION)).imu.mag)
+    # a factory-calibrated sensor of 44 uT: hard iron below 2 uT, 1.7 % off the sphere measured
+    assert np.abs(field.offset).max() < 2.0 and field.residual < 0.025
+    recording = part(import_broad(there("broad", trial), seed=5), part_s)
+    imu = replace(recording.imu, mag=field.apply(recording.imu.mag), mag_calibrated=True)
+    answers = answer(recording), answer(replace(recording, imu=imu))
+    plain, helped = (validate(each, recording.truth).all for each in answers)
+    assert any(words in note for note in answers[1].notes if "magnetometer" in note)
     assert helped.orientation_rms_deg < share * plain.orientation_rms_deg
     assert helped.position_rms_m < 1.02 * plain.position_rms_m
