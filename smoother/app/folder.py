@@ -109,10 +109,6 @@ class AppFolder:
         except OSError as error:
             raise UnoccludeError(f"{path}: {error.strerror or error}; name another folder") from error
 
-    def model_files(self) -> list[Path]:
-        """All models, the newest first."""
-        return sorted(self.models.glob("*.task"), key=lambda each: (-each.stat().st_mtime_ns, each.name))
-
     def template_files(self) -> list[Path]:
         """All templates, by name."""
         return sorted(self.templates.glob("*.toml"))
@@ -242,11 +238,6 @@ def one_line(value: object) -> str:
     if not isinstance(value, str) or len(value) > 200:
         raise AppError("A name is a text of at most 200 characters.")
     return " ".join("".join(c for c in value if c.isprintable()).split())
-
-
-def remedy_options(remedy: str) -> list[str]:
-    """The options of a remedy, each with its value."""
-    return [f"--{each.strip()}" for each in remedy.split("--") if each.strip()]
 
 
 def read_json(path: Path) -> dict[str, Any]:

@@ -24,7 +24,6 @@ from .folder import (
     latest,
     read_json,
     read_kept,
-    remedy_options,
     state_of,
 )
 
@@ -158,7 +157,8 @@ def camera_video(files: Sequence[dict[str, Any]]) -> dict[str, Any] | None:
 def model_of(folder: AppFolder, files: Sequence[dict[str, Any]]) -> str:
     """The model of the pose landmarker, as a command in the recording's folder names it; "" without one."""
     mine = [_local(each) for each in files if each["kind"] == "model"]
-    return next(iter([*mine, *map(str, folder.model_files())]), "")
+    kept = sorted(folder.models.glob("*.task"), key=lambda each: (-each.stat().st_mtime_ns, each.name))
+    return next(iter([*mine, *map(str, kept)]), "")
 
 
 def _local(about: dict[str, Any]) -> str:
@@ -221,7 +221,7 @@ def _templates(folder: AppFolder) -> list[str]:
 
 def _arm_words(folder: AppFolder, place: Path, kept: KeptRecording) -> list[str]:
     """Options of `check` and `smooth` by what was chosen."""
-    words = [word for option in remedy_options(kept.choices.remedy) for word in option.split(" ", 1)]
+    words = kept.choices.remedy.replace("--", " --").split()  # options, each with its value
     if kept.choices.side:
         words += ["--side", kept.choices.side]
     if kept.choices.body is not None:

@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 import sys
 import time
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import ExitStack, contextmanager
+from collections.abc import Sequence
+from contextlib import ExitStack
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
@@ -21,14 +21,6 @@ from .run import handling
 if TYPE_CHECKING:
     from ..streams.arrivals import Receiver, Source
     from ..streams.session import SessionFigures
-
-
-@contextmanager
-def stop_request() -> Iterator[Callable[[], bool]]:
-    """Whether a session is to end: a signal interrupts nothing, so that the recording stays whole."""
-    wanted: list[int] = []
-    with handling(lambda number, _: wanted.append(number)):
-        yield lambda: bool(wanted)
 
 
 def streams_of(given: Sequence[str], sides: Sequence[str | None]) -> dict[str | None, dict[str, str]]:
@@ -167,7 +159,8 @@ def live(
     file = None if calibration is None else read_calibration(calibration)
     known_sides = [] if file is None else [name for name in file.arms if name != "any"]
     prefer = known_sides[0] if len(known_sides) == 1 else None
-    with stop_request() as stops, ExitStack() as stack:
+    wanted: list[int] = []  # signals to end, which interrupt nothing, so that the recording stays whole
+    with handling(lambda number, _: wanted.append(number)), ExitStack() as stack:
         source: Source
         if replay is not None:
             topics = {each: own.get("forearm") for each, own in imus.items()}
@@ -183,7 +176,7 @@ def live(
             source = received = LslSource(imus, skeleton, prefer, body, gyro)
             stack.callback(received.close)
             say(f"looking for the streams, at most {wait:g} s")
-            if not received.open(wait, stops, say):
+            if not received.open(wait, lambda: bool(wanted), say):
                 say("ended before the streams were there; nothing was recorded")
                 return
         infos = source.infos
@@ -221,7 +214,7 @@ def live(
         if sys.stdout.isatty():
             say("Ctrl-C ends")
         with Lines() as lines:
-            session.run(stops, lines.show)
+            session.run(lambda: bool(wanted), lines.show)
         figures = [{"side": each.side, **each.figures()} for each in session.figures]
     out.json({**figures[0], "arms": figures} if len(figures) > 1 else session.figures[0].figures())
     for own in figures:

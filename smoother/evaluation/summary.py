@@ -48,10 +48,6 @@ class GapSummary(Gap):
         """Whether the camera saw the forearm on one side of the gap only, or on none."""
         return self.open_start or self.open_end
 
-    def is_wider_than(self, error_95_m: float) -> bool:
-        """Whether the position is stated, and may be farther off than this somewhere in the gap."""
-        return self.error_95_m is not None and self.error_95_m > error_95_m
-
     def to_dict(self) -> dict[str, object]:
         """Plain values by name."""
         return {"length_s": self.length_s, **vars(self), "reasons": list(self.reasons)}
@@ -97,7 +93,7 @@ def gap_table(title: str, gaps: Sequence[GapSummary], true: Mapping[float, float
         if gap.trusted is False:  # what is stated is withdrawn
             row |= dict.fromkeys(("error_95_m", "orientation_95_deg", "elbow_deg"))
             row |= {"trusted": "not to be trusted", "remark": "; ".join(gap.reasons)}
-        elif gap.one_sided or gap.is_wider_than(WIDE_M):
+        elif gap.one_sided or (gap.error_95_m or 0.0) > WIDE_M:
             row["remark"] = "take with care"
         rows.append(row | {"length_s": gap.length_s})
     against = "true_m=against_the_reference_m " if any(row["true_m"] for row in rows) else ""

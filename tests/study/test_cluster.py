@@ -7,7 +7,7 @@ import signal
 from collections.abc import Iterator
 
 import pytest
-from studies import BROKEN, NAMES, batch, query, start_batch, state, until_stopped
+from studies import BROKEN, NAMES, batch, state
 
 from smoother.errors import UnoccludeError
 from smoother.study import run as workers
@@ -49,26 +49,6 @@ def test_the_same_bytes_as_here_with_a_worker_killed(scheduler, recordings, tmp_
     # what the cluster did is not done again here
     assert batch(recordings, "-o", folder.path, "--processes", 1) == 1
     assert state(folder.path) == theirs
-
-
-@pytest.mark.slow
-@pytest.mark.skipif(os.name != "posix", reason="kills by signals")
-def test_a_killed_client(scheduler, recordings, tmp_path):
-    out = tmp_path / "out"
-    again = [recordings, "-o", out, "--scheduler", scheduler.scheduler_address]
-    client = start_batch(*again, stop_after=2)
-    try:
-        until_stopped(client)
-    finally:
-        client.kill()
-        client.communicate()
-    before = state(out)
-    assert len(query(out)) >= 2
-    assert batch(*again) == 1
-    after = query(out)
-    assert sorted(row[0] for row in after) == sorted([*NAMES, BROKEN]), "no recording twice"
-    outputs = state(out)
-    assert before.items() <= outputs.items() and set(outputs) == set(NAMES)
 
 
 def test_no_worker(monkeypatch):
