@@ -24,6 +24,7 @@ from smoother.cli.run import run
 from smoother.config import Config
 from smoother.errors import RecordingError
 from smoother.io import read_recording, write_recording
+from smoother.io.export.markers import write_trc
 from smoother.io.mcap.messages import nanoseconds
 from smoother.io.recording.read import read_imu
 from smoother.io.recording.streams import ImuSamples, RecordingFile
@@ -266,18 +267,8 @@ def test_missed_receptions_are_told_in_any_spelling(tmp_path):
 def session(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Two poses as files and as a recording."""
     folder = tmp_path_factory.mktemp("panel")
-    done(
-        "simulate",
-        "panel",
-        "-o",
-        folder / "s",
-        "--set",
-        "poses=2",
-        "--seed",
-        "5",
-        "--mcap",
-        folder / "s.mcap",
-    )
+    two_poses = ("--set", "poses=2", "--seed", 5)
+    done("simulate", "panel", "-o", folder / "s", "--mcap", folder / "s.mcap", *two_poses)
     return folder
 
 
@@ -450,27 +441,13 @@ def test_markers_of_a_file_that_people_make(tmp_path: Path):
 
 
 def test_markers_over_time(tmp_path: Path):
-    path = tmp_path / "m.trc"
-
-    def write(walk_mm: float) -> None:
-        head = [
-            "PathFileType\t4\t(X/Y/Z)\tm.trc",
-            "DataRate\tCameraRate\tNumFrames\tNumMarkers\tUnits\tOrigDataRate\tOrigDataStartFrame\tOrigNumFrames",
-            "100\t100\t50\t2\tmm\t100\t1\t50",
-            "Frame#\tTime\tP1\t\t\tP2\t\t",
-            "\t\tX1\tY1\tZ1\tX2\tY2\tZ2",
-            "",
-        ]
-        rows = [
-            f"{i + 1}\t{i / 100:.2f}\t{100 + (-1) ** i}\t200\t300\t{400 + walk_mm * i}\t500\t600"
-            for i in range(50)
-        ]
-        path.write_text("\n".join([*head, *rows, ""]))
-
-    write(0.0)
-    found = read_positions(path)
-    np.testing.assert_allclose(found["P1"], [0.1, 0.2, 0.3], atol=1e-9)
-    write(1.0)
+    path, t = tmp_path / "m.trc", np.arange(50) / 100
+    place = np.tile([[0.1, 0.2, 0.3], [0.4, 0.5, 0.6]], (50, 1, 1))
+    place[:, 0, 0] += 1e-3 * (-1) ** np.arange(50)  # noise of a marker that stands still
+    write_trc(path, ("P1", "P2"), t, place, 100.0)
+    np.testing.assert_allclose(read_positions(path)["P1"], [0.1, 0.2, 0.3], atol=1e-9)
+    place[:, 1, 0] += 0.1 * t  # one that is carried
+    write_trc(path, ("P1", "P2"), t, place, 100.0, force=True)
     with pytest.raises(RecordingError, match="P2 moved by"):
         read_positions(path)
 
@@ -515,16 +492,8 @@ def test_recording_gives_camera_from_base_and_the_mounting(world_session: Path, 
     cal, figures = tmp_path / "cal.toml", tmp_path / "world.json"
     write_calibration(cal, CalibrationFile().with_table("kept", {"value": 1}))
     panel = ["--panel", str(world_session / "s/panel.toml")]
-    command = [
-        "calibrate",
-        "world",
-        str(world_session / "s.mcap"),
-        *panel,
-        "-o",
-        str(cal),
-        "--json",
-        str(figures),
-    ]
+    command = ["calibrate", "world", str(world_session / "s.mcap"), *panel]
+    command += ["-o", str(cal), "--json", str(figures)]
     page = tmp_path / "world.html"
     done(*command, "--report", page)
     said, text = capsys.readouterr().out, page.read_text(encoding="utf-8")

@@ -171,15 +171,9 @@ def smooth(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.Captu
 
         monkeypatch.setattr("smoother.cli.smooth.recover_arms", recovered)
         capsys.readouterr()
-        command = [
-            "smooth",
-            tmp_path / "rec.mcap",
-            "-o",
-            tmp_path / "out.mcap",
-            "--json",
-            tmp_path / "j.json",
-        ]
-        code = run([*map(str, command), "--force", *options])
+        files = ("rec.mcap", "-o", "out.mcap", "--json", "j.json")
+        words = (each if each[0] == "-" else str(tmp_path / each) for each in files)
+        code = run(["smooth", *words, "--force", *options])
         return code, json.loads((tmp_path / "j.json").read_text()), capsys.readouterr().out
 
     return smoothed

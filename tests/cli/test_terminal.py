@@ -192,15 +192,8 @@ def test_an_array_with_objects_is_refused(tmp_path: Path):
 
     np.save(tmp_path / "joints.npy", np.array([Bomb()], dtype=object), allow_pickle=True)
     run(["import", "describe", str(tmp_path / "joints.npy")])
-    arguments = [
-        "import",
-        "files",
-        "--skeleton",
-        str(tmp_path / "joints.npy"),
-        "-o",
-        str(tmp_path / "o.mcap"),
-    ]
-    assert run(arguments) == 1
+    files = ["--skeleton", str(tmp_path / "joints.npy"), "-o", str(tmp_path / "o.mcap")]
+    assert run(["import", "files", *files]) == 1
     assert not (tmp_path / "ran").exists()
 
 

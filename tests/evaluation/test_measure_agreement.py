@@ -196,15 +196,8 @@ class TestCommand:
         assert found["icc_low"] < found["icc"] < found["icc_high"]
         assert "How well the measures agree" in (tmp_path / "v.html").read_text(encoding="utf-8")
         # the same recording again, with a file that holds it already
-        again = (
-            "--pool",
-            tmp_path / "v.json",
-            "--pool",
-            tmp_path / "old.json",
-            "--json",
-            tmp_path / "w.json",
-        )
-        assert self.command(folder, *again) == 0
+        again = ("--pool", tmp_path / "v.json", "--pool", tmp_path / "old.json")
+        assert self.command(folder, *again, "--json", tmp_path / "w.json") == 0
         again_found = json.loads((tmp_path / "w.json").read_text())["measures"]["agreement"]["session"]
         assert again_found[FLEXION] == found
         assert read_detectable(tmp_path / "w.json")[FLEXION] == found["mdc95"]
