@@ -97,6 +97,8 @@ WEB = Path(__file__).parent / "web"
 _LONGEST_JSON = 1_000_000
 #: Bytes of an upload written at a time, and bytes that stay free on the disk.
 _BLOCK, RESERVE_BYTES = 1 << 20, 200_000_000
+#: What is given out of a comparison.
+COMPARED = ("progress.html", "progress.json", "progress.csv")
 NO_SPACE = "no space left on the disk; make room and run again"
 
 
@@ -126,7 +128,7 @@ def make_app(folder: AppFolder, desk: JobDesk, token: str, port: int) -> Starlet
         ("POST", "/api/comparisons", _compare),
         ("GET", "/api/comparisons/{id}", lambda asked: steps.comparison(asked.folder, asked.id)),
         ("POST", "/api/comparisons/{id}/cancel", lambda asked: asked.desk.cancel(asked.comparison)),
-        ("GET", "/results/comparisons/{id}/{name}", _comparison_result),
+        ("GET", "/results/comparisons/{id}/{name}", lambda asked: _file(asked, asked.comparison, COMPARED)),
         ("GET", "/results/{id}/{name:path}", _result),
     ]
     app = Starlette(
@@ -351,10 +353,6 @@ def _compare(asked: _Asked) -> Any:
     write_json(place / "comparison.json", {"person": person})
     asked.desk.add(place, "compare", todo)
     return {"id": name}
-
-
-def _comparison_result(asked: _Asked) -> Response:
-    return _file(asked, asked.comparison, ("progress.html", "progress.json", "progress.csv"))
 
 
 def _result(asked: _Asked) -> Response:

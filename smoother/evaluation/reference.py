@@ -250,7 +250,8 @@ def read_reference(
         from calib.file import read_calibration
 
         tables = read_calibration(calibration).tables
-        camera_frame = camera_frame or likely_frame(recovery)
+        if camera_frame is None and abs(down_y := recovery.gravity_direction[1]) >= 0.7:  # as it seems
+            camera_frame = CameraFrame.OPTICAL if down_y > 0 else CameraFrame.KINECT
         frame = stated_frame(tables.get("camera_from_mocap"), camera_frame, str(calibration))
     return align_reference(motion, recovery, frame)
 
@@ -314,11 +315,3 @@ def _aligned(
         for places in (motion.joints, motion.landmarks)
     )
     return Truth(t_s[rows], position, quaternion, np.ones(len(rows), dtype=bool), joints), landmarks
-
-
-def likely_frame(recovery: Recovery) -> CameraFrame | None:
-    """The camera's axes by where gravity points in them; None where that does not show."""
-    down = recovery.gravity_direction
-    if not np.isfinite(down).all() or abs(down[1]) < 0.7:
-        return None
-    return CameraFrame.OPTICAL if down[1] > 0 else CameraFrame.KINECT

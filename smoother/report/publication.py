@@ -69,7 +69,12 @@ def plot_recovery(
         for axes, (label, lines) in zip(rows, curves, strict=True):
             _draw(axes, some, label, lines)
         rows[-1].set_xlabel("time, s")
-        rows[0].set_title(_title(recovery), fontsize=8, loc="left")
+        title = f"{recovery.name}, {recovery.arm_label}; hidden from the camera: grey; band: 95 %"
+        if recovery.estimates.trusted is False:
+            title = f"NOT TO BE TRUSTED. {title}"
+        elif not recovery.trusted.all():
+            title = f"{title}; not to be trusted: red"
+        rows[0].set_title(title, fontsize=8, loc="left")
     return figure
 
 
@@ -116,11 +121,3 @@ def _draw(axes: Axes, some: Recovery, label: str, lines: Lines) -> None:
         axes.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), frameon=False, ncols=len(lines), fontsize=7)
     elif lines[0][2] is None:
         axes.set_ylim(bottom=0.0)
-
-
-def _title(recovery: Recovery) -> str:
-    """Whose arm, what is shaded; and that it is not to be trusted, where it is not."""
-    title = f"{recovery.name}, {recovery.arm_label}; hidden from the camera: grey; band: 95 %"
-    if recovery.estimates.trusted is False:
-        return f"NOT TO BE TRUSTED. {title}"
-    return title if recovery.trusted.all() else f"{title}; not to be trusted: red"

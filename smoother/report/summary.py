@@ -132,7 +132,10 @@ def _against_reference(validation: Validation) -> str:
         for name, each in found.items()
     ]
     where = "in the gaps" if part == "occluded" else "over the recording"
-    return _said("reference", where=where, errors=listed(words), covered=_covered(_nees(found)))
+    covered, nees = ".", max(_nees(found), default=None)
+    if nees is not None:
+        covered = _said("covered") if nees <= OVER_CONFIDENT else _said("not_covered", factor=np.sqrt(nees))
+    return _said("reference", where=where, errors=listed(words), covered=covered)
 
 
 def _compared(validation: Validation) -> tuple[str, dict[str, Figures]]:
@@ -149,15 +152,6 @@ def _nees(found: dict[str, Figures]) -> list[float]:
     """Of the sensor, else of the joints, where it is known."""
     own = [found["sensor"]] if "sensor" in found else found.values()
     return [each.nees for each in own if each.nees is not None]
-
-
-def _covered(nees: list[float]) -> str:
-    """Whether the stated uncertainty covers the errors, if that is known."""
-    if not nees:
-        return "."
-    return (
-        _said("covered") if max(nees) <= OVER_CONFIDENT else _said("not_covered", factor=np.sqrt(max(nees)))
-    )
 
 
 def _camera_doubts(recovery: Recovery) -> str:
