@@ -1,10 +1,11 @@
-"""The page: self-contained, there for odd results, what it says, red where nothing is to be trusted."""
+"""Pages: self-contained, there for odd results, what they say and play, red where nothing is trusted."""
 
 from __future__ import annotations
 
 import json
 import math
 import re
+from base64 import b64decode
 from dataclasses import replace
 from html.parser import HTMLParser
 from importlib import resources
@@ -12,9 +13,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from arms import LEVERS, make_joint_truth, make_recording, make_recovery, make_truth, path, write_page
+from arms import LEVERS, make_joint_truth, make_recording, make_recovery, make_truth, path, turn, write_page
 from commands import done
-from made_measures import made_measure
+from made_measures import made_measure, made_measures, person
 from measured_arms import simulated, with_draws
 from plotly.offline import get_plotlyjs
 from results import made
@@ -22,16 +23,18 @@ from results import made
 from smoother.angles import JOINT_ANGLES
 from smoother.errors import UnoccludeError
 from smoother.evaluation.advice import advice
+from smoother.evaluation.progress import PersonProgress
 from smoother.evaluation.validate import validate
 from smoother.evaluation.words import measure_words
 from smoother.io import read_recovery, write_recovery
 from smoother.measurements.visibility import Gap
-from smoother.measures import measure
+from smoother.measures import BothArms, measure
 from smoother.measures.definitions import MEASURED_ANGLES, definitions
-from smoother.recording import CameraFrame, Recording
+from smoother.recording import CameraFrame, JointState, Recording
 from smoother.report import write_report
-from smoother.report.player import MOST_BYTES, played_arm
-from smoother.report.sheet import PLOTLY
+from smoother.report.pages import measures_page, progress_page
+from smoother.report.player import MOST_BYTES, packed, played_arm, player, upwards, view_of
+from smoother.report.sheet import PLOTLY, Html, data_block
 from smoother.report.summary import summary
 from smoother.report.traces import UNTRUSTED, coordinates, decimate, uncertainty
 from smoother.result import Estimates, Pairing, Recovery, SelfCheck, UntrustedInterval
@@ -495,3 +498,164 @@ def test_advice_of_an_untrusted_result_is_about_its_set_up_alone() -> None:
         "Correct the set-up first: a; b.",
         "Run `unocclude smooth` again with --swap left,right.",
     ]
+
+
+def unpacked(track: dict) -> np.ndarray:
+    """As the page's own program reads it."""
+    raw = np.frombuffer(b64decode(track["data"]), "<i2").reshape(-1, len(track["offset"]))
+    return np.where(raw == -32768, np.nan, raw * track["scale"] + np.array(track["offset"]))
+
+
+def test_packed_numbers_come_back():
+    rng = np.random.default_rng(0)
+    values = rng.normal(size=(500, 3)) * [0.3, 2.0, 0.01] + [0.0, 5.0, -1.0]
+    values[7], values[9, 1] = np.nan, np.nan
+    back = unpacked(packed(values))
+    np.testing.assert_array_equal(np.isnan(back), np.isnan(values))
+    # half a step of 16 bits over the widest column, here some 13 m
+    assert np.nanmax(np.abs(back - values)) < 13.0 / 64000
+    nothing = unpacked(packed(np.full((4, 3), np.nan)))
+    assert np.isnan(nothing).all() and nothing.shape == (4, 3)
+    assert np.isfinite(unpacked(packed(np.ones((2, 3))))).all()
+
+
+@pytest.fixture(scope="module")
+def played():
+    recording = make_recording(12.0)
+    hidden = (recording.arm.t_s > 5) & (recording.arm.t_s < 7)
+    recording = replace(recording, arm=recording.arm.hide(hidden), camera_frame=CameraFrame.KINECT)
+    return recording, make_recovery(recording, sigma_m=0.02)
+
+
+def test_the_arm_is_where_the_recovery_has_it(played):
+    recording, recovery = played
+    arm = played_arm(recovery, recording.truth, MOST_BYTES)
+    t = arm["start"] + arm["step"] * np.arange(arm["count"])
+    assert arm["step"] == pytest.approx(1 / 30, rel=0.02) and t[-1] == pytest.approx(recovery.t_s[-1])
+    assert arm["names"] == ["shoulder", "elbow", "wrist", "hand"] and arm["tip"] == "wrist"
+    joints = unpacked(arm["joints"]).reshape(len(t), 4, 3)
+    wrist = path(t) + turn(t).apply(LEVERS["wrist"])
+    # straight lines between samples 12.5 ms apart of a motion of 2 m/s^2: 0.04 mm, and half a step of 16 bits
+    np.testing.assert_allclose(joints[:, 2], wrist, atol=2e-4)
+    np.testing.assert_allclose(unpacked(arm["sensor"]), path(t), atol=2e-4)
+    assert arm["gaps"] == [[gap.start_s, gap.end_s] for gap in recovery.gaps]
+    roots = unpacked(arm["sigma"])
+    np.testing.assert_allclose(roots[:, [0, 2, 5]], 0.02, atol=1e-4)
+    np.testing.assert_allclose(roots[:, [1, 3, 4]], 0.0, atol=1e-4)
+
+
+def test_the_cameras_skeleton_is_gone_in_the_gap_and_a_guess_is_marked(played):
+    _, recovery = played
+    arm = recovery.arm
+    state = arm.state.copy()
+    state[:30] = JointState.INFERRED
+    recovery = replace(recovery, arm=replace(arm, state=state))
+    plain = played_arm(recovery, None, MOST_BYTES)
+    t = plain["start"] + plain["step"] * np.arange(plain["count"])
+    camera = unpacked(plain["camera"]).reshape(len(t), 4, 3)
+    tracked = np.frombuffer(b64decode(plain["tracked"]), np.uint8)
+    inside = (t > 5.1) & (t < 6.9)
+    assert np.isnan(camera[inside, 1:]).all() and np.isfinite(camera[(t > 1) & (t < 4.9)]).all()
+    assert (tracked[t < 0.9] == 0).all() and (tracked[(t > 1.5) & (t < 4.5)] == 0b1111).all()
+
+
+def test_a_long_recording_gets_fewer_frames_and_several_arms_share():
+    recording = make_recording(900.0, truth=False)
+    recovery = make_recovery(recording)
+    arm = played_arm(recovery, None, 200_000)
+    size = sum(len(arm[name]["data"]) for name in ("joints", "camera", "sensor", "sigma"))
+    assert 0.7 * 200_000 < size * 3 / 4 + arm["count"] <= 200_000
+    shown = player("Arms", Html("two"), [(recovery, None), (replace(recovery, side="left"), None)], None)
+    assert shown is not None and shown.player is not None
+    assert len(data := shown.player["data"]) < MOST_BYTES * 4 / 3 + 10_000
+    assert re.findall(r'"name":"(\w+)"', data) == ["right", "left"]
+
+
+def test_up_is_where_gravity_says():
+    leaning = np.array([0.0, -0.8, 0.6])
+    np.testing.assert_allclose(upwards(CameraFrame.KINECT, leaning), [0.0, 0.8, -0.6])
+    np.testing.assert_allclose(upwards(CameraFrame.OPTICAL, np.full(3, np.nan)), [0.0, -1.0, 0.0])
+    np.testing.assert_allclose(upwards(None), [0.0, 0.0, 1.0])
+
+
+def test_one_outlier_does_not_make_the_arm_small():
+    rng = np.random.default_rng(1)
+    points = rng.uniform(-0.3, 0.3, (2000, 3)) + np.array([0.0, 0.0, 2.0])
+    points[5] = [40.0, 0.0, 0.0]
+    view = view_of(points, np.array([0.0, 1.0, 0.0]), np.array([0.0, 0.0, -1.0]))
+    assert view["radius"] < 0.6 and np.linalg.norm(np.subtract(view["center"], [0, 0, 2])) < 0.05
+
+
+def test_json_cannot_end_its_block():
+    block = data_block({"name": "</script><!-- \u2028 &amp;"})
+    inside = block.removeprefix('<script type="application/json">').removesuffix("</script>")
+    assert "<" not in inside and "\u2028" not in inside
+    assert json.loads(inside) == {"name": "</script><!-- \u2028 &amp;"}
+
+
+BADGES = re.compile(r'<span class="word [a-z]+">(?:\S )?([^<]+)</span>')
+
+
+def words_of(page: Path) -> list[str]:
+    return BADGES.findall(page.read_text(encoding="utf-8"))
+
+
+def test_words_of_progress_need_an_interval(tmp_path: Path):
+    progress_page(person()).write(tmp_path / "a.html")
+    words = words_of(tmp_path / "a.html")
+    assert words[0] == "clearly more" and words.count("no clear change") > 5
+    text = (tmp_path / "a.html").read_text(encoding="utf-8")
+    assert "not a diagnosis" in text and "day 14" in text
+    assert "by chance alone; clear after correction for that (Holm): elbow flexion, range" in text
+    progress_page(person(draws=False)).write(tmp_path / "b.html")
+    assert set(words_of(tmp_path / "b.html")) == {"cannot be assessed"}
+    assert "without drawn motions" in (tmp_path / "b.html").read_text(encoding="utf-8")
+
+
+def test_one_session_and_none(tmp_path: Path):
+    progress_page(person(1)).write(tmp_path / "one.html")
+    text = (tmp_path / "one.html").read_text(encoding="utf-8")
+    assert words_of(tmp_path / "one.html") == [] and "one session only" in text
+    nothing = PersonProgress("p", (), (), (), ("session 1: the result is not to be trusted",))
+    progress_page(nothing).write(tmp_path / "none.html")
+    text = (tmp_path / "none.html").read_text(encoding="utf-8")
+    assert "No session can be used" in text and "not to be trusted" in text
+
+
+def test_arms_are_compared_only_where_both_are_to_be_trusted(tmp_path: Path):
+    left, right = made_measures("left", change={"elbow_flexion_range_deg": -20.0}), made_measures("right")
+    measures_page([left, right]).write(tmp_path / "both.html")
+    assert "right against left" not in (tmp_path / "both.html").read_text(encoding="utf-8")
+    both = BothArms(left, right, (made_measure("elbow_flexion_range_deg_symmetry_percent", 22.7, 3.0),))
+    measures_page([left, right], [both]).write(tmp_path / "indices.html")
+    text = (tmp_path / "indices.html").read_text(encoding="utf-8")
+    assert text.count("+22.7 (+16.8 to +28.6)\u00a0%") == 1 and "right against left, in percent" in text
+    bad = replace(left, trusted=False, verdict="A strap slipped.")
+    measures_page([bad, right], [replace(both, left=bad)]).write(tmp_path / "bad.html")
+    text = (tmp_path / "bad.html").read_text(encoding="utf-8")
+    assert "A strap slipped. Do not use these numbers." in text and "22.7" not in text
+
+
+def test_what_was_reached_needs_draws_that_agree(tmp_path: Path):
+    measures_page([made_measures()]).write(tmp_path / "a.html")
+    assert words_of(tmp_path / "a.html") == ["reached", "not reached", "not reached"]
+    measures_page([made_measures(draws=False)]).write(tmp_path / "b.html")
+    assert words_of(tmp_path / "b.html") == ["cannot be assessed"] * 3
+    assert "smooth --draws 64" in (tmp_path / "b.html").read_text(encoding="utf-8")
+    unsure = made_measures()
+    which, parts = "hand_to_mouth_reached", {"low": 0.0, "high": 1.0, "sigma": 0.4}
+    rows = tuple(replace(row, **parts) if row.key == which else row for row in unsure.rows)
+    measures_page([replace(unsure, rows=rows)]).write(tmp_path / "c.html")
+    assert words_of(tmp_path / "c.html")[0] == "cannot be assessed"
+
+
+def test_nothing_known_is_said(tmp_path: Path):
+    nothing = made_measures(movements=0)
+    unknown = dict.fromkeys(("value", "low", "high"), np.nan) | {"note": "The hand is not known."}
+    rows = tuple(replace(row, **unknown) for row in nothing.rows)
+    measures_page([replace(nothing, rows=rows)]).write(tmp_path / "a.html")
+    text = (tmp_path / "a.html").read_text(encoding="utf-8")
+    assert "Nothing could be measured" in text and "The hand is not known." in text
+    measures_page([]).write(tmp_path / "b.html")
+    with pytest.raises(UnoccludeError, match="force=True"):
+        measures_page([]).write(tmp_path / "b.html")
