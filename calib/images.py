@@ -291,7 +291,6 @@ class Plane:
     offset_curve: FloatArray  # (3,)
     inliers: BoolArray  # bool (N,): pixels that were used
     noise_m: float  # Standard deviation of a pixel's depth
-    warp_m: float  # How far the depth of the whole panel is bent, rms
 
     @property
     def normal(self) -> FloatArray:
@@ -344,8 +343,7 @@ def fit_plane(
     jacobian = full[inliers] * depth_m[inliers, None] ** 2  # of the depth after theta, without its sign
     covariance = np.asarray(np.linalg.inv(jacobian.T @ jacobian), np.float64)
     covariance *= max(noise, 2e-4) ** 2
-    warp = _warp(rays[inliers], residuals[inliers], noise)
-    covariance += _tilt_by_warp(jacobian, rays[inliers], warp)
+    covariance += _tilt_by_warp(jacobian, rays[inliers], _warp(rays[inliers], residuals[inliers], noise))
     low, high = (_least_squares(full[inliers], depth_m[inliers] - step, theta) for step in (-STEP_M, STEP_M))
     return Plane(
         theta=theta,
@@ -354,7 +352,6 @@ def fit_plane(
         offset_curve=(high + low - 2 * theta) / (2 * STEP_M**2),
         inliers=inliers,
         noise_m=noise,
-        warp_m=warp,
     )
 
 

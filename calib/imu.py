@@ -202,10 +202,6 @@ class AccelerometerCalibration:
         """Root mean square of the residuals, m/s^2."""
         return float(np.sqrt(np.mean(self.residual**2)))
 
-    def apply(self, raw: FloatArray) -> FloatArray:
-        """Corrected samples (N, 3) of raw ones (N, 3), m/s^2."""
-        return (raw - self.offset) @ self.matrix.T
-
 
 def calibrate_accelerometer(rests: Rests, gravity: float) -> AccelerometerCalibration:
     """Fit offset and matrix to the rests' means."""
@@ -486,10 +482,6 @@ class MagnetometerCalibration:
     samples: int  # How many were used
     coverage: Coverage  # Of the sphere by the corrected samples
     strays: float = 0.0  # Share of the samples that lie far off the rest: a magnet came near
-
-    def apply(self, raw: FloatArray) -> FloatArray:
-        """Corrected samples (N, 3) of raw ones (N, 3)."""
-        return (raw - self.offset) @ self.matrix.T
 
 
 def calibrate_magnetometer(raw: FloatArray) -> MagnetometerCalibration:

@@ -302,15 +302,6 @@ def clocks_not_determined(offsets: Sequence[ClockOffset]) -> Iterator[str]:
 
 
 @dataclass(frozen=True)
-class JointError:
-    """Errors of the camera's samples of one joint, m per axis."""
-
-    sample_m: float  # Standard deviation of one sample
-    # Length of the constant error against the other joints, nan where it was not looked for
-    bias_m: float = float("nan")
-
-
-@dataclass(frozen=True)
 class ArmEstimates:
     """What one or several recordings showed of the arm, the sensor and the clocks."""
 
@@ -320,7 +311,8 @@ class ArmEstimates:
     offsets: tuple[ClockOffset, ...]  # One per recording; never carried over
     evidence: Evidence  # How long the forearm was seen, and how it moved
     not_determined: tuple[str, ...]  # What the motion left open, one sentence each
-    camera: dict[str, JointError] = field(default_factory=dict)  # Errors of the camera's joints, by name
+    # Standard deviation of the camera's samples of a joint, m per axis
+    camera_sigma_m: dict[str, float] = field(default_factory=dict)
     joint_bias_sigma_m: float = float("nan")  # How large a joint's constant error is, per axis
     given: tuple[str, ...] = ()  # What was given beforehand: lever arms by joint, `upper_arm`, `R_F_A`
 
@@ -348,7 +340,7 @@ class ArmEstimates:
             "R_F_A": arm.R_F_A,
             "given": list(self.given),
             "clock_offsets": [asdict(offset) for offset in self.offsets],
-            "camera_sigma_m": {joint: error.sample_m for joint, error in self.camera.items()},
+            "camera_sigma_m": self.camera_sigma_m,
             "joint_bias_sigma_m": self.joint_bias_sigma_m,
             "visible_s": evidence.visible_s,
             "frames": evidence.frames,
@@ -416,7 +408,6 @@ def found_in(recovery: Recovery, recording: Recording | None = None) -> ArmEstim
         arm.upper_arm if "upper_arm" in given else None,
         arm.R_F_A,
     )
-    frame, evidence = forearm_frame(arm), gather_from(recovery)
     offsets: tuple[ClockOffset, ...] = ()
     if np.isfinite(recovery.clock_offset_s):
         drift_s = float("nan")  # how far the offset wandered is seen where the frames' own stamps are known
@@ -425,26 +416,26 @@ def found_in(recovery: Recovery, recording: Recording | None = None) -> ArmEstim
         sigma_s = recovery.clock_offset_sigma_s
         offsets = (ClockOffset(recovery.name, recovery.clock_offset_s, sigma_s, drift_s),)
     stated = recovery.estimates
-    bias_sigma_m = float("nan") if stated.joint_bias_sigma_m is None else stated.joint_bias_sigma_m
-    noise, bias = stated.camera_sigma_m or {}, stated.joint_bias_m or {}
-    return ArmEstimates(
-        calibration=arm,
-        frame=frame,
-        offsets=offsets,
-        evidence=evidence,
-        not_determined=(
-            *not_determined(arm, frame, evidence, known, bias_sigma_m),
-            *clocks_not_determined(offsets),
-        ),
-        camera={
-            joint: JointError(
-                float(sigma), float(np.linalg.norm(bias[joint])) if joint in bias else float("nan")
-            )
-            for joint, sigma in noise.items()
-        },
-        joint_bias_sigma_m=bias_sigma_m,
-        given=given,
-    )
+    bias_m = float("nan") if stated.joint_bias_sigma_m is None else stated.joint_bias_sigma_m
+    noise = {joint: float(sigma) for joint, sigma in (stated.camera_sigma_m or {}).items()}
+    return _estimates(arm, offsets, gather_from(recovery), known, noise, bias_m, given)
+
+
+def _estimates(
+    calibration: ArmCalibration,
+    offsets: Sequence[ClockOffset],
+    evidence: Evidence,
+    known: ArmCalibration,
+    noise_m: dict[str, float],
+    bias_m: float,
+    given: tuple[str, ...],
+    left_out: tuple[str, ...] = (),
+) -> ArmEstimates:
+    """With what is still to be said of them."""
+    frame = forearm_frame(calibration)
+    rest = (*not_determined(calibration, frame, evidence, known, bias_m), *clocks_not_determined(offsets))
+    whole = (calibration, frame, tuple(offsets), evidence, (*rest, *left_out), noise_m, bias_m, given)
+    return ArmEstimates(*whole)
 
 
 #: Lever arms of two recordings that differ by more than this on any axis, m and sigmas, are of two mountings.
@@ -492,25 +483,9 @@ def calibrate_motion(
             clock = solved.clocks[number].after(coarse)
             offset = ClockOffset(recording.name, clock.mean_s, clock.sigma_s, clock.drift_s)
         offsets.append(offset)
-    bias_m = solved.joint_bias.sigma_m
-    shifts_m = np.linalg.norm(solved.joint_bias.error_m, axis=1)
-    return ArmEstimates(
-        calibration=calibration,
-        frame=frame,
-        offsets=tuple(offsets),
-        evidence=evidence,
-        not_determined=(
-            *not_determined(calibration, frame, evidence, known, bias_m),
-            *clocks_not_determined(offsets),
-            *left_out,
-        ),
-        camera={
-            joint: JointError(noise.sample_m, float(shifts_m[JOINTS.index(joint)]))
-            for joint, noise in solved.joint_noise.items()
-        },
-        joint_bias_sigma_m=bias_m,
-        given=names_given(known),
-    )
+    noise = {joint: own.sample_m for joint, own in solved.joint_noise.items()}
+    bias_m, given = solved.joint_bias.sigma_m, names_given(known)
+    return _estimates(calibration, offsets, evidence, known, noise, bias_m, given, left_out)
 
 
 def _of_one_strap(

@@ -176,8 +176,7 @@ class Reading:
     """One way to read four points as the panel's markers."""
 
     index: tuple[int, ...]  # (4,) which point is which marker
-    misfit_m: float  # Rms of the distances' differences, after `scale`
-    scale: float  # Distances over the panel's
+    misfit_m: float  # Rms of the distances' differences, but for a scale common to all
     places: FloatArray  # (4, 3) m: the points, in the panel's order
 
 
@@ -261,8 +260,7 @@ def _readings(places: FloatArray, sets: FloatArray, markers_P: FloatArray, scale
     found = []
     for row, order in zip(*np.nonzero(fits), strict=True):
         own = np.argsort(_ORDERS[order])
-        fit = float(misfit[row, order]), float(scale[row, order])
-        found.append(Reading(tuple(sets[row][own].tolist()), *fit, places[row][own]))
+        found.append(Reading(tuple(sets[row][own].tolist()), float(misfit[row, order]), places[row][own]))
     return sorted(found, key=lambda reading: reading.misfit_m)
 
 
@@ -340,7 +338,6 @@ class PanelSolution:
     # (poses, 4) m: Mocap markers' distances from the depth's plane, signed, away positive
     plane_residuals_m: FloatArray
     misfit: float  # Squared residuals over what the stated noise makes expected
-    residuals: int  # Number of independent residuals
     offset_apart_m: float = 0.0  # The depth's error by the markers' spacing alone
     offset_apart_sigma_m: float = np.inf
 
@@ -416,7 +413,6 @@ def graph_solution(poses: list[PoseData], solve_offset: bool) -> PanelSolution:
         depth_offset_m=offset,
         depth_offset_sigma_m=float(np.sqrt(offset_variance * scale)),
         misfit=misfit / count,
-        residuals=count,
         ray_residuals=np.linalg.norm(at[..., :2] / at[..., 2:] - rays, axis=2),
         marker_residuals_m=np.linalg.norm(at - np.array([each.points_K(offset) for each in poses]), axis=2),
         plane_residuals_m=away + np.array([[pose.height_m] for pose in poses]),

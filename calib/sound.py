@@ -155,7 +155,6 @@ class Beep:
     sigma_s: float  # Of the end
     frequency_hz: float  # Its tone
     above_quiet_db: float  # Level above the background
-    decay_s: float  # Time constant of its tail
     loud_room: bool  # The room's answer is about as loud as the beep, so that its end is hard to tell
 
 
@@ -282,7 +281,7 @@ def _fit_end(
     doubt *= DOUBT_PART
     sigma = float(np.sqrt(variance + (1 / tone_hz) ** 2 / 12 + MODEL_SIGMA_S**2 + shape**2 + doubt**2))
     loud_room |= doubt > MODEL_SIGMA_S
-    return Beep(start_s, end, sigma, tone_hz, above_db, decay_s, loud_room)
+    return Beep(start_s, end, sigma, tone_hz, above_db, loud_room)
 
 
 def _steady(samples: FloatArray, rate_hz: float, start_s: float, end_s: float, tone_hz: float) -> float:

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from itertools import pairwise
+from functools import partial
 
 import numpy as np
 
@@ -71,7 +71,7 @@ def fault_of(
     moves = [
         move
         for each, together in found
-        if (move := moved(each, together)) is not None and move.misfit_m < best.misfit_m
+        if (move := moved(together, partial(_shift, each))) is not None and move.misfit_m < best.misfit_m
     ]
     if moves:
         move = min(moves, key=lambda each: each.misfit_m)
@@ -84,23 +84,23 @@ def fault_of(
     return "", None
 
 
-def moved(placement: Placement, together: Overlap) -> Move | None:
-    """Whether and when a camera was moved against the other one; None where nothing shows it."""
-    parts = parts_of(together)
-    if len(parts) < 2:
-        return None
-    return move_between([_shift(placement, together.rows(part)) for part in parts], parts, together.t)
-
-
-def move_between(
-    shifts: Sequence[tuple[FloatArray, FloatArray, float]],
-    parts: Sequence[slice],
-    t: FloatArray,  # (n,) s
+def moved(
+    together: Overlap,
+    shift: Callable[[Overlap], tuple[FloatArray, FloatArray, float] | None],
     placed_m: float = PLACED_M,
 ) -> Move | None:
-    """The time that parts the parts' places best, if they differ by more than chance."""
-    values, variances = np.array([each[0] for each in shifts]), np.array([each[1] for each in shifts])
-    misfit_m = float(np.median([each[2] for each in shifts]))
+    """The time that parts the parts' places best, if they differ by more than chance.
+
+    `shift` gives a part's turn and shift (6,) against the whole, their variances, and its misfit.
+    """
+    count = min(int(len(together) * together.step_s / PART_S), MOST_PARTS)
+    edges, t = np.linspace(0, len(together), max(count, 1) + 1).astype(int), together.t
+    found = [(part, shift(together.rows(part))) for part in map(slice, edges[:-1], edges[1:])]
+    known = [(part, *own) for part, own in found if own is not None]
+    if len(known) < 2:
+        return None
+    parts, *columns = zip(*known, strict=True)
+    values, variances, misfit_m = np.array(columns[0]), np.array(columns[1]), float(np.median(columns[2]))
     if misfit_m > placed_m:
         return None  # no place makes it the same arm
     best: Move | None = None
@@ -116,13 +116,6 @@ def move_between(
             first_s, last_s = (float(t[(part.start + part.stop) // 2]) for part in parts[cut - 1 : cut + 1])
             best, most = Move(at_s, (first_s, last_s), turned, shifted, misfit_m), sigmas
     return best
-
-
-def parts_of(together: Overlap) -> list[slice]:
-    """Rows of parts that are placed by themselves."""
-    count = min(int(len(together) * together.step_s / PART_S), MOST_PARTS)
-    edges = np.linspace(0, len(together), max(count, 1) + 1).astype(int)
-    return [slice(a, b) for a, b in pairwise(edges.tolist())]
 
 
 def _mean(values: FloatArray, variances: FloatArray) -> tuple[FloatArray, FloatArray]:

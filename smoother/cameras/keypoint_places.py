@@ -15,8 +15,8 @@ from ..array_types import FloatArray
 from ..linalg import nearest_rotation, skew
 from ..recording import JOINTS, Camera, CameraPose, JointTracks
 from ..rotation import Rotation
-from .faults import LEAST_S, Move, move_between, never_together, parts_of
-from .placing import OFFSET_M
+from .faults import LEAST_S, Move, moved, never_together
+from .placing import OFFSET_M, solved
 from .rig import Overlap, RelativeClock, RigCamera, candidate_offsets, overlap
 
 #: Samples of one block share their error, s, and errors of joints in space last this long.
@@ -104,11 +104,7 @@ def _placed(first: JointTracks, other: JointTracks, clock: RelativeClock) -> Key
 def _moved(first: JointTracks, other: JointTracks, found: KeypointPlacement) -> Move | None:
     """Whether it stood elsewhere from a time on: each part of what both saw is placed by itself."""
     together = overlap(first, other, found.clock)
-    shifts = ((_part(together.rows(part), found, _pixel(other)), part) for part in parts_of(together))
-    known = [(shift, part) for shift, part in shifts if shift is not None]
-    if len(known) < 2:
-        return None
-    return move_between([each[0] for each in known], [each[1] for each in known], together.t, OTHER_M)
+    return moved(together, lambda part: _part(part, found, _pixel(other)), OTHER_M)
 
 
 def _part(
@@ -199,15 +195,10 @@ def _step(
     vectors = np.zeros((int(block[-1]) + 1, columns.shape[2]))
     np.add.at(vectors, block, vectors_of)
     vectors -= vectors.mean(axis=0)
-    meat = vectors.T @ vectors
-    # neighbours share their errors: this many of them are treated as one, which the prior is weighed against
-    pose = np.arange(6)
-    alike = float(np.clip(np.mean(meat[pose, pose] / np.maximum(information[pose, pose], 1e-9)), 1.0, 100.0))
-    information, meat, vector = information / alike, meat / alike**2, vectors_of.sum(axis=0) / alike
     prior = np.diag([1e-6] * 6 + [1.0] + [OFFSET_M**-2] * offset_m.size)
-    inverse = np.linalg.inv(information + prior)
-    vector = vector - prior @ np.concatenate([np.zeros(7), offset_m.ravel()])
-    change, covariance = inverse @ vector, inverse @ (meat + prior) @ inverse
+    at = np.concatenate([np.zeros(7), offset_m.ravel()])
+    scatter, vector = vectors.T @ vectors, vectors_of.sum(axis=0)
+    change, covariance = solved(information, vector, scatter, 1.0, prior, at)
     turn = Rotation.from_rotvec(change[:3]).as_matrix()
     return turn @ R, turn @ (p - centre) + centre + change[3:6], change, covariance, centre
 

@@ -101,14 +101,8 @@ def start(together: Overlap, clock: RelativeClock, known: CameraPose | None = No
 
 def step(placement: Placement, together: Overlap, known: CameraPose | None = None) -> Placement:
     """A robust Gauss-Newton step on everything."""
-    information, vector, meat, curvature = _normal_equations(placement, together)
-    # neighbours share their errors: this many of them are treated as one, which the prior is weighed against
-    alike = float(np.mean(np.diag(meat)[POSE] / np.maximum(np.diag(information)[POSE], 1e-9)))
-    alike = min(max(alike, 1.0), MOST_ALIKE)
-    information, vector, meat = information / alike, vector / alike, meat / alike**2
     pose_sigma = [1e3] * 6 if known is None else np.repeat([known.sigma_rad, known.sigma_m], 3)
     sigma = np.concatenate([pose_sigma, [1e3, SKEW], np.full(3 * len(JOINTS), OFFSET_M)])
-    prior = np.diag(sigma**-2.0)
     at = np.zeros(SIZE)  # where the state is, from the prior's mean
     at[CLOCK.stop - 1] = placement.clock.skew
     at[OFFSETS] = placement.offset_m.ravel()
@@ -116,9 +110,7 @@ def step(placement: Placement, together: Overlap, known: CameraPose | None = Non
         turned = Rotation.from_matrix(placement.R @ known.R_K_C.T).as_rotvec()
         centre = known.R_K_C @ placement.R.T @ (placement.centre_m - placement.p) + known.p_K_C_m
         at[POSE] = np.concatenate([turned, placement.centre_m - centre])
-    change = np.linalg.solve(information + prior, vector - prior @ at)
-    inverse = np.linalg.inv(curvature * information + prior)
-    covariance = inverse @ (meat + prior) @ inverse
+    change, covariance = solved(*_normal_equations(placement, together), np.diag(sigma**-2.0), at)
     turn = Rotation.from_rotvec(change[:3]).as_matrix()
     R = turn @ placement.R
     p = turn @ (placement.p - placement.centre_m) + placement.centre_m + change[3:6]
@@ -132,6 +124,24 @@ def step(placement: Placement, together: Overlap, known: CameraPose | None = Non
     misfit_m = _misfit(together, R, p, offset)[0]
     there = replace(placement, R=R, p=p, clock=clock, offset_m=offset)
     return replace(there, covariance=covariance, misfit_m=misfit_m)
+
+
+def solved(
+    information: FloatArray,
+    vector: FloatArray,
+    meat: FloatArray,
+    curvature: float,
+    prior: FloatArray,
+    at: FloatArray,  # from the prior's mean
+) -> tuple[FloatArray, FloatArray]:
+    """The step and its covariance by the scatter of blocks; pose first in the columns."""
+    # neighbours share their errors: this many of them are treated as one, which the prior is weighed against
+    alike = float(np.mean(np.diag(meat)[POSE] / np.maximum(np.diag(information)[POSE], 1e-9)))
+    alike = min(max(alike, 1.0), MOST_ALIKE)
+    information, vector, meat = information / alike, vector / alike, meat / alike**2
+    inverse = np.linalg.inv(curvature * information + prior)
+    step = np.linalg.solve(information + prior, vector - prior @ at)
+    return step, inverse @ (meat + prior) @ inverse
 
 
 def residuals(placement: Placement, together: Overlap) -> FloatArray:

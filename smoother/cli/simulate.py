@@ -447,13 +447,13 @@ def clock(output: Folder, out: Out, seed: o.Seed = 0, settings: o.Settings = Non
     from ..io.rig.clock import MOTION, SOUND, TIMES, write_clock_folder
     from ..io.rig.panel import check_folder
     from ..simulation.config import ClockSources
-    from ..simulation.rig import simulate_clock_session
+    from ..simulation.rig import SOUND_RATE_HZ, simulate_clock_session
 
     (config,) = configured(settings, ClockSources)
     check_folder(output, out.force)
-    session = simulate_clock_session(seed, **config.model_dump())
+    session = simulate_clock_session(config, seed)
     truth = {"clock": {"links": (links := true_links(session))}}
-    text, sound = truth_text(truth), (session.sound, session.sound_rate_hz)
+    text, sound = truth_text(truth), (session.sound, SOUND_RATE_HZ)
     write_clock_folder(output, *sound, session.receptions, session.recording, text, force=out.force)
     out.json({"seed": seed, "event_time_s": session.event_time_s, "truth": truth})
     rows = [(one["from"], one["to"], f"{one['offset_s']:+.6f}", f"{one['skew_ppm']:.2f}") for one in links]

@@ -216,7 +216,7 @@ def _camera(recovery: Recovery, estimates: ArmEstimates | None) -> Iterator[str]
         yield _said("jumps", percent=100 * jumping)
     if estimates is None:
         return
-    noise = {joint: each.sample_m for joint, each in estimates.camera.items()}
+    noise = estimates.camera_sigma_m
     if loud := [joint for joint, sigma in noise.items() if sigma > CAMERA_SIGMA_M]:
         yield _said("noise", joints=listed(loud), cm=100 * max(noise.values()))
     if (bias_m := estimates.joint_bias_sigma_m) > JOINT_BIAS_M:

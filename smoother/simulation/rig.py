@@ -17,10 +17,11 @@ from ..linalg import unit
 from ..recording import ImuStream, Recording
 from ..units import GRAVITY
 from .arm import simulate_arm
-from .config import ArmSimulation
+from .config import ArmSimulation, ClockSources
 
 #: Bluetooth stamps count in steps of this, s.
 STEP_S = 0.3125e-3
+SOUND_RATE_HZ = 16000
 
 
 @dataclass(frozen=True)
@@ -78,7 +79,7 @@ def broadcast(
 
 
 def beep(
-    seed: int, rate_hz: int = 16000, quiet_db: float = 25.0, room_s: float | None = None, voice: bool = True
+    seed: int, rate_hz: int = SOUND_RATE_HZ, quiet_db: float = 25.0, room_s: float | None = None
 ) -> tuple[FloatArray, float, float]:  # sound (4 rate_hz,), end_s, tone_hz
     """A buzzer near a microphone, in a room where somebody speaks."""
     rng = np.random.default_rng(seed)
@@ -93,9 +94,8 @@ def beep(
         echo = rng.normal(size=count) * 10 ** (-3 * np.arange(count) / count)
         echo *= 0.3 / np.sqrt((echo**2).sum())
         sound = fftconvolve(sound, np.concatenate([[1.0], np.zeros(int(0.002 * rate_hz)), echo]))[: len(t)]
-    if voice:
-        harmonics = [np.sin(2 * np.pi * 150 * k * t + rng.uniform(0, 6)) / k for k in range(1, 20)]
-        sound = sound + 0.1 * sum(harmonics) * (np.sin(2 * np.pi * 3 * t + rng.uniform(0, 6)) > 0.2)
+    voice = [np.sin(2 * np.pi * 150 * k * t + rng.uniform(0, 6)) / k for k in range(1, 20)]
+    sound = sound + 0.1 * sum(voice) * (np.sin(2 * np.pi * 3 * t + rng.uniform(0, 6)) > 0.2)
     return sound + np.sqrt(0.5) * 10 ** (-quiet_db / 20) * rng.normal(size=len(t)), end, tone
 
 
@@ -110,38 +110,28 @@ class SimulatedClocks:
     """What `calibrate clock` reads, and what it should find."""
 
     sound: FloatArray  # (n,): the camera's sound, from the camera's time zero on; largest sample 1
-    sound_rate_hz: int  # Of the sound
     event_time_s: float  # The beep's end on the base's clock, in the step of its stamps
     receptions: Receptions  # Broadcasts as the base and the IMU received them
     recording: Recording  # An arm in motion, frames on the camera's clock, samples on the IMU's
     clocks: Clocks  # The truth: camera, base, IMU
 
 
-def simulate_clock_session(
-    seed: int = 0,
-    *,
-    rounds: int = 20,
-    minutes: float = 5.0,
-    motion_s: float = 30.0,
-    sound_rate_hz: int = 16000,
-    noise_db: float = 25.0,
-) -> SimulatedClocks:
+def simulate_clock_session(config: ClockSources, seed: int) -> SimulatedClocks:
     """Simulate the sources of a session's clocks."""
     rng = np.random.default_rng([seed, 3])
     ahead_s = [rng.uniform(*BASE_AHEAD_S), rng.uniform(*IMU_AHEAD_S)]
-    clocks, received = broadcast(seed, nodes=2, rounds=rounds, span_s=60.0 * minutes, offset_s=ahead_s)
+    span_s = 60.0 * config.minutes
+    clocks, received = broadcast(seed, nodes=2, rounds=config.rounds, span_s=span_s, offset_s=ahead_s)
     receptions = replace(received, node=tuple((BASE, IMU)[int(node[1:])] for node in received.node))
-    sound, end_s, _ = beep(seed, sound_rate_hz, noise_db)
-    arm = simulate_arm(
-        ArmSimulation.preset("white", protocol="random", duration_s=motion_s, side="right"), seed
-    )
+    sound, end_s, _ = beep(seed, SOUND_RATE_HZ, config.noise_db)
+    arm = simulate_arm(ArmSimulation.preset("white", protocol="random", duration_s=config.motion_s), seed)
     imu = arm.recording.imu
     shown = clocks.offset_s[1] + (1.0 + clocks.skew[1]) * imu.t_s  # as `Clocks.read`, of many times
     recording = replace(arm.recording, imu=replace(imu, name=f"/imu/{IMU}", t_s=shown), truth=None)
     event_s = np.rint(clocks.read(0, end_s) / STEP_S) * STEP_S
     clocks = Clocks((CAMERA, BASE, IMU), np.append(0.0, clocks.offset_s), np.append(0.0, clocks.skew))
     sound /= np.abs(sound).max()
-    return SimulatedClocks(sound, sound_rate_hz, float(event_s), receptions, recording, clocks)
+    return SimulatedClocks(sound, float(event_s), receptions, recording, clocks)
 
 
 #: Six sides, twelve edges and eight corners: the poses in order.
@@ -215,19 +205,18 @@ def rest_poses(
     return ImuStream("/imu/forearm_right", t, acc, gyro), bias
 
 
-def magnetometer_turns(
-    model: SensorModel, count: int, *, noise: float = 0.01, seed: int = 0, dip_deg: float = 60.0
-) -> FloatArray:
+def magnetometer_turns(model: SensorModel, count: int, *, noise: float = 0.01, seed: int = 0) -> FloatArray:
     """Samples (count, 3) of a sensor turned slowly about all its axes in a field of length 1."""
     rng = np.random.default_rng(seed)
-    field = np.array([np.cos(np.radians(dip_deg)), 0.0, -np.sin(np.radians(dip_deg))])
+    field = np.array([np.cos(np.radians(60.0)), 0.0, -np.sin(np.radians(60.0))])
     return model.distort(_turning(count, seed).inv().apply(field)) + rng.normal(0.0, noise, (count, 3))
 
 
 def turning_sensor(
-    model: SensorModel, *, seed: int = 0, rate_hz: float = 50.0, field: float = 48.0, noise: float = 0.01
+    model: SensorModel, *, seed: int = 0, field: float = 48.0, noise: float = 0.01
 ) -> ImuStream:
-    """A sensor turned slowly about all its axes for a minute, on one spot."""
+    """A sensor turned slowly about all its axes for a minute, on one spot, at 50 Hz."""
+    rate_hz = 50.0
     count = round(TURNING_S * rate_hz)
     rng = np.random.default_rng([seed, 1])
     R = _turning(count, seed)
@@ -248,16 +237,10 @@ def _turning(count: int, seed: int) -> Rotation:
 
 
 def long_rest(
-    model: SensorModel,
-    rest_s: float,
-    *,
-    seed: int = 0,
-    rate_hz: float = 100.0,
-    acc_density: float = 2e-3,
-    gyro_density: float = 2e-4,
+    model: SensorModel, rest_s: float, *, seed: int = 0
 ) -> tuple[ImuStream, FloatArray]:  # imu, gyroscope_bias (3,) rad/s
-    """A sensor at rest, with white noise and a bias that wanders by a twentieth of it in a second."""
-    rng = np.random.default_rng(seed)
+    """A sensor at rest at 100 Hz; its bias wanders by a twentieth of the white noise in a second."""
+    rng, rate_hz = np.random.default_rng(seed), 100.0
     count = round(rest_s * rate_hz)
     bias = rng.normal(0.0, 0.01, 3)
 
@@ -266,8 +249,8 @@ def long_rest(
         return white, np.cumsum(density / 20.0 / np.sqrt(rate_hz) * rng.normal(size=(count, 3)), axis=0)
 
     up = np.tile(np.array([0.0, 0.0, GRAVITY]), (count, 1))
-    acc = model.distort(up) + np.sum(noise(acc_density), axis=0)
-    white, walk = noise(gyro_density)
+    acc = model.distort(up) + np.sum(noise(2e-3), axis=0)
+    white, walk = noise(2e-4)
     t = (np.arange(float(count)) + 0.5) / rate_hz
     gyro = np.asarray(bias + walk + white)
     return ImuStream("/imu/forearm_right", t, acc, gyro), np.asarray(bias + walk.mean(axis=0))

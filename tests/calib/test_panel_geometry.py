@@ -75,7 +75,7 @@ def test_markers_are_told_at_any_roll_among_other_spots(roll, tilt, to, z, order
     points = pose.points(np.concatenate([PANEL.markers_P, others]))[list(order)]
     reading = identify_spots(blobs_of(points), pose.depth(), LENS.ray_image(), PANEL, "view")
     assert [order[index] for index in reading.index] == [0, 1, 2, 3]
-    assert reading.misfit_m < 1e-5 and abs(reading.scale - 1) < 1e-5
+    assert reading.misfit_m < 1e-5
     np.testing.assert_allclose(reading.places, pose.points(PANEL.markers_P), atol=1e-5)
 
 
@@ -201,7 +201,6 @@ def test_a_bent_depth_widens_sigma():
     flat = fit_plane(pixels, rays, depth)
     x = (pixels[:, 0] - 260) / 60
     bent = fit_plane(pixels, rays, depth + 0.002 * x**2)
-    assert flat.warp_m < 1e-4 < 5e-4 < bent.warp_m < 2e-3
     assert np.trace(bent.covariance) > 100 * np.trace(flat.covariance)
 
 

@@ -32,6 +32,7 @@ from smoother.io.tables.markers import read_positions
 from smoother.linalg import sphere
 from smoother.recording import ImuStream, Recording
 from smoother.simulation import ArmSimulation, simulate_arm
+from smoother.simulation.config import ClockSources
 from smoother.simulation.rig import (
     beep,
     simulate_clock_session,
@@ -214,7 +215,7 @@ def test_clock(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys) -> None:
     words = simulated(capsys, "clock", "-o", "session", "--seed", 5)
     done(*words, "--processes", "1")
     links = read_calibration("clock.toml").tables["clock"]["links"]
-    session = simulate_clock_session(5)
+    session = simulate_clock_session(ClockSources(), 5)
     assert len(links) == 3
     for link in links:
         true = session.clocks.offset_between_s(link["from"], link["to"], link["at_s"])

@@ -14,7 +14,7 @@ from arms import make_recording, make_recovery
 from commands import done
 from results import made
 
-from calib.motion import ArmEstimates, ClockOffset, Evidence, JointError, forearm_frame, found_in
+from calib.motion import ArmEstimates, ClockOffset, Evidence, forearm_frame, found_in
 from smoother import __version__
 from smoother.baselines.registry import BASELINES, ORIENTATIONS
 from smoother.calibration import ArmCalibration, Length, LeverArm
@@ -121,7 +121,7 @@ CASES: dict[str, Recovery | ArmEstimates | Callable[[], Recovery]] = {
     "samples repeated the one before": lambda: with_reason("frozen: it stands", "elbow", MANY),
     "were not on the arm": lambda: with_reason("jump: far", "hand", MANY),
     "Move closer to the camera (1.5 to 3 m), with even light and without loose sleeves: the wrist jittered"
-    " by 2.1 cm": found(camera={"elbow": JointError(0.008), "wrist": JointError(0.021)}),
+    " by 2.1 cm": found(camera_sigma_m={"elbow": 0.008, "wrist": 0.021}),
     "2.0 cm off, always in the same way": found(joint_bias_sigma_m=0.02),
     "30 frames per second: it gave 10": slow_camera,
     "80 samples per second or more: it gave 27": lambda: replace(result(), t_s=3.0 * result().t_s),
