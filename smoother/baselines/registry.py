@@ -56,7 +56,7 @@ _LATENCY = frozenset({"latency_s"})
 #: Every baseline, the strongest first.
 BASELINES = _by_name(
     BaselineEntry("rts", "rts", _RTS),
-    BaselineEntry("ukf", "ukf", "an unscented Kalman filter after [@tian2015], with one IMU"),
+    BaselineEntry("ukf", "rts", "an unscented Kalman filter after [@tian2015], with one IMU"),
     BaselineEntry("gaussian-process", "gaussian_process", _GAUSSIAN),
     BaselineEntry("multirate-kalman", "kalman", _MULTIRATE),
     BaselineEntry(

@@ -12,7 +12,7 @@ from simulated_scenes import NO_GAPS, arm, errors, rms, scene_of, turned_off
 from smoother.array_types import BoolArray
 from smoother.baselines.gaussian_process import gaussian_process
 from smoother.baselines.kalman import kalman, multirate_kalman
-from smoother.baselines.rts import rts
+from smoother.baselines.rts import rts, ukf
 from smoother.baselines.scene import Baseline, Path, Scene
 from smoother.baselines.simple import (
     autoregressive,
@@ -22,7 +22,6 @@ from smoother.baselines.simple import (
     linear_drift,
     pchip,
 )
-from smoother.baselines.ukf import ukf
 from smoother.evaluation.metrics import squared_sigmas
 from smoother.measurements.visibility import find_gaps
 from smoother.recording import JOINTS

@@ -9,9 +9,8 @@ import pytest
 from simulated_scenes import NO_GAPS, arm, errors, rms, scene_of, turned_off
 
 from smoother.baselines import rts as es
-from smoother.baselines.rts import linearised, residuals, rts, start
+from smoother.baselines.rts import linearised, residuals, rts, start, ukf
 from smoother.baselines.scene import Baseline
-from smoother.baselines.ukf import ukf
 from smoother.measurements.inertial import InertialSignal
 from smoother.recording import JOINTS
 
