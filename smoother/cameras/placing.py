@@ -141,7 +141,8 @@ def solved(
     information, vector, meat = information / alike, vector / alike, meat / alike**2
     inverse = np.linalg.inv(curvature * information + prior)
     step = np.linalg.solve(information + prior, vector - prior @ at)
-    return step, inverse @ (meat + prior) @ inverse
+    covariance: FloatArray = inverse @ (meat + prior) @ inverse
+    return step, covariance
 
 
 def residuals(placement: Placement, together: Overlap) -> FloatArray:
