@@ -140,7 +140,7 @@ def solved(
     alike = min(max(alike, 1.0), MOST_ALIKE)
     information, vector, meat = information / alike, vector / alike, meat / alike**2
     inverse = np.linalg.inv(curvature * information + prior)
-    step = np.linalg.solve(information + prior, vector - prior @ at)
+    step = np.asarray(np.linalg.solve(information + prior, vector - prior @ at), float)
     covariance: FloatArray = inverse @ (meat + prior) @ inverse
     return step, covariance
 
