@@ -19,7 +19,7 @@ from .output import Out, print_notes, say, say_command, show
 from .run import handling
 
 if TYPE_CHECKING:
-    from ..streams.arrivals import Receiver, Source
+    from ..streams.arrivals import Receiver
     from ..streams.session import SessionFigures
 
 
@@ -161,7 +161,7 @@ def live(
     prefer = known_sides[0] if len(known_sides) == 1 else None
     wanted: list[int] = []  # signals to end, which interrupt nothing, so that the recording stays whole
     with handling(lambda number, _: wanted.append(number)), ExitStack() as stack:
-        source: Source
+        source: LslSource | Replay
         if replay is not None:
             topics = {each: own.get("forearm") for each, own in imus.items()}
             latency_s = CAMERA_LATENCY_S if latency is None else latency
@@ -173,10 +173,10 @@ def live(
                     " right=TOPIC --imu left=TOPIC"
                 )
         else:
-            source = received = LslSource(imus, skeleton, prefer, body, gyro)
-            stack.callback(received.close)
+            source = LslSource(imus, skeleton, prefer, body, gyro)
+            stack.callback(source.close)
             say(f"looking for the streams, at most {wait:g} s")
-            if not received.open(wait, lambda: bool(wanted), say):
+            if not source.open(wait, lambda: bool(wanted), say):
                 say("ended before the streams were there; nothing was recorded")
                 return
         infos = source.infos

@@ -10,7 +10,7 @@ from concurrent.futures import Future, ProcessPoolExecutor, ThreadPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -37,15 +37,6 @@ from .imu import LiveImu
 LARGEST_SIGMA_M = 0.10
 
 
-class CalibrationJob(NamedTuple):
-    """What a self-calibration reads."""
-
-    recording: Recording  # The last minutes
-    given: ArmCalibration  # What is known beforehand
-    config: Config
-    offset_s: float = 0.0  # t_imu = t_camera + offset, to some tenths of a second
-
-
 @dataclass(frozen=True)
 class LiveCalibration:
     """What a self-calibration answered."""
@@ -60,22 +51,29 @@ class LiveCalibration:
     left_out: tuple[str, ...] = ()  # Why it does not contain the others, a sentence each
 
 
-def calibrate_excerpts(job: CalibrationJob) -> LiveCalibration:
+def calibrate_excerpts(
+    recording: Recording,  # The last minutes
+    given: ArmCalibration,  # What is known beforehand
+    config: Config,
+    offset_s: float = 0.0,  # t_imu = t_camera + offset, to some tenths of a second
+) -> LiveCalibration:
     """Work a self-calibration out, as `smooth` begins with it; what fails is answered, not raised."""
-    answer = _calibrated(job, constant_clock(job.offset_s))
+    answer = _calibrated(recording, given, config, constant_clock(offset_s))
     if answer.model is None:  # the clocks may be farther apart than the frames' arrival says
         with suppress(UnoccludeError):
-            _, coarse = find_pairing(job.recording)
-            answer = answer if coarse is None else _calibrated(job, coarse)
-    t = job.recording.imu.t_s
+            _, coarse = find_pairing(recording)
+            answer = answer if coarse is None else _calibrated(recording, given, config, coarse)
+    t = recording.imu.t_s
     return replace(answer, from_s=float(t[0]), until_s=float(t[-1]))
 
 
-def _calibrated(job: CalibrationJob, before: Clock) -> LiveCalibration:
+def _calibrated(
+    recording: Recording, given: ArmCalibration, config: Config, before: Clock
+) -> LiveCalibration:
     """A self-calibration with the camera's stamps moved beforehand."""
-    arm = job.recording.arm
-    recording = replace(job.recording, arm=replace(arm, t_s=before.to_imu(arm.t_s)))
-    config = with_measured_noise(job.config, recording.imu)
+    arm = recording.arm
+    recording = replace(recording, arm=replace(arm, t_s=before.to_imu(arm.t_s)))
+    config = with_measured_noise(config, recording.imu)
     try:
         excerpts = [
             reject_by_camera(each) for each in informative_excerpts(recording, Timeline.of(recording))
@@ -83,9 +81,9 @@ def _calibrated(job: CalibrationJob, before: Clock) -> LiveCalibration:
         if not excerpts:
             return LiveCalibration(reason="the IMU and a visible forearm do not overlap yet")
         with Pool(1, 0) as here:
-            further, left_out = calibrate_further_imus(recording, job.given, config, here)
+            further, left_out = calibrate_further_imus(recording, given, config, here)
             own = [without_joints_of(excerpt, further) for excerpt in excerpts]
-            model = self_calibrate(own, job.given, config, here, OFFSET_SIGMA_S)
+            model = self_calibrate(own, given, config, here, OFFSET_SIGMA_S)
     except (UnoccludeError, ValueError, ArithmeticError) as error:
         return LiveCalibration(reason=str(error))
     if model.mounting_unknown:
@@ -120,10 +118,10 @@ class InlineCalibrator:
         """It works, or its answer was not fetched yet."""
         return self._future is not None
 
-    def submit(self, job: CalibrationJob) -> None:
-        """Begin with a job; not while busy."""
+    def submit(self, *job: Any) -> None:
+        """Begin with what `calibrate_excerpts` reads; not while busy."""
         with ThreadPoolExecutor(1) as aside:  # its processor time is not the live thread's
-            self._future, self._asked = aside.submit(calibrate_excerpts, job), 0
+            self._future, self._asked = aside.submit(calibrate_excerpts, *job), 0
 
     def answer(self) -> LiveCalibration | None:
         """The answer, once; None while there is none."""
@@ -142,14 +140,14 @@ class BackgroundCalibrator(InlineCalibrator):
 
     _executor: ProcessPoolExecutor | None = None
 
-    def submit(self, job: CalibrationJob) -> None:
+    def submit(self, *job: Any) -> None:
         """As of `InlineCalibrator`."""
         # spawn: GTSAM's threads do not survive a fork, and macOS and Windows have no other way
         with starting_processes(), suppress(BrokenProcessPool):
             if self._executor is None:
                 context = multiprocessing.get_context("spawn")
                 self._executor = ProcessPoolExecutor(1, mp_context=context, initializer=_prepare)
-            self._future = self._executor.submit(calibrate_excerpts, job)
+            self._future = self._executor.submit(calibrate_excerpts, *job)
 
     def answer(self) -> LiveCalibration | None:
         """As of `InlineCalibrator`; a process that was killed is started again with the next job."""
@@ -242,7 +240,7 @@ class Calibrations:
         worn = {each.segment.name: each.sound_stream() for each in further if len(each) >= FEWEST_SAMPLES}
         recording = self._recording(imu=imu.sound_stream(), arm=arm, further_imus=worn)
         offset_s = arrival_offset_s if np.isnan(self.offset_s) else self.offset_s
-        self._calibrator.submit(CalibrationJob(recording, self._given, self._config, offset_s))
+        self._calibrator.submit(recording, self._given, self._config, offset_s)
 
     def left_out(self) -> list[str]:
         """Why the last one does without some of the IMUs beyond the forearm, where that is new."""

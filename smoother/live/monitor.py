@@ -300,17 +300,12 @@ class CameraMonitor:
     def _contradicted(self, t_s: float, first: LagSolution, accepted: BoolArray) -> FrameFinding:
         """The last half second does not fit to the IMU: say who is wrong."""
         frames = [each for each in self._seen if each.before is not None and each.t_s > first.newest.t + 1e-6]
-        why = self._camera_fault(frames)
-        if why:
+        oldest, last = frames[0], frames[-1]
+        assert oldest.before is not None and last.before is not None
+        if _rests(oldest, oldest.before, last, last.before):
             self._limit_s, self._jump_m = LONGEST_S, np.inf
-            return self._left_out(t_s, why, first.newest.t)
+            return self._left_out(t_s, _RESTS, first.newest.t)
         return self._imu_wrong(t_s, first.newest.t, accepted)
-
-    def _camera_fault(self, frames: list[_Seen]) -> str:
-        """What shows by itself that the camera is wrong; "" where nothing does."""
-        first, last = frames[0], frames[-1]
-        assert first.before is not None and last.before is not None
-        return _RESTS if _rests(first, first.before, last, last.before) else ""
 
     def _rests_while_turning(self) -> bool:
         """Whether elbow and wrist rest while the gyroscope turns the forearm: needs no good velocity."""

@@ -96,31 +96,6 @@ class SourceInfo:
         return None if self.camera_frame is None else self.camera_frame.down
 
 
-class Source(Protocol):
-    """Where a session's samples and frames come from: streams of the network, or a recording."""
-
-    @property
-    def infos(self) -> Sequence[SourceInfo]:
-        """What the session of each arm is made of."""
-
-    @property
-    def speed(self) -> float:
-        """How fast its time goes, 1 being as usual; 0 does not wait."""
-
-    @property
-    def ended(self) -> bool:
-        """Nothing will come any more."""
-
-    def now_s(self) -> float:
-        """The session's time, s."""
-
-    def wait(self, seconds: float) -> None:
-        """Until something comes, at most this long."""
-
-    def arrivals(self) -> list[Arrivals]:
-        """What came of each arm since the last call."""
-
-
 @dataclass(frozen=True)
 class LiveStep:
     """A step of an arm, as everything that shows, sends or keeps it gets it."""

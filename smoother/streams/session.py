@@ -23,11 +23,13 @@ from ..live.buffers import SkeletonFrame
 from ..measurements.visibility import Gap
 from ..recording import ImuStream
 from ..window.priors import with_measured_noise
-from .arrivals import STEP_OF_IMU_S, Arrivals, LiveStep, Receiver, Rows, Source, SourceInfo, StampSteps
+from .arrivals import STEP_OF_IMU_S, Arrivals, LiveStep, Receiver, Rows, SourceInfo, StampSteps
 from .session_recording import SessionRecording
 
 if TYPE_CHECKING:
     from ..live.smoother import LiveSmoother
+    from .lsl import LslSource
+    from .replay import Playback
 
 #: Rates and delays are those of the last seconds.
 _RECENT_S = 5.0
@@ -278,7 +280,7 @@ class LiveSession:
 
     def __init__(
         self,
-        source: Source,
+        source: LslSource | Playback,
         engines: Sequence[LiveSmoother],
         calibrations: Sequence[SessionCalibration] = (),
         recording: SessionRecording | None = None,

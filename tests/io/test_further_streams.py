@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from importers import import_csv, select_recording
+from importers import select_recording
 from made_recordings import make
 from made_results import assert_same as assert_same_result
 from made_results import recovery as made_recovery
@@ -28,7 +28,7 @@ from smoother.io import (
 from smoother.io.export.tables import export_csv
 from smoother.io.recording.choose import choose_arms
 from smoother.io.recording.write import as_file
-from smoother.recording import FOREARM_JOINTS, JOINTS, ImuStream, JointState, Recording, TrunkSensors
+from smoother.recording import FOREARM_JOINTS, ImuStream, JointState, Recording, TrunkSensors
 from smoother.result import Recovery, SegmentMotion, TrunkMotion
 from smoother.simulation import ArmSimulation, simulate_arm
 
@@ -71,58 +71,6 @@ def test_skeletons_of_several_frames_are_several_cameras_in_any_file(tmp_path: P
     assert read.arm.name in ("/left/bodies", "/right/bodies")
     assert len(read.cameras) == 2
     assert {camera.name for camera in read.cameras} < {"left_depth", "middle_depth", "right_depth"}
-
-
-TABLE = "t_s,joint,x,y,z,state\n"
-
-
-def write_skeleton(path: Path, moved_m: float) -> None:
-    rows = [
-        f"{0.1 * k:.2f},{joint},{0.1 * n + moved_m},{0.01 * k},2.0,tracked"
-        for k in range(20)
-        for n, joint in enumerate(("shoulder", "elbow", "wrist"))
-    ]
-    path.write_text(TABLE + "\n".join(rows) + "\n")
-
-
-def write_folder(folder: Path, cameras: str) -> None:
-    write_skeleton(folder / "skeleton.csv", 0.0)
-    write_skeleton(folder / "left.csv", 0.5)
-    imu = [f"{0.02 * k:.2f},0,9.8,0,{0.1 * k % 1},0,0" for k in range(100)]
-    (folder / "imu.csv").write_text("t_s,ax,ay,az,gx,gy,gz\n" + "\n".join(imu) + "\n")
-    (folder / "recording.toml").write_text(cameras + '[imu.forearm]\nfile = "imu.csv"\n')
-
-
-FIRST = '[camera]\nskeleton = "skeleton.csv"\nframe = "kinect"\n'
-LEFT = '[camera.left]\nskeleton = "left.csv"\nframe = "optical"\ngravity = [0, 1, 0]\n'
-
-
-def test_a_recording_toml_may_have_several_cameras(tmp_path: Path) -> None:
-    write_folder(tmp_path, FIRST + LEFT)
-    recording = import_csv(tmp_path)
-    (left,) = recording.cameras
-    assert (left.name, left.camera_frame) == ("left", "optical")
-    np.testing.assert_allclose(left.gravity_hint, [0, 1, 0])  # type: ignore[arg-type]
-    apart = left.arm.position - recording.arm.position
-    np.testing.assert_allclose(apart[:, JOINTS.index("wrist"), 0], 0.5)
-    write_folder(tmp_path, LEFT)  # without a camera of its own the first named one is it
-    alone = import_csv(tmp_path)
-    assert not alone.cameras and alone.camera_frame == "optical"
-
-
-@pytest.mark.parametrize(
-    ("section", "words"),
-    [
-        ('[camera.left]\nframe = "kinect"\n', "names no skeleton"),
-        (LEFT.replace("[0, 1, 0]", "[0, 0, 0]"), r"\[camera.left\] gravity"),
-        (LEFT.replace("skeleton", "skelton"), "is not known here"),
-        (LEFT.replace("left.csv", "../left.csv"), "outside"),
-    ],
-)
-def test_what_is_wrong_with_a_further_camera_is_named(tmp_path: Path, section: str, words: str) -> None:
-    write_folder(tmp_path, FIRST + section)
-    with pytest.raises(UnoccludeError, match=words):
-        import_csv(tmp_path)
 
 
 def test_a_skeleton_option_may_name_its_camera(tmp_path: Path) -> None:

@@ -12,7 +12,7 @@ from made_recordings import make, plain_texts
 
 from smoother.errors import RecordingError
 from smoother.io import open_csv, read_recording, write_recording
-from smoother.recording import CameraFrame
+from smoother.recording import JOINTS, CameraFrame
 
 Folder = Callable[..., Path]
 
@@ -70,6 +70,26 @@ def test_several_bodies_and_sides(plain_folder: Folder) -> None:
         import_csv(folder)
 
 
+#: A further camera, whose skeleton's file is beside the first one's.
+LEFT = '[camera.left]\nskeleton = "left.csv"\nframe = "optical"\ngravity = [0, 1, 0]\n'
+
+
+def test_several_cameras(plain_folder: Folder) -> None:
+    texts = plain_texts()
+    head, *rows = (line.split(",") for line in texts["skeleton"].splitlines())
+    moved = [[*row[:2], str(float(row[2]) + 0.5) if row[2] else "", *row[3:]] for row in rows]
+    left_rows = "\n".join(",".join(row) for row in (head, *moved))
+    found = import_csv(plain_folder(recording=texts["recording"] + LEFT, left=left_rows))
+    (left,) = found.cameras
+    assert (left.name, left.camera_frame) == ("left", "optical")
+    np.testing.assert_allclose(left.gravity_hint, [0, 1, 0])  # type: ignore[arg-type]
+    apart = left.arm.position - found.arm.position
+    np.testing.assert_allclose(apart[found.arm.tracked("wrist"), JOINTS.index("wrist"), 0], 0.5)
+    others = texts["recording"][texts["recording"].index("[imu") :]
+    alone = import_csv(plain_folder(recording=LEFT + others))  # the first named one is the camera
+    assert not alone.cameras and alone.camera_frame == "optical"
+
+
 #: The file that is changed, what is changed in it to what, and what is said.
 WRONG = [
     ("recording", '"imu.csv"', '"no.csv"', r"no\.csv does not exist"),
@@ -80,6 +100,15 @@ WRONG = [
     ("recording", "gravity = [0, -2, 0]", "gravity = [0, 0]", r"camera\.gravity is"),
     ("recording", "[camera]", "[camera", "not readable TOML"),
     ("recording", 'file = "imu.csv"', 'file = "imu.csv"\ngyroscope_unit = "deg"', "gyroscope_unit is 'deg'"),
+    *(
+        ("recording", "[truth]", f"{section}[truth]", said)
+        for section, said in (
+            ('[camera.left]\nframe = "kinect"\n', "names no skeleton"),
+            (LEFT.replace("[0, 1, 0]", "[0, 0, 0]"), r"\[camera.left\] gravity"),
+            (LEFT.replace("skeleton", "skelton"), "is not known here"),
+            (LEFT.replace("left.csv", "../left.csv"), "outside"),
+        )
+    ),
     ("imu", "t_s,ax,ay", "t_s,ax,b", r"has no column 'ay' \(ay\); its columns are t_s, ax, b, az"),
     ("imu", "0.013000000,", "0.013000000,x", r"imu\.csv, line 3: 'x.* in column ax is not a number"),
     ("imu", "0.013000000,", "0.013000000,1,", r"imu\.csv, line 3: 8 cells where there are 7"),
@@ -94,7 +123,7 @@ def test_what_is_wrong_is_named(plain_folder: Folder, stem: str, old: str, new: 
     text = plain_texts()[stem]
     assert old in text
     with pytest.raises(RecordingError, match=said) as caught:
-        import_csv(plain_folder(**{stem: text.replace(old, new)}))
+        import_csv(plain_folder(**{"left": plain_texts()["skeleton"], stem: text.replace(old, new)}))
     assert "\n" not in str(caught.value)
 
 

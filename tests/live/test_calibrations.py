@@ -24,7 +24,6 @@ from smoother.live.calibrations import (
     RENEWED_S,
     RETRY_S,
     BackgroundCalibrator,
-    CalibrationJob,
     Calibrations,
     InlineCalibrator,
     LiveCalibration,
@@ -42,14 +41,14 @@ class AtOnce(InlineCalibrator):
     """Answers what it is told to, at the next question."""
 
     answers: list[LiveCalibration] = field(default_factory=list)
-    jobs: list[CalibrationJob] = field(default_factory=list)
+    jobs: list[tuple[Any, ...]] = field(default_factory=list)
     pending: bool = False
 
     @property
     def busy(self) -> bool:
         return self.pending
 
-    def submit(self, job: CalibrationJob) -> None:
+    def submit(self, *job: Any) -> None:
         self.jobs.append(job)
         self.pending = True
 
@@ -121,8 +120,8 @@ def test_what_does_not_work_leaves_the_last_one_and_its_clock() -> None:
     last = live.calibrations.last
     live.until(FIRST_S + RENEWED_S[0] + 1.5)
     first, second = live.calibrator.jobs
-    assert first.offset_s == pytest.approx(0.1 - USUAL_LATENCY_S, abs=1e-6)
-    assert second.offset_s == pytest.approx(0.3) == live.calibrations.offset_s
+    assert first[-1] == pytest.approx(0.1 - USUAL_LATENCY_S, abs=1e-6)
+    assert second[-1] == pytest.approx(0.3) == live.calibrations.offset_s
     assert live.calibrations.last is last
 
 
@@ -136,7 +135,7 @@ def test_a_clock_that_jumped_is_less_certain_and_asked_for_at_once() -> None:
 
 
 RECORDING = replace(simulated(3, 9.0, ()).recording, truth=None)
-JOB = CalibrationJob(RECORDING, ArmCalibration(side="right"), Config())
+JOB = RECORDING, ArmCalibration(side="right"), Config()
 
 
 def wait_for(calibrator: BackgroundCalibrator) -> LiveCalibration:
@@ -153,9 +152,9 @@ def test_the_background_answers_as_this_process_does():
     calibrator = BackgroundCalibrator()
     try:
         assert not calibrator.busy and calibrator.answer() is None
-        calibrator.submit(JOB)
+        calibrator.submit(*JOB)
         assert calibrator.busy
-        answer, here = wait_for(calibrator), calibrate_excerpts(JOB)
+        answer, here = wait_for(calibrator), calibrate_excerpts(*JOB)
         assert not calibrator.busy
     finally:
         calibrator.close()
@@ -174,9 +173,9 @@ def test_a_background_that_dies_while_it_answers(tmp_path: Path, monkeypatch: py
     monkeypatch.setattr(calibrations, "calibrate_excerpts", answer_half)
     calibrator = BackgroundCalibrator()
     try:
-        calibrator.submit(str(tmp_path / "a"))  # type: ignore[arg-type]
+        calibrator.submit(str(tmp_path / "a"))
         assert "started again" in wait_for(calibrator).reason
-        calibrator.submit(str(tmp_path / "a"))  # type: ignore[arg-type]
+        calibrator.submit(str(tmp_path / "a"))
         assert wait_for(calibrator) == "a"
     finally:
         calibrator.close()
@@ -184,13 +183,12 @@ def test_a_background_that_dies_while_it_answers(tmp_path: Path, monkeypatch: py
 
 def test_clocks_far_apart_are_brought_together_by_the_arrival():
     arm = replace(RECORDING.arm, t_s=RECORDING.arm.t_s + 1000.0)
-    job = JOB._replace(recording=replace(RECORDING, arm=arm), offset_s=-1000.1)
-    answer = calibrate_excerpts(job)
+    answer = calibrate_excerpts(replace(RECORDING, arm=arm), *JOB[1:], -1000.1)
     assert answer.model is not None
     assert answer.clock.mean_s == pytest.approx(-1000.02, abs=0.01)
 
 
 def test_what_does_not_suffice_is_said():
     hidden = RECORDING.arm.hide(np.ones(len(RECORDING.arm), bool))
-    answer = calibrate_excerpts(JOB._replace(recording=replace(RECORDING, arm=hidden)))
+    answer = calibrate_excerpts(replace(RECORDING, arm=hidden), *JOB[1:])
     assert answer.model is None and answer.reason
