@@ -230,7 +230,7 @@ def test_topics_and_columns(tmp_path):
 
     from smoother import read_recording
     from smoother.config import Config
-    from smoother.io.export.tables import file_columns
+    from smoother.io.export.prepare import file_columns
     from smoother.result import SegmentMotion, TrunkMotion
     from smoother.smoothing import smooth
 

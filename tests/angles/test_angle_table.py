@@ -18,7 +18,7 @@ from smoother.angles.definitions import arm_angles, forearm_axes, torso_axes, wr
 from smoother.angles.found import UPPER_ARM_SHARE, direction_variance
 from smoother.array_types import FloatArray
 from smoother.calibration import ArmCalibration, LeverArm, SegmentMounting
-from smoother.io.export.tables import export_csv
+from smoother.io.export.prepare import export_csv
 from smoother.linalg import unit
 from smoother.result import Estimates, Recovery, SegmentMotion, TrunkMotion
 

@@ -1,4 +1,4 @@
-"""Messages of an MCAP file by topic, as the mcap package and protobuf read them."""
+"""Messages and records of an MCAP file: by topic, as the mcap package and protobuf read them; by place."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import numpy as np
 from mcap.reader import make_reader
 
 from smoother.array_types import IntArray
-from smoother.io.mcap.container import Container
+from smoother.io.mcap.container import HEAD, MAGIC, Container
 from smoother.io.mcap.messages import McapMessage
 from smoother.io.wire.layout import Block, Grouper, MessageLayout
 from smoother.io.wire.schemas import message_class
@@ -38,3 +38,18 @@ def decoded(path: Path) -> dict[str, list[Any]]:
             one.ParseFromString(message.data)
             messages[channel.topic].append(one)
     return messages
+
+
+def places(data: bytes, opcode: int) -> list[int]:
+    """Where records of a kind begin at the top level."""
+    positions, position = [], len(MAGIC)
+    while position + HEAD.size <= len(data) - len(MAGIC):
+        kind, length = HEAD.unpack_from(data, position)
+        positions += [position] * (kind == opcode)
+        position += HEAD.size + length
+    return positions
+
+
+def put(data: bytes, at: int, value: bytes) -> bytes:
+    """A file with other bytes from a position on."""
+    return data[:at] + value + data[at + len(value) :]

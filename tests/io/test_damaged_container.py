@@ -21,7 +21,7 @@ from mcap.reader import make_reader
 from mcap.records import Message as McapMessage
 from mcap.stream_reader import StreamReader
 from mcap.writer import CompressionType, IndexType, Writer
-from mcap_records import places, put
+from mcap_messages import places, put
 
 from smoother.cli.run import run
 from smoother.io import open_recording

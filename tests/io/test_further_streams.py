@@ -25,7 +25,7 @@ from smoother.io import (
     write_recording,
     write_recovery,
 )
-from smoother.io.export.tables import export_csv
+from smoother.io.export.prepare import export_csv
 from smoother.io.recording.choose import choose_arms
 from smoother.io.recording.write import as_file
 from smoother.recording import FOREARM_JOINTS, ImuStream, JointState, Recording, TrunkSensors

@@ -15,14 +15,12 @@ import ros_bags as ros
 from made_recordings import make
 from made_results import ZERO, assert_same, recovery
 from mcap.reader import make_reader
-from mcap_messages import decoded
-from mcap_records import put
+from mcap_messages import decoded, put
 from results import made, read_mot
 
 from smoother.errors import RecordingError, UnoccludeError
 from smoother.io import open_recording, read_recording, read_recovery, write_recording, write_recovery
-from smoother.io.export.prepare import prepare_export
-from smoother.io.export.tables import export_csv
+from smoother.io.export.prepare import export_csv, prepare_export
 from smoother.io.mcap.container import Container
 from smoother.io.result.streams import ANSWER
 from smoother.result import Draws, Estimates, Pairing, Recovery, SelfCheck, UntrustedInterval

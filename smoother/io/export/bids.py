@@ -21,7 +21,7 @@ from ...linalg import median_rate_hz
 from ...recording import JOINTS, CameraFrame, JointState, Recording
 from ...result import Recovery
 from ...runtime.outputs import writing
-from .tables import file_columns, marks_of
+from .prepare import file_columns, marks_of
 
 BIDS_VERSION = "1.10.0"
 #: Sessions begin here: true dates say who a person is. Streams keep their distance from each other.

@@ -20,8 +20,7 @@ from ...recording import JOINTS, JointState
 from ...result import Recovery
 from ...result.untrusted import untrusted_sentences
 from ...runtime.outputs import writing
-from .prepare import Export, Grid, at_grid, constant_step
-from .tables import marks_of, write_rows
+from .prepare import Export, Grid, at_grid, constant_step, marks_of, write_rows
 
 #: Millimetres in the file, with this many decimals: a nanometre.
 UNIT, PER_METRE, DECIMALS = "mm", 1000.0, 6

@@ -14,8 +14,7 @@ from ...result import Recovery
 from ...result.untrusted import untrusted_sentences
 from ...rotation import Rotation
 from .markers import level_note, opensim_axes
-from .prepare import Export, Grid, at_grid, constant_step, unbroken
-from .tables import marks_of, write_rows
+from .prepare import Export, Grid, at_grid, constant_step, marks_of, unbroken, write_rows
 
 
 def prepare_mot(recovery: Recovery, rate_hz: float | None = None) -> Export:
