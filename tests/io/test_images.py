@@ -15,7 +15,7 @@ from smoother.errors import CalibrationError, RecordingError
 from smoother.io.mcap.merge import Output, OutputStream
 from smoother.io.rig import panel as panel_files
 from smoother.io.rig.clock import read_sound
-from smoother.io.rig.images import ImageMessage, LensMessage, raw_image, read_images
+from smoother.io.rig.images import ImageMessage, raw_image, read_images, serialized
 from smoother.io.rig.panel import read_pairs
 from smoother.io.rig.strap import check_images
 from smoother.io.wire.schemas import message_class
@@ -54,25 +54,33 @@ def info(ns: int, model: str, d: list[float]) -> dict:
     return {"header": ros_bags.header(ns, "depth_camera"), "height": 6, "width": 5, **names}
 
 
+def png(ns: int, frame: str, data: bytes) -> dict:
+    return {"header": ros_bags.header(ns, frame), "format": "png", "data": data}
+
+
+DEFINITIONS = {"Image": ros_bags.IMAGE, "CompressedImage": COMPRESSED, "CameraInfo": CAMERA_INFO}
+
+
+def written(path: Path, *messages: tuple[str, str, dict, int]) -> Path:
+    """A bag of messages: topic, kind, message and log time."""
+    with ros_bags.Bag(path) as bag:
+        for topic, kind, message, log_ns in messages:
+            bag.write(topic, f"sensor_msgs/msg/{kind}", DEFINITIONS[kind], message, log_ns)
+    return path
+
+
 @pytest.mark.parametrize(("big", "pad"), [(False, 0), (True, 0), (False, 6)])
 def test_ros_images_come_back(tmp_path: Path, big: bool, pad: int):
     depth, infrared = pictures()
-    path = tmp_path / "ros.mcap"
-    with ros_bags.Bag(path) as bag:
-        for k in range(3):  # three frames of one pose
-            ns = 5_000_000_000 + k * 33_000_000
-            image = raw(ns, "depth_camera", depth + k, "16UC1", big, pad)
-            bag.write("/depth/image_raw", "sensor_msgs/msg/Image", ros_bags.IMAGE, image, ns)
-            _, packed = cv2.imencode(".png", infrared)
-            message = {
-                "header": ros_bags.header(ns + 5_000_000, "ir"),
-                "format": "png",
-                "data": packed.tobytes(),
-            }
-            bag.write("/ir/compressed", "sensor_msgs/msg/CompressedImage", COMPRESSED, message, ns)
-        lens = info(5_000_000_000, "rational_polynomial", [0.1, -0.2, 0.001, 0.002, 0.05, 0.0, 0.0, 0.0])
-        bag.write("/depth/camera_info", "sensor_msgs/msg/CameraInfo", CAMERA_INFO, lens, 5_000_000_000)
-    ((first, second),), camera = read_pairs(path)
+    packed = cv2.imencode(".png", infrared)[1].tobytes()
+    lens = info(5_000_000_000, "rational_polynomial", [0.1, -0.2, 0.001, 0.002, 0.05, 0.0, 0.0, 0.0])
+    messages = [("/depth/camera_info", "CameraInfo", lens, 5_000_000_000)]
+    for k in range(3):  # three frames of one pose
+        ns = 5_000_000_000 + k * 33_000_000
+        image = raw(ns, "depth_camera", depth + k, "16UC1", big, pad)
+        messages.append(("/depth/image_raw", "Image", image, ns))
+        messages.append(("/ir/compressed", "CompressedImage", png(ns + 5_000_000, "ir", packed), ns))
+    ((first, second),), camera = read_pairs(written(tmp_path / "ros.mcap", *messages))
     np.testing.assert_array_equal(first.pixels(), depth + 1)  # the middle one
     np.testing.assert_array_equal(second.pixels(), infrared)
     assert (first.stamp_ns, first.frame_id) == (5_033_000_000, "depth_camera")
@@ -82,50 +90,32 @@ def test_ros_images_come_back(tmp_path: Path, big: bool, pad: int):
 
 def test_foxglove_compressed_images_come_back(tmp_path: Path):
     depth, _ = pictures()
-    path = tmp_path / "foxglove.mcap"
     _, packed = cv2.imencode(".png", depth)
-    message = message_class("foxglove.CompressedImage")(frame_id="c", format="png", data=packed.tobytes())
-    message.timestamp.FromNanoseconds(7)
-    with writing(path) as temporary, Output(temporary) as output:
-        channel = output.channel("/depth", "foxglove.CompressedImage")
-        output.write([OutputStream(channel, np.array([7]), lambda part: [message.SerializeToString()])])
-    (image,) = read_images(path)
+    message = serialized("foxglove.CompressedImage", 7, frame_id="c", format="png", data=packed.tobytes())
+    with writing(tmp_path / "a.mcap") as temporary, Output(temporary) as output:
+        output.write([output.each("/depth", "foxglove.CompressedImage", np.array([7]), lambda _: message)])
+    (image,) = read_images(tmp_path / "a.mcap")
     assert isinstance(image, ImageMessage) and image.stamp_ns == 7
     np.testing.assert_array_equal(image.pixels(), depth)
 
 
 def test_what_cannot_be_read_is_told(tmp_path: Path):
-    depth, _ = pictures()
-    path = tmp_path / "odd.mcap"
-    with ros_bags.Bag(path) as bag:
-        image = raw(1, "c", depth, "bayer_rggb16")
-        bag.write("/depth", "sensor_msgs/msg/Image", ros_bags.IMAGE, image, 1)
-        message = {"header": ros_bags.header(2, "c"), "format": "png", "data": b"nothing"}
-        bag.write("/infrared", "sensor_msgs/msg/CompressedImage", COMPRESSED, message, 2)
-    images = [image for image in read_images(path) if not isinstance(image, LensMessage)]
-    for image in images:
+    depth, infrared = pictures()
+    odd = ("/depth", "Image", raw(1, "c", depth, "bayer_rggb16"), 1)
+    broken = ("/infrared", "CompressedImage", png(2, "c", b"nothing"), 2)
+    for image in read_images(written(tmp_path / "odd.mcap", odd, broken)):
+        assert isinstance(image, ImageMessage)
         with pytest.raises(RecordingError, match="cannot be read"):
             image.pixels()
-    lens = tmp_path / "fisheye.mcap"
-    with ros_bags.Bag(lens) as bag:
-        bag.write("/i", "sensor_msgs/msg/CameraInfo", CAMERA_INFO, info(1, "equidistant", [0.1] * 4), 1)
+    fisheye = ("/i", "CameraInfo", info(1, "equidistant", [0.1] * 4), 1)
     with pytest.raises(RecordingError, match="equidistant"):
-        list(read_images(lens))
-
-
-def test_pairs_need_both_images_at_one_time(tmp_path: Path):
-    depth, infrared = pictures()
-    path = tmp_path / "apart.mcap"
-    with ros_bags.Bag(path) as bag:
-        bag.write("/depth", "sensor_msgs/msg/Image", ros_bags.IMAGE, raw(1, "c", depth, "16UC1"), 1)
+        list(read_images(written(tmp_path / "fisheye.mcap", fisheye)))
+    alone = ("/depth", "Image", raw(1, "c", depth, "16UC1"), 1)
     with pytest.raises(RecordingError, match="no infrared images"):
-        read_pairs(path)
-    with ros_bags.Bag(path) as bag:
-        bag.write("/depth", "sensor_msgs/msg/Image", ros_bags.IMAGE, raw(1, "c", depth, "16UC1"), 1)
-        late = raw(1_000_000_000, "c", infrared, "mono16")
-        bag.write("/infrared", "sensor_msgs/msg/Image", ros_bags.IMAGE, late, 2)
+        read_pairs(written(tmp_path / "alone.mcap", alone))
+    late = ("/infrared", "Image", raw(1_000_000_000, "c", infrared, "mono16"), 2)
     with pytest.raises(RecordingError, match="no stamps in common"):
-        read_pairs(path)
+        read_pairs(written(tmp_path / "apart.mcap", alone, late))
 
 
 def test_a_damaged_message_of_an_image_or_of_sound_is_left_out_and_told(tmp_path: Path):
