@@ -14,7 +14,6 @@ from hypothesis.extra import numpy as arrays
 from made_results import assert_same, recovery
 
 from smoother.io import read_recovery, write_recovery
-from smoother.io.export.markers import write_c3d, write_trc
 from smoother.io.export.prepare import METADATA_KEY, export_csv, export_parquet, file_columns
 from smoother.io.mcap.merge import repair_container
 from smoother.io.mcap.messages import nanoseconds
