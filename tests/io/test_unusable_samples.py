@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import struct
-import zlib
 from dataclasses import replace
 from pathlib import Path
 
@@ -12,7 +10,6 @@ import pytest
 from made_recordings import make
 
 from calib.file import read_calibration
-from calib.images import unpacked
 from smoother.errors import CalibrationError, RecordingError
 from smoother.io import read_recording
 from smoother.io.recording.clean import clean_arm, clean_imu, unusable_samples
@@ -151,25 +148,3 @@ def test_a_calibration_that_cannot_be(tmp_path: Path, text: str, said: str):
     with pytest.raises(CalibrationError, match=said) as caught:
         read_calibration(path)
     assert "\n" not in str(caught.value) and len(str(caught.value)) < 500
-
-
-def png(width: int, height: int) -> bytes:
-    def chunk(name: bytes, data: bytes) -> bytes:
-        return struct.pack(">I", len(data)) + name + data + struct.pack(">I", zlib.crc32(name + data))
-
-    head = struct.pack(">IIBBBBB", width, height, 8, 0, 0, 0, 0)
-    return (
-        b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", head) + chunk(b"IDAT", zlib.compress(b"")) + chunk(b"IEND", b"")
-    )
-
-
-def test_an_image_that_is_too_large_or_broken():
-    import cv2
-
-    pixels = np.arange(48 * 64, dtype=np.uint8).reshape(48, 64)
-    whole, jpeg = (cv2.imencode(end, pixels)[1].tobytes() for end in (".png", ".jpg"))
-    np.testing.assert_array_equal(unpacked(whole), pixels)
-    assert unpacked(jpeg).shape == (48, 64)
-    for data in (png(60_000, 60_000), b"GIF89a", b"", whole[:20], jpeg[:40]):
-        with pytest.raises(ValueError, match=r"breaks off|damaged|neither"):
-            unpacked(data)

@@ -252,20 +252,17 @@ def _raw(
     path: Path, t_s: FloatArray, poses: list[Persons], numbers: list[list[int]], seen: list[int]
 ) -> RawSkeleton:
     """A row a picture and person, as a file of world landmarks has them; one too where no person is seen."""
-    rows: list[tuple[float, float, FloatArray]] = []
-    nothing = np.full((len(BLAZEPOSE), 4), np.nan)
-    for t, frame, mine in zip(t_s, poses, numbers, strict=True):
-        here = [
-            (t, float(seen.index(who)), pose[:, :4])
-            for pose, who in zip(frame, mine, strict=True)
-            if who in seen
-        ]
-        rows += sorted(here, key=lambda row: row[1]) or [(t, np.nan, nothing)]
-    table = np.stack([world for _, _, world in rows])
-    raw = RawSkeleton(path, time_unit="s")
-    raw.time, raw.body = np.array([row[0] for row in rows]), np.array([row[1] for row in rows])
+    frame = np.repeat(np.arange(len(poses)), [len(mine) for mine in numbers])
+    rank = dict(zip(seen, range(len(seen)), strict=True))
+    body = np.array([rank.get(who, np.nan) for mine in (*numbers, [-1]) for who in mine])
+    world = np.concatenate([*poses, np.full((1, len(BLAZEPOSE), 6), np.nan)])  # the last one is nobody's
+    rows = np.flatnonzero(np.isfinite(body))
+    nobody = np.setdiff1d(np.arange(len(poses)), frame[rows])
+    frame, rows = np.append(frame[rows], nobody), np.append(rows, np.full(len(nobody), -1))
+    order = np.lexsort((body[rows], frame))
+    raw = RawSkeleton(path, time=t_s[frame[order]], time_unit="s", body=body[rows[order]])
     for at, name in enumerate(BLAZEPOSE):
-        raw.add(name, table[:, at])
+        raw.add(name, world[rows[order], at, :4])
     return raw
 
 

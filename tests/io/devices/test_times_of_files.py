@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
-from imu_files import motion
+from imu_files import motion, rows
 
 from smoother.errors import RecordingError
 from smoother.io.recording.clean import clean_imu
@@ -23,39 +23,26 @@ UNIX_S = 1.7e9
 FILETIME, DOTNET = 116_444_736_000_000_000, 621_355_968_000_000_000
 
 
-@dataclass
-class Read:
-    """Times of a file, corrected, and what was said."""
-
-    t_s: np.ndarray
-    notes: str
-
-
-def _table(path: Path, names: str, columns: tuple[np.ndarray, ...], stamps: list[str], name: str) -> Path:
-    rows = [
-        ",".join([stamp, *(f"{one:.5f}" for one in row)])
-        for stamp, row in zip(stamps, np.stack(columns, axis=1), strict=True)
-    ]
-    path.write_text("\n".join([f"{name},{names}", *rows]) + "\n", encoding="utf-8")
-    return path
-
-
-def imu(path: Path, stamps: list[str], name: str) -> Read:
-    table = _table(path, "acc_x,acc_y,acc_z,gyr_x,gyr_y,gyr_z", (*ACC.T, *GYRO.T), stamps, name)
+def _read(path: Path, kind: str, names: list[str], columns: np.ndarray, stamps: list[str]) -> Any:
+    """A file's one stream, its times corrected."""
+    lines = [",".join(cells) for cells in zip(stamps, rows(columns, form="{:.5f}"), strict=True)]
+    path.write_text("\n".join([",".join(names), *lines]) + "\n", encoding="utf-8")
     reader = FileReader()
-    one = repaired_imu(reader.read(table, reader.format_of(table, "imu"))[0], str(path))  # type: ignore[arg-type]
-    return Read(one.t_s, " ".join(one.notes))  # type: ignore[arg-type]
+    (one,) = reader.read(path, reader.format_of(path, kind))
+    return repaired_imu(one, str(path)) if isinstance(one, ImuTable) else repaired_skeleton(one, str(path))
 
 
-def skeleton(path: Path, stamps: list[str], name: str) -> Read:
+def imu(path: Path, stamps: list[str], name: str) -> Any:
+    names = [f"{kind}_{axis}" for kind in ("acc", "gyr") for axis in "xyz"]
+    return _read(path, "imu", [name, *names], np.hstack([ACC, GYRO]), stamps)
+
+
+def skeleton(path: Path, stamps: list[str], name: str) -> Any:
     wave = 0.1 * np.sin(np.arange(len(stamps)) / 20.0)
-    places = (("shoulder", 0.0), ("elbow", -0.3), ("wrist", -0.55))
-    names = ",".join(f"right_{joint}_{axis}" for joint, _ in places for axis in "xyz")
-    columns = tuple(c for _, y in places for c in (y * np.sin(wave), y * np.cos(wave), 2.0 + 0 * wave))
-    table = _table(path, names, columns, stamps, name)
-    reader = FileReader()
-    one = repaired_skeleton(reader.read(table, reader.format_of(table, "skeleton"))[0], str(path))  # type: ignore[arg-type]
-    return Read(one.t_s, " ".join(one.notes))  # type: ignore[arg-type]
+    places = {"shoulder": 0.0, "elbow": -0.3, "wrist": -0.55}
+    names = [f"right_{joint}_{axis}" for joint in places for axis in "xyz"]
+    columns = [c for y in places.values() for c in (y * np.sin(wave), y * np.cos(wave), 2.0 + 0 * wave)]
+    return _read(path, "skeleton", [name, *names], np.stack(columns, axis=1), stamps)
 
 
 READERS = ((imu, 80.0), (skeleton, 30.0))
@@ -73,14 +60,14 @@ def counted(rate: float, per_s: float, start: int) -> list[str]:
 )
 @pytest.mark.parametrize("name", ["timestamp", "TimeSpan", "hostTime", "captured_at", "epoch", "my_own_name"])
 def test_units_by_rate_and_date(
-    tmp_path: Path, read: Callable[..., Read], rate: float, per_s: float, start: int, name: str
+    tmp_path: Path, read: Callable[..., Any], rate: float, per_s: float, start: int, name: str
 ) -> None:
     for one in (rate, 25.0):
         found = read(tmp_path / "a.csv", counted(one, per_s, start), name)
         assert 1 / np.diff(found.t_s).mean() == pytest.approx(one, rel=2e-3)
         assert found.t_s[0] == pytest.approx(UNIX_S, abs=0.1)
     if name == "my_own_name":
-        assert "my_own_name was taken for the time" in found.notes
+        assert "my_own_name was taken for the time" in " ".join(found.notes)
 
 
 @pytest.mark.parametrize(
@@ -91,7 +78,7 @@ def test_units_by_rate_and_date(
     ],
 )
 def test_what_is_not_certain_is_refused_by_name(
-    tmp_path: Path, read: Callable[..., Read], stamps: list[str]
+    tmp_path: Path, read: Callable[..., Any], stamps: list[str]
 ) -> None:
     with pytest.raises(RecordingError, match=r"column odd rises.*call it time_s"):
         read(tmp_path / "a.csv", stamps, "odd")
@@ -101,7 +88,7 @@ def test_what_is_not_certain_is_refused_by_name(
 
 def test_a_counter_is_no_time(tmp_path: Path) -> None:
     found = skeleton(tmp_path / "a.csv", [str(at) for at in range(ROWS)], "packet_no")
-    assert "packet_no counts rows" in found.notes and "assumed 30 frames" in found.notes
+    assert "packet_no counts rows" in " ".join(found.notes) and "assumed 30 frames" in " ".join(found.notes)
     with pytest.raises(RecordingError, match=r"no column of times.*packet_no"):
         imu(tmp_path / "a.csv", [str(at) for at in range(ROWS)], "packet_no")
 
@@ -120,13 +107,13 @@ def test_a_counter_is_no_time(tmp_path: Path) -> None:
     ],
 )
 def test_clocks_that_stray_or_leap(
-    tmp_path: Path, read: Callable[..., Read], rate: float, rows: slice, by_s: float, says: str
+    tmp_path: Path, read: Callable[..., Any], rate: float, rows: slice, by_s: float, says: str
 ) -> None:
     t = np.arange(ROWS) / rate
     stamp = UNIX_S + t
     stamp[rows] += by_s
     found = read(tmp_path / "a.csv", [f"{one:.6f}" for one in stamp], "timestamp")
-    assert says in found.notes
+    assert says in " ".join(found.notes)
     if says == "left out":
         assert len(found.t_s) == 300
     elif "pause" not in says:
