@@ -405,8 +405,3 @@ def read_exact(
             line = table.line(int(np.argmax(missing_at)))
             raise RecordingError(f"{path}, line {line}: {table.name(at)} is empty; correct the cell.")
     return numbers, texts
-
-
-def stacked(columns: dict[str, FloatArray], *names: str) -> FloatArray:
-    """Columns side by side, (n, number of names)."""
-    return np.stack([columns[name] for name in names], axis=1)

@@ -272,10 +272,6 @@ _LOGGED = (((_RAW,), _GYRO), ((_USER, _GRAVITY), _RATE), ((_RAW,), _RATE), ((_US
 _LOGGED_TIMES = ("loggingtime", "timestamp", "time", "locationtimestamp_since1970")
 
 
-def _is_sensorlog(table: DeviceTable) -> bool:
-    return any(table.axes(stem) is not None for stem in (_RAW, _USER, _GYRO, _RATE))
-
-
 def _read_sensorlog(table: DeviceTable, device: Device) -> list[ImuTable]:
     """Raw accelerometer and gyroscope, else Core Motion's; the sign of gravity is turned to specific force.
 
@@ -524,7 +520,7 @@ IMU_FORMATS = tuple(
             "sensorlog",
             "SensorLog CSV (iPhone, Apple Watch)",
             "columns such as accelerometerAccelerationX(G), gyroRotationX(rad/s), motionRotationRateX(rad/s)",
-            _is_sensorlog,
+            lambda table: any(table.axes(stem) is not None for stem in (_RAW, _USER, _GYRO, _RATE)),
             read=_read_sensorlog,
         ),
         Device(

@@ -19,7 +19,7 @@ from ...array_types import FloatArray
 from ...errors import RecordingError
 from ...recording import CameraFrame
 from ...runtime.inputs import check_input, crashes_in_subprocess
-from .columns import read_exact, stacked
+from .columns import read_exact
 from .joints import JointName, joint_name
 from .skeletons import Conventions, RawSkeleton, SkeletonTable, require_arm, without_origin
 from .table import DeviceTable, FileHead, Format, file_text, shown, split_line
@@ -275,7 +275,7 @@ def read_positions(path: str | os.PathLike[str]) -> dict[str, FloatArray]:
     if path.suffix.lower() in MARKER_FORMATS:
         return _still(read_markers(path))
     numbers, words = read_exact(path, ["marker", *"xyz"], words=["marker"], empty=[*"xyz"])
-    rows = stacked(numbers, *"xyz")
+    rows = np.stack([numbers[axis] for axis in "xyz"], axis=1)
     names, _ = _told_apart(words["marker"], path)
     known = np.asarray(np.isfinite(rows).all(axis=1), bool)
     if not known.any():

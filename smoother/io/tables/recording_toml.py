@@ -43,7 +43,6 @@ from .columns import (
     read_imu_columns,
     read_keypoint_columns,
     read_skeleton_columns,
-    stacked,
 )
 from .imu import ImuTable, paired
 from .skeletons import SkeletonTable
@@ -401,9 +400,10 @@ def read_pose_table(path: Path) -> PoseSamples:
     """Read poses from `t_s, x, y, z [, qw, qx, qy, qz]`; errors as in `read_exact`."""
     turn = ("qw", "qx", "qy", "qz")
     columns, _ = read_exact(path, ("t_s", "x", "y", "z"), turn, empty=("x", "y", "z", *turn))
-    position, t_s = stacked(columns, *"xyz"), columns["t_s"]
+    position, t_s = np.stack([columns[axis] for axis in "xyz"], axis=1), columns["t_s"]
     whole = set(turn) <= columns.keys()
-    quaternion = stacked(columns, *turn) if whole else np.full((len(position), 4), np.nan)
+    parts = [columns[part] if whole else np.full(len(position), np.nan) for part in turn]
+    quaternion = np.stack(parts, axis=1)
     if len(row := np.flatnonzero(~(np.abs(t_s) < _LAST_S))):
         raise RecordingError(
             f"{path}: t_s is {t_s[row[0]]} in row {row[0] + 1}, which is not a time in seconds; correct it."

@@ -273,7 +273,7 @@ class RawSkeleton:
     def landmarks(self, world: bool, normalised: bool = False) -> list[SkeletonTable]:
         """Skeletons of BlazePose's landmarks: about the hips in metres, or a room's (FreeMoCap)."""
         fits, is_about_hips = unit_by_arm(self.position), self.is_about_hips()
-        in_room = replace(LANDMARKS, unit="", frame=None, relative=False)
+        in_room = Conventions(states="share")
         if not world and fits is not None and fits[0] in ("mm", "cm") and not normalised:
             return self.skeletons(in_room)
         if normalised or (not is_about_hips and (self._in_image() or (fits is None and not world))):

@@ -25,7 +25,7 @@ from ...array_types import BoolArray, FloatArray
 from ...errors import RecordingError, UnoccludeError
 from ...runtime.inputs import check_input, marked_encoding
 from ...runtime.packages import extra_module
-from .units import is_unit, split_unit
+from .units import UNITS, plain_unit, split_unit
 
 if TYPE_CHECKING:
     from .imu import ImuTable
@@ -601,24 +601,20 @@ def _header(rows: dict[int, list[str]], above: list[tuple[int, list[str]]], widt
     headers = [at for at, cells in above if _is_header(cells, width) and not _is_units_line(cells)]
     units = -1
     for at, cells in above if len(above) > 1 else ():
+        filled = [cell for cell in cells if cell]
         if _is_units_line(cells):
             is_blank = units >= 0 and all(cell.lower() in _NO_UNIT for cell in rows[units])
             units = at if units < 0 or is_blank else units
-        elif at not in headers or not (_repeats(cells) and at != headers[-1]):
+        elif not (at in headers[:-1] and len(filled) >= 4 and 2 * len(set(filled)) <= len(filled)):
             return (at if at in headers else -1), units
     if units >= 0 or not above:
         return -1, units
     return (above[0][0] if _is_header(above[0][1], width) else -1), -1
 
 
-def _repeats(cells: list[str]) -> bool:
-    filled = [cell for cell in cells if cell]
-    return len(filled) >= 4 and 2 * len(set(filled)) <= len(filled)
-
-
 def _is_units_line(cells: list[str]) -> bool:
     filled = [cell for cell in cells if cell]
-    return bool(filled) and sum(map(is_unit, filled)) > len(filled) / 2
+    return bool(filled) and sum(plain_unit(cell) in UNITS for cell in filled) > len(filled) / 2
 
 
 def _is_header(cells: list[str], width: int) -> bool:

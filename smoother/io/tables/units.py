@@ -59,7 +59,8 @@ _OTHERS = _factors(
     place=(1.0, "m mm cm deg degree degrees rad radians quaternion"),
     none=(1.0, "no_units nounits counts count lsb raw adc unitless none n/a - yyyy-mm-dd hh:mm:ss"),
 )
-_UNITS = frozenset((*ACCELERATION, *ANGULAR_VELOCITY, *TIME, *_OTHERS))
+#: Every unit that a cell may hold, in its plain form.
+UNITS = frozenset((*ACCELERATION, *ANGULAR_VELOCITY, *TIME, *_OTHERS))
 _BRACKETED = re.compile(r"\s*[\(\[]([^()\[\]]*(?:\([^()]*\))?[^()\[\]]*)[\)\]]\s*$")
 #: Units that are spelled behind a name: acc_x_mps2, gyro_x_dps, time_ms.
 _SPELLED = re.compile(
@@ -79,11 +80,6 @@ def plain_unit(text: str) -> str:
     for sign, plain in (("²", "^2"), ("µ", "u"), ("μ", "u"), ("°", "deg"), ("⁻¹", "^-1"), (" ", "")):
         unit = unit.replace(sign, plain)
     return re.sub(r"/sec(onds?)?\b", "/s", unit)
-
-
-def is_unit(text: str) -> bool:
-    """Whether a cell holds nothing but a unit."""
-    return plain_unit(text) in _UNITS
 
 
 def split_unit(name: str) -> tuple[str, str]:
