@@ -231,18 +231,26 @@ def _add_shoulder(built: WindowGraph, window: Window) -> None:
         built.add("length", "upper_arm", lengths, 1, nodes)
 
 
+#: The upper arm's length, as the skeleton has it, is off alike in postures that the forearm turns between by
+#: less than about this, rad.
+SAME_POSTURE = np.radians(10.0)
+
+
 def upper_arm_sigmas(window: Window) -> FloatArray:
     """How far from constant the upper arm's length is at the shoulder's knots (k,), m.
 
-    In a posture that is held it is off by the same all the time: its knots count as one.
+    In one posture it is off by the same all the time: the knots of a gap that show it count as one.
     """
     assert window.shoulder is not None
-    at_rest = np.zeros(len(window.t), dtype=bool)
-    at_rest[window.still] = True
-    nodes = np.asarray(window.shoulder.node)
+    in_gap = np.isfinite(window.velocity_change)
+    nodes, R = np.asarray(window.shoulder.node), window.forearm.start.R
     sigma = np.full(len(nodes), window.noise.upper_arm_sigma_m)
-    for held in runs(at_rest[nodes]):
-        sigma[held] *= np.sqrt(held.stop - held.start)
+    for gap in runs(in_gap):
+        inside = (nodes >= gap.start) & (nodes <= gap.stop)
+        flat = R[nodes[inside]].reshape(-1, 9)
+        half_turn = np.clip((3.0 - flat @ flat.T) / 4.0, 0.0, 1.0)  # sin^2 of half of the angle between
+        alike = np.exp(-2.0 * half_turn / SAME_POSTURE**2)
+        sigma[inside] *= np.sqrt(alike.sum(axis=1))
     return sigma
 
 

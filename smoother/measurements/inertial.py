@@ -247,8 +247,8 @@ def _moments_around(
 
 
 #: A sensor is still where over this long on both sides of a moment, s, its specific force varies by less than
-#: the first, m/s^2, and it turns by less than the second, rad/s, on average: a person's arm that moves at all
-#: turns, and trembles more.
+#: the first, m/s^2, and it turns by less than the second, rad/s rms: a person's arm that moves at all
+#: turns, and trembles more; on average a sway, which turns back twice a period, passes for rest.
 STILL_HALF_S, STILL_FORCE, STILL_RATE = 0.5, 0.1, 0.03
 
 
@@ -258,9 +258,10 @@ def is_still(signal: InertialSignal, attitude: InertialAttitude, t: FloatArray) 
     if len(edges) < 2:
         return np.zeros(len(t), dtype=bool)
     values = signal.means(edges) - np.concatenate([np.zeros(3), attitude.gyroscope_bias])
-    mean, variance = _moments_around(edges, values, t, STILL_HALF_S)
-    turning = np.linalg.norm(mean[:, 3:], axis=1)
-    return np.asarray((variance < 3.0 * STILL_FORCE**2) & (turning < STILL_RATE))
+    _, force = _moments_around(edges, values, t, STILL_HALF_S)
+    rate, turning = _moments_around(edges, values[:, 3:], t, STILL_HALF_S)
+    turning = turning + np.sum(rate**2, axis=1)
+    return np.asarray((force < 3.0 * STILL_FORCE**2) & (turning < STILL_RATE**2))
 
 
 def acceleration_std(signal: InertialSignal, attitude: InertialAttitude, t: FloatArray) -> FloatArray:

@@ -15,12 +15,14 @@ from ..rotation import Rotation
 from ..selfcal.self_calibration import SelfCalibration
 from ..splines import PiecewiseCubic, natural_spline
 from ..window.draw_plan import DrawPlan, root_of
+from ..window.problem import States
 from ..window.shared import SharedLayout
 from ..window.solution import SegmentSolution, Solution, WindowDraws
 from .samples import (
     IMU_DELAY_S,
     LINEAR_RAD,
     SectionAnswer,
+    Swing,
     large_rotation_uncertainty,
     moves_by,
     turning,
@@ -55,6 +57,8 @@ def sample_draws(
     r = natural_spline(nodes, rotations)(inside).reshape(len(t), -1, 3)
     # 2. Angles that are hardly known, widened as the covariance is, and positions by what depends on them.
     p, r = _widened(p, r, solution.forearm.pose_covariance_at(t))
+    if (swing := Swing.of(solution, States(R, answer.motion["position"][samples], v), t)) is not None:
+        p = swing.moved(p, r)
     # 3. A clock that is off by a moment moves the whole path along itself; an IMU that is late shows the pose
     #    of a moment ago.
     delay = IMU_DELAY_S * plan.once("delay", 1)

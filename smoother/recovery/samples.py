@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from ..array_types import BoolArray, FloatArray, IntArray
 from ..body import FOREARM, FURTHER, SEGMENTS, segment_of
 from ..calibration import ArmCalibration, LeverArm, SegmentMounting
-from ..linalg import interpolate, rotate_covariance, unit
+from ..linalg import interpolate, rotate_covariance, skew, unit
 from ..measurements.alignment import located
 from ..measurements.clock import Clock
 from ..measurements.inertial import InertialSignal
@@ -149,6 +149,8 @@ def poses_at(
     """States at times (n,) on the IMU's clock, and the pose's covariance (n, 6, 6) there."""
     states = at_times(solution.forearm, signal, t)
     pose = widen_turns(solution.forearm.pose_covariance_at(t))
+    if (swing := Swing.of(solution, states, t)) is not None:
+        pose[:, :3, :3] += swing.variance(pose)
     # a clock that is off by a moment moves the whole path along itself
     pose[:, :3, :3] += clock.local_sigma_s**2 * states.v[:, :, None] * states.v[:, None, :]
     # an IMU that is late shows the pose of a moment ago
@@ -184,6 +186,48 @@ def widen_turns(pose_covariance: FloatArray) -> FloatArray:
     widened = pose_covariance.copy()
     widened[wide.rows] += rotate_covariance(follows, more)
     return widened
+
+
+@dataclass(frozen=True)
+class Swing:
+    """An elbow on the sphere about its shoulder: what a large error across the upper arm adds along it."""
+
+    along: FloatArray  # (n, 3): from shoulder to elbow
+    length_m: float
+    lever: FloatArray  # (n, 3) m: from the IMU to the elbow, in {K}
+
+    @classmethod
+    def of(cls, solution: Solution, states: States, t: FloatArray) -> Swing | None:
+        """With the forearm's states at times (n,); None without a shoulder, or if IMUs show the way to it."""
+        chain = any(SEGMENTS[body.segment].carries_parent for body in solution.bodies[1:])
+        if solution.shoulder is None or "elbow" not in solution.levers or chain:
+            return None
+        lever = states.R @ solution.levers["elbow"]
+        arm = states.p + lever - interpolate(solution.t, solution.shoulder, t)
+        length_m = float(np.median(np.linalg.norm(arm, axis=1)))
+        return cls(unit(arm), length_m, lever)
+
+    def variance(self, pose_covariance: FloatArray) -> FloatArray:
+        """What linear covariances (n, 6, 6) of the pose lack along the upper arm, (n, 3, 3) m^2.
+
+        An error t across moves the elbow by L (1 - cos(t / L)) along: t^2 / (2 L) at first, and 4/3 L^2 is
+        the mean square over the whole sphere.
+        """
+        follows = np.concatenate([np.tile(np.eye(3), (len(self.lever), 1, 1)), -skew(self.lever)], axis=2)
+        across = np.eye(3) - self.along[:, :, None] * self.along[:, None, :]
+        elbow = rotate_covariance(across @ follows, pose_covariance)
+        square = 2.0 * np.einsum("nij,nji->n", elbow, elbow) + np.trace(elbow, axis1=1, axis2=2) ** 2
+        square /= 4.0 * self.length_m**2
+        square /= 1.0 + square / (4.0 / 3.0 * self.length_m**2)
+        return np.asarray(square[:, None, None] * self.along[:, :, None] * self.along[:, None, :])
+
+    def moved(self, position: FloatArray, rotation: FloatArray) -> FloatArray:
+        """Drawn errors (n, k, 3) m of the position with what they and turns (n, k, 3) add along."""
+        along = self.along[:, None]
+        elbow = position + np.cross(rotation, self.lever[:, None])
+        elbow -= np.sum(elbow * along, axis=2, keepdims=True) * along
+        angle = np.minimum(np.linalg.norm(elbow, axis=2, keepdims=True) / self.length_m, np.pi)
+        return np.asarray(position - self.length_m * (1.0 - np.cos(angle)) * along)
 
 
 @dataclass(frozen=True)

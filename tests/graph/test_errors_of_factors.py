@@ -15,7 +15,7 @@ from small_window import BIAS_LENGTH_S, LEVERS, UPPER_FIRST, UPPER_NODES, small_
 
 import smoother.graph.build
 from smoother.array_types import FloatArray
-from smoother.graph.build import MOST_BIASES, bias_of_intervals, build
+from smoother.graph.build import MOST_BIASES, bias_of_intervals, build, upper_arm_sigmas
 from smoother.graph.factors import DENSITY_STEP, INTEGRATION_VARIANCE, PARENT_TIE_M, TISSUE_S
 from smoother.recording import JOINTS
 from smoother.units import GRAVITY
@@ -181,7 +181,7 @@ def test_each_factor_has_the_error_of_its_formula(window: Window) -> None:
     for k, node in enumerate(nodes):
         elbow = p[node] + R[node] @ mean[layout.lever("elbow")]
         off = np.linalg.norm(elbow - knots[k]) + values.atDouble(U(0)) - mean[layout.upper_arm]
-        expected.append(gaussian(off, noise.upper_arm_sigma_m))
+        expected.append(gaussian(off, upper_arm_sigmas(window)[k]))
     np.testing.assert_allclose(errors.pop("RangeFactorWithTransformBias3D"), expected, rtol=1e-7)
 
     expected = [gaussian(v[i + 1] - v[i], window.velocity_change[i]) for i in (3, 4, 5)]
