@@ -229,29 +229,6 @@ def test_clock(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys) -> None:
     assert at_zero["skew_ppm"] == pytest.approx(390.0, abs=0.01)
 
 
-def test_nothing_is_overwritten_unasked(tmp_path: Path, capsys) -> None:
-    for words, other in (
-        (["imu", "-o", "a.mcap"], "a_truth.toml"),
-        (["magnetometer", "-o", "b.mcap"], "b_truth.toml"),
-        (["strap", "-o", "c.mcap"], "c_truth.toml"),
-        (["clock", "-o", "d"], "d/notes.txt"),
-    ):
-        held = tmp_path / other
-        held.parent.mkdir(exist_ok=True)
-        held.write_text("mine")
-        words = [*words[:2], str(tmp_path / words[2])]
-        assert run(["simulate", *words]) == 1
-        error = capsys.readouterr().err
-        assert error.count("\n") == 1 and "exists already" in error
-        assert held.read_text() == "mine" and len(list(tmp_path.rglob("*"))) == (
-            2 if words[0] == "clock" else 1
-        )
-        held.unlink()
-    (tmp_path / "d" / "notes.txt").write_text("mine")
-    said = refused(capsys, "simulate", "clock", "-o", tmp_path / "d", "--force")
-    assert "contains other things than a simulation" in said
-
-
 def test_missed_receptions_are_told_in_any_spelling(tmp_path):
     plain, spelt = tmp_path / "plain.csv", tmp_path / "spelt.csv"
     heard = "".join(f"{k},a,{k}.0\n{k},b,{k + 7}.0\n" for k in range(6))
@@ -474,20 +451,6 @@ def world_session(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def files(world_session: Path, numbers: range) -> list[str]:
-    arguments = ["--intrinsics", str(world_session / "s/intrinsics.toml")]
-    for number in numbers:
-        pose = world_session / f"s/pose_{number:02d}"
-        for option, ending in (
-            ("--depth", "depth.png"),
-            ("--infrared", "infrared.png"),
-            ("--panel-imu", "imu_panel.csv"),
-            ("--base-imu", "imu_base.csv"),
-        ):
-            arguments += [option, f"{pose}_{ending}"]
-    return arguments
-
-
 @pytest.mark.slow
 def test_recording_gives_camera_from_base_and_the_mounting(world_session: Path, tmp_path: Path, capsys):
     cal, figures = tmp_path / "cal.toml", tmp_path / "world.json"
@@ -509,29 +472,6 @@ def test_recording_gives_camera_from_base_and_the_mounting(world_session: Path, 
     assert tables["world"]["heading"] == "known" and tables["world"]["poses"] == 5
     assert tables["world"]["verdict"] in said and "verdict:" in said
     assert json.loads(figures.read_text())["grade"] == tables["world"]["grade"]
-
-
-@pytest.mark.slow
-def test_what_is_wrong_is_one_sentence_and_no_file(world_session: Path, tmp_path: Path, capsys):
-    cal, panel = tmp_path / "cal.toml", ["--panel", str(world_session / "s/panel.toml")]
-    short = tmp_path / "short.csv"
-    short.write_text("t_s,ax,ay,az,gx,gy\n0,0,0,9.8,0,0\n")
-    one = files(world_session, range(1, 2))
-    wrong = [*one[:-1], str(short)]
-    for arguments, code, words in (
-        ([str(world_session / "s.mcap"), "--base-topic", "nothing"], 1, "no IMU fits"),
-        (
-            [str(world_session / "s.mcap"), "--base-topic", "panel"],
-            1,
-            "cannot be on the panel and on the camera",
-        ),
-        ([*one, "--depth", one[3]], 2, "alike often"),
-        (one[2:], 2, "--intrinsics"),
-        (wrong, 1, "gz"),
-        ([], 2, "once per pose"),
-    ):
-        assert words in refused(capsys, "calibrate", "world", *arguments, *panel, "-o", cal, code=code)
-    assert not cal.exists()
 
 
 @pytest.fixture(scope="module")

@@ -53,20 +53,12 @@ def test_the_same_from_python(folder: Path):
 
 
 @pytest.mark.slow
-def test_settings_are_read_and_checked(folder: Path, capsys: pytest.CaptureFixture[str]):
+def test_settings_are_read(folder: Path):
     settings, out = folder / "s.toml", folder / "s.json"
     settings.write_text("[movements]\nstart_m_s = 50.0\n")
     base = ["measures", str(folder / "out.mcap"), "--side", "left", "--config", str(settings)]
     done(*base, "--json", out)
     assert json.loads(out.read_text())["movements"] == []
-    for text, words in (
-        ("[movement]\nstart_m_s = 1\n", "there is no setting 'movement'"),
-        ("[smoothing]\ncutoff_hz = -6\n", "smoothing.cutoff_hz"),
-        ("[smoothing\n", "not a TOML file"),
-    ):
-        settings.write_text(text)
-        said = refused(capsys, *base)
-        assert str(settings) in said and words in said
 
 
 def test_what_is_not_to_be_trusted_is_said_first(capsys: pytest.CaptureFixture[str]):

@@ -138,30 +138,6 @@ class TestManyRecordings:
             read_detectable(file)
 
 
-@pytest.mark.parametrize(
-    ("text", "words"),
-    [
-        ("{", "is not JSON"),
-        ("[]", "has no measures"),
-        ('{"all": {}}', "has no measures"),
-        ('{"measures": null}', "has no measures"),
-        ('{"measures": {"pairs": []}}', "has no measures"),
-        ('{"measures": {"pairs": [{"key": 1}]}}', "cannot be read"),
-        *(
-            (json.dumps({"measures": {"pairs": [plain(pair("r", 1, 2).to_dict()) | wrong]}}), "cannot be")
-            for wrong in ({"value": "x"}, {"scope": "x"})
-        ),
-    ],
-)
-def test_files_that_cannot_be_pooled(text: str, words: str, tmp_path: Path):
-    file = tmp_path / "v.json"
-    file.write_text(text)
-    with pytest.raises(UnoccludeError, match=words):
-        read_pairs(file)
-    with pytest.raises(UnoccludeError, match=r"No such file"):
-        read_pairs(tmp_path / "none.json")
-
-
 def test_values_that_are_not_finite_survive_the_file(tmp_path: Path):
     file = tmp_path / "v.json"
     one = pair("r", 90.0, 91.0, low=math.nan, high=math.nan)

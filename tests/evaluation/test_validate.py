@@ -172,32 +172,6 @@ def test_unix_times_and_relative_times(tmp_path, exact):
     assert validate(unix, read_truth(path, unix)).all.position_rms_m < 1e-5
 
 
-@pytest.mark.parametrize(
-    ("name", "text", "sentence"),
-    [
-        ("a.csv", "", "is empty, but should be a table of t_s, x, y, z"),
-        (
-            "a.csv",
-            "time,x,y,z\n0,1,2,3\n",
-            "has no column 't_s' (needed here); its columns are time, x, y, z",
-        ),
-        ("a.csv", "t_s,x,y,z\n0,1,2,3\n0.1,1,two,3\n", "line 3: 'two' in column y is not a number"),
-        ("a.csv", "t_s,x,y,z\n", "has a header and has no rows"),
-        ("a.txt", "", "a truth is read from .c3d or .trc"),
-        ("a.csv", None, "there is no such file"),
-        ("a.csv", b"\x89\x00\xff\xfe" * 10, "is not text"),
-    ],
-)
-def test_bad_files_are_one_sentence(tmp_path, exact, name, text, sentence):
-    path = tmp_path / name
-    if text is not None:
-        path.write_bytes(text if isinstance(text, bytes) else text.encode())
-    with pytest.raises(RecordingError) as caught:
-        read_truth(path, exact)
-    assert sentence in str(caught.value)
-    assert "\n" not in str(caught.value)
-
-
 T = np.arange(0, 60.0, 0.01)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from dataclasses import replace
 from pathlib import Path
 
@@ -36,7 +37,12 @@ _TEXTS = {
     "zero.toml": f"[mdc95]\n{_FLEXION} = 0\n",
     "broken.json": "{",
     "other.json": '{"all": {}}',
+    "odd.json": '{"measures": {"pairs": [{"key": 1}]}}',
     "few.json": json.dumps({"measures": _FEW}),
+    "empty.csv": "",
+    "rows.csv": "t_s,x,y,z\n",
+    "two.csv": "t_s,x,y,z\n0,1,2,3\n0.1,1,two,3\n",
+    "poses_truth.toml": "mine",
     "first.txt": "a.csv\n",
     "second.txt": "p1/a.mcap\nb.mcap\tx\ty\n",
     "nothing.txt": "# nothing\n",
@@ -49,8 +55,25 @@ _TEXTS = {
     "sigma.toml": "[sigma]\n",
     "factor.toml": "[sigma]\ngaps = [{length_s = 1.0, factor = -1.0, count = 3}]\n",
     "factors.toml": "[sigma]\ngaps = [" + "{length_s = 1, factor = 2, count = 3}, " * 2 + "]\n",
+    "board.toml": "[panel]\nmarkers = [[0, 0], [0.2, 0], [0.5, 0], [0, 0.3]]\nextent = [[-1, -1], [1, 1]]\n",
+    "cutoff.toml": "[smoothing]\ncutoff_hz = -6\n",
     "panel.toml": "[panel]\nmarkers = [[0, 0], [1, 0], [2, 0], [3, 0]]\nextent = [[-1, -1], [4, 1]]\n",
 }
+#: Tables of sessions of the study that `bad_inputs` makes.
+_SESSIONS = (
+    "",
+    "file,who\np1/s0.mcap,p1\n",
+    "file,person\np1/s0.mcap,p1\n",
+    "file,person,session\n",
+    "file,person,session\np1/s0.mcap,,1\n",
+    "file,person,session\n,p1,1\n",
+    "file,person,session\np1/s0.mcap,p1,\n",
+    "file,person,session\nz.mcap,p1,1\n",
+    "file,person,session\np1/s0.mcap,p1,1\np1/s0,p1,2\n",
+    "file,person,date\np1/s0.mcap,p1,31.3.2026\n",
+    "file,person,session\np1/s0.mcap,p1,1\np1/s1.mcap,p1,1\n",
+    'file,person,session\n"p1/s0.mcap',
+)
 
 
 def bad_inputs(folder: Path) -> None:
@@ -58,11 +81,14 @@ def bad_inputs(folder: Path) -> None:
 
     `result.mcap` is a right arm recovered; in `study` are two persons with three sessions.
     """
-    for name, text in _TEXTS.items():
+    tables = {f"sessions{number}.csv": text for number, text in enumerate(_SESSIONS)}
+    for name, text in (_TEXTS | tables).items():
         path = folder / name
         path.parent.mkdir(exist_ok=True)
         path.write_text(text)
     (folder / "empty.mcap").touch()
+    if hasattr(os, "mkfifo"):
+        os.mkfifo(folder / "pipe.mcap")
     (folder / "folder").mkdir()
     (folder / "binary.toml").write_bytes(b"\xff\xfe\x00")
     good = folder / "good.mcap"
@@ -87,4 +113,7 @@ def bad_inputs(folder: Path) -> None:
             for p, n in sessions
         ],
     )
+    for name, row in (("flat", "a.mcap"), ("bare", "p/a.mcap"), ("spoilt", "p/a.mcap")):
+        write_study(folder / name, [study_row(row, [made_measures()] if name == "flat" else None)])
+    (folder / "spoilt" / "results" / "rows-2.parquet").write_bytes(b"cut off")
     (folder / "cut.mcap").write_bytes(good.read_bytes()[:2000])

@@ -15,7 +15,6 @@ from calib.file import read_calibration
 from calib.images import read_view
 from calib.intrinsics import read_intrinsics
 from calib.panel import read_panel
-from smoother.cli import run as cli_run
 from smoother.cli.config import read_config
 from smoother.errors import UnoccludeError
 from smoother.evaluation.mocap.motion import read_marker_map
@@ -111,28 +110,6 @@ def test_a_link_that_leads_nowhere_is_said_to_be_one(tmp_path: Path, name: str):
         assert "\n" not in str(told.value)
         (tmp_path / name).unlink()
         (tmp_path / name).symlink_to(name)
-
-
-@pytest.mark.parametrize(
-    "words",
-    [
-        ["smooth", "IN", "-o", "out.mcap"],
-        ["info", "IN"],
-        ["batch", "IN", "-o", "study"],
-        ["batch", ".", "-o", "study", "--config", "IN"],
-        ["repair", "IN", "-o", "out.mcap"],
-        ["smooth", "IN", "-o", "out.mcap", "--calibration", "IN"],
-    ],
-)
-def test_the_commands_refuse_it(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], words: list[str]
-):
-    monkeypatch.chdir(tmp_path)
-    os.mkfifo("pipe.mcap")
-    assert cli_run.run([word.replace("IN", "pipe.mcap") for word in words]) == 1
-    printed = capsys.readouterr()
-    assert "is a pipe" in printed.err + printed.out
-    assert not Path("out.mcap").exists()
 
 
 def test_a_list_from_a_shell_is_read(tmp_path: Path):

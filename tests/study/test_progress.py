@@ -171,48 +171,6 @@ def test_a_table_says_whose_it_is(tmp_path: Path):
     assert sessions_of(folder, read_rows(folder), table)[1] == ["c.mcap: sessions.csv does not name it"]
 
 
-@pytest.mark.parametrize(
-    ("text", "words"),
-    [
-        ("", "its columns are none"),
-        ("file,who\na.mcap,p1\n", "expected the columns file, person"),
-        ("file,person\na.mcap,p1\n", "session or date"),
-        ("file,person,session\n", "names no recording"),
-        ("file,person,session\na.mcap,,1\n", "line 2: there is no person"),
-        ("file,person,session\n,p1,1\n", "line 2: there is no file"),
-        ("file,person,session\na.mcap,p1,\n", "neither session nor date"),
-        ("file,person,session\nz.mcap,p1,1\n", "z.mcap is not a recording of this study; its names are as a"),
-        ("file,person,session\na.mcap,p1,1\na,p1,2\n", "line 3: a.mcap is there twice"),
-        ("file,person,date\na.mcap,p1,31.3.2026\n", "'31.3.2026' is not a date"),
-        ("file,person,session\na.mcap,p1,1\nb.mcap,p1,1\n", "both session 1 of p1"),
-        ('file,person,session\n"a.mcap', "there is no person"),
-    ],
-)
-def test_tables_that_cannot_be_used(text: str, words: str, tmp_path: Path):
-    rows = [study_row(f"{name}.mcap", [made_measures()]) for name in "ab"]
-    folder = write_study(tmp_path / "study", rows)
-    table = tmp_path / "sessions.csv"
-    table.write_text(text)
-    with pytest.raises(UnoccludeError, match=r"^[^\n]*$") as refused:
-        people(folder, table)
-    assert words in str(refused.value)
-
-
-def test_studies_that_cannot_be_used(tmp_path: Path):
-    (tmp_path / "empty").mkdir()
-    with pytest.raises(UnoccludeError, match="is not a study with results"):
-        read_rows(tmp_path / "empty")
-    flat = write_study(tmp_path / "flat", [study_row("a.mcap", [made_measures()])])
-    with pytest.raises(UnoccludeError, match="are not in folders"):
-        sessions_of(flat, read_rows(flat))
-    bare = write_study(tmp_path / "bare", [study_row("p/a.mcap", None)])
-    with pytest.raises(UnoccludeError, match="has no measures"):
-        people(bare)
-    (bare / "results" / "rows-2.parquet").write_bytes(b"cut off")
-    with pytest.raises(UnoccludeError, match="cannot be read"):
-        read_rows(bare)
-
-
 def row(name: str, **more: object) -> dict:
     empty = {column: None for column, *_ in COLUMNS}
     done = {"recording": name, "output": name, "status": "done", "duration_s": 60.0, "seconds": 2.0}
