@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -81,3 +82,17 @@ def turning(count: int, rate_hz: float) -> tuple[np.ndarray, np.ndarray, np.ndar
     angle, rate = 0.8 * np.sin(2 * t), 1.6 * np.cos(2 * t)
     acc = 9.81 * np.stack([np.sin(angle), np.cos(angle), 0 * t], axis=1)
     return t, acc, np.stack([0 * t, 0 * t, rate], axis=1)
+
+
+def workbook(path: Path, rows: Iterable[Sequence[object]], before: Sequence[str] = ()) -> Path:
+    """A workbook of these rows, behind sheets of words."""
+    import openpyxl
+
+    book = openpyxl.Workbook(write_only=True)
+    for name in before:
+        book.create_sheet(name).append(["words"])
+    sheet = book.create_sheet()
+    for row in rows:
+        sheet.append(row)
+    book.save(path)
+    return path

@@ -15,57 +15,13 @@ from made_results import assert_same, recovery
 
 from smoother.io import read_recovery, write_recovery
 from smoother.io.export.prepare import METADATA_KEY, export_csv, export_parquet, file_columns
-from smoother.io.mcap.merge import repair_container
 from smoother.io.mcap.messages import nanoseconds
-from smoother.io.recording.read import open_recording
-from smoother.io.recording.streams import ArmFrames, ImuSamples, RecordingFile
-from smoother.io.recording.write import write_recording
 from smoother.result import Recovery
 
 quick = settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 START = 1_700_000_000 * 10**9
 numbers = st.floats(-1e3, 1e3, allow_subnormal=True)
 places = st.floats(-10, 10).map(lambda value: round(value, 6))
-
-
-@st.composite
-def files(draw: st.DrawFn) -> RecordingFile:
-    """Streams of any values and rising stamps less than twelve hours apart."""
-    count, frames = draw(st.integers(1, 12)), draw(st.integers(1, 8))
-
-    def stamps(size: int) -> np.ndarray:
-        steps = draw(st.lists(st.integers(1, 10**13), min_size=size, max_size=size))
-        return START + np.cumsum(np.array(steps, np.int64))
-
-    acc, gyro = (draw(arrays.arrays(np.float64, (count, 3), elements=numbers)) for _ in range(2))
-    state = draw(arrays.arrays(np.int8, (frames, 5), elements=st.integers(0, 2)))
-    state[:, 1] = 2  # an arm that is never there is not written
-    position = draw(arrays.arrays(np.float64, (frames, 5, 3), elements=numbers))
-    position[state == 0] = np.nan
-    return RecordingFile(
-        Path("drawn"),
-        imus=[ImuSamples("/imu/forearm_right", "forearm_right", stamps(count), acc, gyro)],
-        arms=[
-            ArmFrames(
-                "/skeleton", "camera", draw(st.integers(0, 9)), "right", stamps(frames), position, state
-            )
-        ],
-    )
-
-
-@quick
-@given(files())
-def test_recordings(tmp_path: Path, file: RecordingFile):
-    write_recording(file, tmp_path / "a.mcap", force=True)
-    repair_container(tmp_path / "a.mcap", tmp_path / "b.mcap", force=True)
-    for path in (tmp_path / "a.mcap", tmp_path / "b.mcap"):
-        back = open_recording(path)
-        (imu,), (arm,) = back.imus, back.arms
-        assert not back.notes
-        for name in ("stamp_ns", "acc", "gyro"):
-            np.testing.assert_array_equal(getattr(imu, name), getattr(file.imus[0], name))
-        for name in ("stamp_ns", "position", "state", "body", "side"):
-            np.testing.assert_array_equal(getattr(arm, name), getattr(file.arms[0], name))
 
 
 few = settings(max_examples=15, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])

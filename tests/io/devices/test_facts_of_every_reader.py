@@ -13,11 +13,10 @@ from typing import Any
 
 import device_files as made
 import numpy as np
-import openpyxl
 import pytest
 import ros_bags as ros
 import skeleton_files
-from importers import turning
+from importers import turning, workbook
 from library_files import ZERO
 
 from smoother.cli.run import run
@@ -235,15 +234,6 @@ def test_the_first_camera_may_be_one_of_keypoints(tmp_path: Path) -> None:
         (tmp_path / "recording.toml").write_text(text.replace(old, new))
         with pytest.raises(RecordingError, match=said):
             open_csv(tmp_path)
-
-
-def workbook(path: Path, rows: list[list[object]]) -> Path:
-    book = openpyxl.Workbook(write_only=True)
-    sheet = book.create_sheet()
-    for row in rows:
-        sheet.append(row)
-    book.save(path)
-    return path
 
 
 def packed(path: Path, part: str, size: int) -> Path:

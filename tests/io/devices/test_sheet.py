@@ -8,10 +8,10 @@ from pathlib import Path
 
 import device_files as made
 import numpy as np
-import openpyxl
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from importers import workbook
 
 from smoother.errors import RecordingError
 from smoother.io.registry import FileReader, recognise
@@ -184,18 +184,13 @@ def test_more_than_a_twentieth_of_no_numbers_is_refused(tmp_path: Path, wrong: i
         assert np.isnan(sheet.numbers(1)).sum() == wrong and "#WERT!" in sheet.notes[0]
 
 
-def as_workbook(text: Path, path: Path, separator: str = ",", before: tuple[str, ...] = ()) -> Path:
+def as_workbook(text: Path, path: Path, separator: str = ",") -> Path:
     """A table of text as a workbook with numbers in its cells, behind sheets of words."""
-    book = openpyxl.Workbook()
-    book.active.append(["notes of the session"])
-    for name in before:
-        book.create_sheet(name).append(["words"])
-    sheet = book.create_sheet("data")
-    for line in text.read_text("utf-8").splitlines():
-        cells = [cell.strip('"') for cell in line.split(separator)]
-        sheet.append([float(cell) if re.fullmatch(r"-?[\d.]+", cell) else cell or None for cell in cells])
-    book.save(path)
-    return path
+    lines = (
+        [cell.strip('"') for cell in line.split(separator)] for line in text.read_text("utf-8").splitlines()
+    )
+    rows = ([float(c) if re.fullmatch(r"-?[\d.]+", c) else c or None for c in cells] for cells in lines)
+    return workbook(path, rows, ("notes", "one", "two"))
 
 
 @pytest.mark.parametrize(
@@ -203,7 +198,7 @@ def as_workbook(text: Path, path: Path, separator: str = ",", before: tuple[str,
 )
 def test_a_workbook_reads_as_its_table(tmp_path: Path, key: str, separator: str):
     made.EXAMPLES[key](tmp_path / "a.csv")
-    path = as_workbook(tmp_path / "a.csv", tmp_path / "a.xlsx", separator, ("one", "two"))
+    path = as_workbook(tmp_path / "a.csv", tmp_path / "a.xlsx", separator)
     importer = recognise(read_head(path))
     assert importer is not None and importer.key == key
     reader = FileReader()
@@ -214,12 +209,9 @@ def test_a_workbook_reads_as_its_table(tmp_path: Path, key: str, separator: str)
 
 
 def test_dates_in_cells(tmp_path: Path):
-    book = openpyxl.Workbook()
-    book.active.append(["Zeit", "x", "y"])
-    for k in range(20):
-        book.active.append([datetime(2026, 3, 12, 9, 30) + timedelta(milliseconds=10 * k), k, 0.5])
-    book.save(tmp_path / "a.xlsx")
-    times, dates = read_table(tmp_path / "a.xlsx").times(0)
+    start = datetime(2026, 3, 12, 9, 30)
+    rows = [[start + timedelta(milliseconds=10 * k), k, 0.5] for k in range(20)]
+    times, dates = read_table(workbook(tmp_path / "a.xlsx", [["Zeit", "x", "y"], *rows])).times(0)
     assert dates and np.allclose(np.diff(times), 0.01, atol=1e-3)
 
 

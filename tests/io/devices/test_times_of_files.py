@@ -1,24 +1,29 @@
-"""What the times of files may be, in every reader of tables: units, names, clocks that stray, packets."""
+"""Times of device tables: units, names, clocks that stray, packets, what is mended; tables lacking an axis."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import device_files
 import numpy as np
 import pytest
+import skeleton_files
 from imu_files import motion, rows
 
 from smoother.errors import RecordingError
+from smoother.io.files import ImuFiles, import_files
 from smoother.io.recording.clean import clean_imu
 from smoother.io.recording.streams import ImuSamples
 from smoother.io.registry import FileReader
-from smoother.io.tables.imu import ImuTable
-from smoother.io.tables.times import repaired_imu, repaired_skeleton
+from smoother.io.tables.imu import ImuTable, missing_axes, paired
+from smoother.io.tables.skeletons import SkeletonTable
+from smoother.io.tables.times import Timed, count_from_zero, repaired_imu, repaired_skeleton, shifts
 
 ROWS = 400
-ACC, GYRO = motion(ROWS)
+FORCE, TURN = motion(ROWS)
 UNIX_S = 1.7e9
 FILETIME, DOTNET = 116_444_736_000_000_000, 621_355_968_000_000_000
 
@@ -34,7 +39,7 @@ def _read(path: Path, kind: str, names: list[str], columns: np.ndarray, stamps: 
 
 def imu(path: Path, stamps: list[str], name: str) -> Any:
     names = [f"{kind}_{axis}" for kind in ("acc", "gyr") for axis in "xyz"]
-    return _read(path, "imu", [name, *names], np.hstack([ACC, GYRO]), stamps)
+    return _read(path, "imu", [name, *names], np.hstack([FORCE, TURN]), stamps)
 
 
 def skeleton(path: Path, stamps: list[str], name: str) -> Any:
@@ -138,3 +143,243 @@ def test_packets_stamped_on_arrival(apart_s: float, size: int, kind: str) -> Non
     assert found is not None and len(found) == count
     if size == 12 or not apart_s or kind == "file":  # shorter ones make no pauses
         assert np.diff(found).max() < 3 / rate and np.std(found - t) < 0.01
+
+
+N = 2000
+T = np.arange(N) / 100.0
+RNG = np.random.default_rng(0)
+ACC = RNG.normal(0, 1, (N, 3)) + np.array([0, 0, 9.81])
+GYRO = RNG.normal(0, 1, (N, 3))
+
+
+def table(**changes: object) -> ImuTable:
+    return replace(ImuTable("", T.copy(), ACC.copy(), GYRO.copy()), **changes)
+
+
+def reordered(order: np.ndarray) -> ImuTable:
+    return table(t_s=T[order], acc=ACC[order], gyro=GYRO[order])
+
+
+def test_sound_tables_and_rows_without_numbers():
+    corrected = repaired_imu(table(), "a.csv")
+    assert not corrected.notes and np.array_equal(corrected.t_s, T) and np.array_equal(corrected.acc, ACC)
+    acc, gyro = ACC.copy(), GYRO.copy()
+    acc[:2], gyro[:2], acc[100, 1], gyro[700, 0] = 0, 0, np.nan, np.inf
+    corrected = repaired_imu(table(acc=acc, gyro=gyro), "a.csv")
+    assert len(corrected.t_s) == N - 4 and corrected.t_s[0] == T[2]
+    assert corrected.notes == [
+        "Rows of zeros at the start, left out: 2.",
+        "Samples that are not numbers, left out: 2.",
+    ]
+
+
+def test_a_watch_with_repeated_stamps_becomes_usable():
+    stamps = T.copy()
+    again = np.sort(RNG.choice(np.arange(1, N), N * 15 // 100, replace=False))
+    stamps[again] = stamps[again - 1]
+    corrected = repaired_imu(table(t_s=stamps), "watch.csv")
+    assert len(corrected.t_s) == N and np.abs(corrected.t_s - T).max() < 0.01
+    assert "even rate of 100." in corrected.notes[0] and "of 2000; the samples" in corrected.notes[0]
+
+
+TWICE = np.repeat(np.arange(N), np.where(np.arange(N) % 100 == 7, 2, 1))
+FIVE = np.r_[0:500, 504:499:-1, 505:N]
+
+
+@pytest.mark.parametrize(
+    ("order", "said"),
+    [
+        (TWICE, "repeat the one before, left out: 20."),
+        (FIVE, "out of order"),
+        (np.r_[0:800, 820:840, 800:820, 840:N], "out of order"),  # packets that overtook one another
+        (np.r_[0:500, 1000:1500, 500:1000, 1500:N], "out of order"),  # pages of a memory
+        (np.r_[1000:N, 0:1000], "out of order"),  # the second half first
+        (np.r_[0:800, 700:N], ""),  # written twice
+    ],
+)
+def test_rows_twice_or_out_of_order_are_no_clock_that_was_set_back(order: np.ndarray, said: str):
+    corrected = repaired_imu(reordered(order), "a.csv")
+    assert np.allclose(corrected.t_s, T) and np.array_equal(corrected.acc, ACC) and said in corrected.notes[0]
+
+
+@pytest.mark.parametrize("by_s", [0.1, 0.237, 0.5, 1.0, 2.0, 60.0, 3600.0])
+@pytest.mark.parametrize("jitter_s", [0.0, 1e-3])
+def test_a_clock_that_was_set_back_goes_on(by_s: float, jitter_s: float):
+    """Sorted, its rows would be mixed or change places; each must stay where it was measured."""
+    stamps = T + RNG.uniform(-jitter_s, jitter_s, N)
+    corrected = repaired_imu(table(t_s=np.where(T < 8, stamps, stamps - by_s)), "a.csv")
+    assert np.array_equal(corrected.acc, ACC) and np.abs(corrected.t_s - stamps).max() < 0.0001 + 3 * jitter_s
+    said = f"{by_s:.1f}" if by_s >= 1 else f"{by_s:.2f}"
+    (note,) = corrected.notes
+    assert jitter_s or note == (
+        f"The clock was set back by {said} s at 8.0 s: the following samples continue at the usual interval."
+    )
+    twice = repaired_imu(table(t_s=T - by_s * (T >= 5) - 0.5 * (T >= 12)), "a.csv")
+    assert np.abs(twice.t_s - T).max() < 1e-6 and ", by 0.50 s at 12.0 s" in twice.notes[0]
+    frames = np.arange(0, N, 4)
+    skeleton = SkeletonTable(0, np.where(T < 8, T, T - by_s)[frames], {"wrist": ACC[frames]}, {})
+    frames_mended = repaired_skeleton(skeleton, "k.csv")
+    if by_s > 0.1:  # three frames of a camera are no clock
+        assert np.abs(frames_mended.t_s - T[frames]).max() < 1e-6
+        assert np.array_equal(frames_mended.position["wrist"], ACC[frames])
+
+
+@pytest.mark.parametrize(
+    ("stamped", "said"), [(False, "misses stay missing: 41"), (True, "nothing is put there: 41")]
+)
+def test_lost_packets_stay_missing(stamped: bool, said: str):
+    keep = np.delete(np.arange(N), np.r_[300:340, 900])
+    counter = {"counter": (keep + 65_000) % 65_536, "counter_wraps": 65_536}
+    times = {"t_s": T[keep]} if stamped else {"t_s": None, "rate_hz": 100.0}
+    corrected = repaired_imu(table(acc=ACC[keep], gyro=GYRO[keep], **times, **counter), "a.txt")
+    assert np.allclose(corrected.t_s, T[keep]) and said in corrected.notes[0]
+
+
+@pytest.mark.parametrize("row", [0, 700, N - 1])
+@pytest.mark.parametrize("stamp", [1e11, -1e11, 1e300])
+def test_a_stamp_that_no_file_can_hold_is_left_out(row: int, stamp: float):
+    """As nanoseconds it would wrap: a first one like that made every other stamp wrong."""
+    stamps = T.copy()
+    stamps[row] = stamp
+    mended = repaired_imu(table(t_s=stamps), "a.csv")
+    assert np.array_equal(mended.t_s, np.delete(T, row)) and len(mended.acc) == N - 1
+    assert mended.notes == ["Samples without a time, left out: 1."]
+    unset = np.where(np.arange(N) < 3, 0.0, 1.7e9 + T)
+    assert repaired_imu(table(t_s=unset), "a.csv").t_s[0] == 1.7e9 + T[3]
+    frames = repaired_skeleton(SkeletonTable("", stamps, {"wrist_right": ACC.copy()}, {}), "a.csv")
+    assert np.array_equal(frames.t_s, np.delete(T, row))
+
+
+MIX = np.random.default_rng(1)
+SHUFFLED = np.cumsum(MIX.exponential(0.01, N)) - 3 * (MIX.random(N) < 0.4)
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({"t_s": None}, r"neither times nor a rate.*import describe a.csv"),
+        ({"t_s": SHUFFLED}, "stamps repeat or go back"),
+        ({"acc": np.full((N, 3), np.nan)}, r"too few usable samples \(0\)"),
+    ],
+)
+def test_what_cannot_be_mended_is_said(changes: dict[str, object], said: str):
+    with pytest.raises(RecordingError, match=said):
+        repaired_imu(table(**changes), "a.csv")
+
+
+def test_frames():
+    t, state = np.arange(300) / 30, {"wrist_left": np.full(300, 2, np.int8)}
+    body = SkeletonTable(0, None, {"wrist_left": RNG.normal(0, 1, (300, 3))}, state, rate_hz=30.0)
+    assert np.allclose(repaired_skeleton(body, "k.csv").t_s, t)
+    wrapped = np.mod(t + 2**32 * 1e-6 - 4, 2**32 * 1e-6)
+    assert np.allclose(np.diff(repaired_skeleton(replace(body, t_s=wrapped), "k.csv").t_s), 1 / 30)
+
+
+def test_two_files_of_a_sensor():
+    slow_t = np.arange(0.5, 19, 1 / 50)
+    slow_t = slow_t[(slow_t < 8) | (slow_t > 9)]  # a pause of the accelerometer
+    slow = ImuTable("", slow_t, np.stack([slow_t, 0 * slow_t, 9.81 + 0 * slow_t], axis=1), None, units="g")
+    fast = ImuTable("", T, None, GYRO, units="deg/s")
+    joined = paired([slow, fast], "acc.csv, gyro.csv")
+    assert joined.t_s[0] >= 0.5 and not ((joined.t_s > 8.01) & (joined.t_s < 8.99)).any()
+    assert np.allclose(joined.acc[:, 0], joined.t_s) and joined.units == "g, deg/s"
+    assert "50.0 Hz" in joined.notes[0] and "without accelerometer, left out" in joined.notes[1]
+    late = [slow, replace(fast, t_s=T + 100)]
+    for wrong, said in (([fast], "no acc"), ([slow, slow], "2 accelerometers"), (late, "share too few")):
+        with pytest.raises(RecordingError, match=said):
+            paired(wrong, "acc.csv")
+
+
+def test_clocks_with_nothing_in_common_start_at_zero():
+    camera = Timed("camera", 1.7e9 + np.arange(0, 20, 1 / 30), False)
+    wrist, arm = (Timed(name, 300 + at + T, True) for name, at in (("wrist", 0.0), ("arm", 0.5)))
+    shift, (sentence,) = shifts([camera, wrist, arm])
+    assert shift == [-1.7e9, -300.0, -300.0]  # the two IMUs share a clock
+    assert "is unrelated to" in sentence and "2023-11-14" in sentence
+    assert shifts([camera, Timed("wrist", 1.7e9 + 4.8 + T, True)]) == ([0.0, 0.0], [])
+    assert shifts([camera, wrist], imu_starts_at_s=-2.5)[0] == [0.0, 1.7e9 - 302.5]
+
+
+def test_files_that_each_count_from_zero():
+    camera, wrist = Timed("camera", np.arange(0, 20, 1 / 30), False, "a"), Timed("wrist", 0.3 + T, True, "b")
+    assert count_from_zero([camera, wrist])
+    assert not count_from_zero([camera, replace(wrist, source="a")])  # one file, one clock
+    longer = replace(camera, t_s=np.arange(0, len(T) * (T[1] - T[0]) + 15, 1 / 30))
+    assert count_from_zero([longer, replace(wrist, t_s=7.0 + T)])  # from its own start, and of another length
+    of_one = replace(camera, t_s=np.linspace(0, T[-1] - T[0], 600))
+    assert not count_from_zero([of_one, replace(wrist, t_s=7.0 + T)])
+    assert not count_from_zero([longer, replace(wrist, t_s=700.0 + T)])
+    assert not count_from_zero([camera]) and not count_from_zero([])
+
+
+#: Columns of example files that are taken away, of sensors and of joints.
+MISSING = {
+    "xsens_dot": ("Acc_Z",),
+    "xsens_mt": ("Gyr_Z",),
+    "shimmer": ("S_Accel_WR_Z_CAL", "S_Gyro_X_CAL"),
+    "ximu": ("Gyroscope Z (deg/s)", "Accelerometer Y (g)"),
+    "nilspod": ("gyr_z", "acc_x"),
+    "metamotion": ("z-axis (g)",),
+    "sensorlog": ("accelerometerAccelerationZ(G)",),
+    "phyphox": ("Acceleration Z (m/s^2)", "Gyroscope X (rad/s)"),
+    "android": ("az", "gy"),
+    "kinect_v2": ("WristRight_z",),
+    "mediapipe": ("right_wrist_z",),
+    "joint_table": ("right_elbow_x",),
+    "azure_csv": ("WRIST_RIGHT (z)",),
+}
+
+
+def without(path: Path, column: str) -> Path:
+    """The table of a file without a column."""
+    lines = path.read_text(encoding="utf-8").splitlines()
+    mark = next((one for one in "\t;" if any(one in line for line in lines)), ",")
+    cells = [line.split(mark) for line in lines]
+    names = [[name.strip('"') for name in row] for row in cells]
+    header = next(at for at, row in enumerate(names) if column in row)
+    for row in cells[header:]:
+        del row[names[header].index(column)]
+    path.write_text("\n".join(mark.join(row) for row in cells) + "\n", encoding="utf-8")
+    return path
+
+
+@pytest.mark.parametrize(("made", "column"), [(made, one) for made, each in MISSING.items() for one in each])
+def test_a_missing_axis_is_named(tmp_path: Path, made: str, column: str) -> None:
+    """It was "has no gyroscope", of a file with two thirds of one, or "the wrist was never tracked"."""
+    path = tmp_path / "a.csv"
+    getattr(device_files if hasattr(device_files, made) else skeleton_files, made)(path)
+    streams = ([], [ImuFiles((without(path, column),), "forearm_right")])
+    with pytest.raises(RecordingError) as told:
+        import_files(*(([path], []) if list(MISSING).index(made) > 8 else streams))
+    assert f"has no column {column} beside " in str(told.value)
+    assert str(told.value).endswith("; export it again with all three axes.")
+
+
+def test_a_second_sensor_without_an_axis_is_said(tmp_path: Path) -> None:
+    path = tmp_path / "opal.csv"
+    device_files.apdm(path)
+    file, _ = import_files([], [ImuFiles((without(path, "Sternum/Angular Velocity/Z"),))])
+    assert len(file.imus) == 1
+    assert any("no column Sternum/Angular Velocity/Z beside" in note for note in file.notes)
+
+
+def test_numbered_landmarks_rows_of_joints_and_places_in_the_image(tmp_path: Path) -> None:
+    path, names = tmp_path / "a.csv", [f"{axis}{number}" for number in range(33) for axis in "xyz"]
+    lines = [",".join(f"{value:.5f}" for value in frame.ravel()) for frame in skeleton_files.landmarks(30)]
+    path.write_text("\n".join([",".join(names), *lines]) + "\n", encoding="utf-8")
+    assert import_files([path], [])[0].arms
+    with pytest.raises(RecordingError, match="has no column z16 beside x16 and y16"):
+        import_files([without(path, "z16")], [])
+    device_files.joint_rows(path)
+    with pytest.raises(RecordingError, match=r"an unknown format \(it has no column z beside x and y\)"):
+        import_files([without(path, "z")], [])
+    skeleton_files.azure_csv(path)  # and its place in the image
+    lines = path.read_text(encoding="utf-8").splitlines()
+    lines = [f"{lines[0]},Wrist.Right.x,Wrist.Right.y", *(f"{line},100,200" for line in lines[1:])]
+    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    assert import_files([path], [])[0].arms
+
+
+def test_only_two_of_three_are_a_vector_without_one() -> None:
+    assert missing_axes(["t", "index", "max", "ax", "ay", "az", "Quat_X", "roll_x"]) == {}
+    assert list(missing_axes(["LWrist.Y", "LWrist.Z", "x1", "z1"])) == ["LWrist.X", "y1"]
