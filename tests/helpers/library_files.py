@@ -3,64 +3,48 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import ros_bags as ros
 import skeleton_files as made
 from importers import turning
 from imu_files import motion
+from mcap.reader import make_reader
 
 from smoother.io.tables.joints import AZURE
 
 ZERO = 1_700_000_000 * 10**9
 
 
-def write_bag(path: Path, *, samples: int = 200, frames: int = 60, joint_state: bool = True) -> None:
+def write_bag(path: Path) -> None:
     """A ROS 1 bag with an IMU, its magnetometer, an Azure Kinect's markers (body 3) and joint angles."""
     from rosbags.rosbag1 import Writer as BagWriter
     from rosbags.typesys import Stores, get_typestore
 
-    store, connections = get_typestore(Stores.ROS1_NOETIC), {}
-
-    def typed(kind: str, value: Any) -> Any:
-        """A message of a dictionary; what it does not have is zero."""
-        fields = {}
-        for name, (node, of) in store.fielddefs[kind][1]:
-            one = value.get(name)
-            if node.name == "NAME":
-                fields[name] = typed(of, one or {})
-            elif node.name == "BASE":
-                fields[name] = one if one is not None else "" if of[0] == "string" else 0
-            elif of[0][0].name == "NAME":
-                fields[name] = [typed(of[0][1], each) for each in one]
-            else:
-                fields[name] = one if of[0][1][0] == "string" else np.array(one or [0.0] * of[1], of[0][1][0])
-        return store.types[kind](**fields)
-
-    points = made.optical(made.parts(AZURE, frames))
-    t, acc, gyro = turning(samples, 100.0)
-    with BagWriter(path) as bag:
-
-        def add(topic: str, kind: str, ns: int, message: dict[str, Any]) -> None:
-            if topic not in connections:
-                connections[topic] = bag.add_connection(topic, kind, typestore=store)
-            bag.write(connections[topic], ns, store.serialize_ros1(typed(kind, message), kind))
-
-        for at in range(len(t)):
-            ns = ZERO + round(t[at] * 1e9)
-            message = ros.imu_message(ns, "wrist", acc[at], gyro[at])
-            add("/wrist/imu", "sensor_msgs/msg/Imu", ns, message)
+    noetic, foxy = (get_typestore(each) for each in (Stores.ROS1_NOETIC, Stores.ROS2_FOXY))
+    points, connections = made.optical(made.parts(AZURE, 60)), {}
+    ros2, (t, acc, gyro) = path.with_suffix(".ros2"), turning(200, 100.0)
+    arrays, states = ros.marker_array(textured=False), ros.definition("sensor_msgs/msg/JointState")
+    with ros.Bag(ros2) as bag:
+        for at, ns in enumerate((ZERO + np.rint(t * 1e9)).astype(int).tolist()):
+            bag.imu("/wrist/imu", ns, "wrist", acc[at], gyro[at], ns)
             field = {"header": ros.header(ns, "wrist"), "magnetic_field": ros.xyz(np.array([1.0, at, 3.0]))}
-            add("/wrist/mag", "sensor_msgs/msg/MagneticField", ns, field)
-        for at in range(frames):
+            field["magnetic_field_covariance"] = [0.0] * 9
+            bag.write("/wrist/mag", "sensor_msgs/msg/MagneticField", ros.FIELD, field, ns)
+        for at in range(60):
             ns = ZERO + round(at / 30 * 1e9)
             seen = () if 20 <= at < 25 else range(32)
-            markers = [ros.marker(ns, 300 + joint, points[at, joint]) for joint in seen]
-            add("/body_tracking_data", "visualization_msgs/msg/MarkerArray", ns, {"markers": markers})
-        if joint_state:
-            state = {"header": ros.header(ZERO, ""), "name": ["elbow"], "position": [1.0]}
-            add("/joint_states", "sensor_msgs/msg/JointState", ZERO, state)
+            message = {"markers": [ros.marker(ns, 300 + joint, points[at, joint]) for joint in seen]}
+            bag.write("/body_tracking_data", "visualization_msgs/msg/MarkerArray", arrays, message, ns)
+        state = {"header": ros.header(ZERO, ""), "name": ["elbow"], "position": [1.0]}
+        state |= {"velocity": [], "effort": []}
+        bag.write("/joint_states", "sensor_msgs/msg/JointState", states, state, ZERO)
+    with BagWriter(path) as bag1, ros2.open("rb") as file:
+        for schema, channel, message in make_reader(file).iter_messages(log_time_order=False):
+            if channel.topic not in connections:
+                connections[channel.topic] = bag1.add_connection(channel.topic, schema.name, typestore=noetic)
+            data = foxy.cdr_to_ros1(message.data, schema.name)
+            bag1.write(connections[channel.topic], message.log_time, data)
 
 
 def write_opal(path: Path, version: int = 5, count: int = 200) -> None:

@@ -1,4 +1,4 @@
-"""Times of device tables: units, names, clocks that stray, packets, what is mended; tables lacking an axis."""
+"""Times of device tables: units, names, clocks that stray, packets, what is mended; columns that lack."""
 
 from __future__ import annotations
 
