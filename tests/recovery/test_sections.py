@@ -38,6 +38,19 @@ from smoother.selfcal.excerpts import informative_excerpts
 from smoother.simulation import SimulatedArm
 
 
+@pytest.fixture(scope="module")
+def three_minutes() -> SimulatedArm:
+    """Three minutes with an occlusion of 2 s every 10 s: three sections."""
+    often = {"occlusion_lengths_s": (2.0,), "occlusion_every_s": 10.0}
+    return moving(8, "white", 180.0, imu_rate_hz=80.0, **often)
+
+
+@pytest.fixture(scope="module")
+def sectioned(three_minutes: SimulatedArm) -> Recovery:
+    """Its recovery, section by section."""
+    return answer(three_minutes.recording, three_minutes.calibration)
+
+
 def sections_of(recording: Recording) -> list[Section]:
     return Sections(recording, Timeline.of(recording), constant_clock(0.0)).all
 
