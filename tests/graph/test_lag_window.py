@@ -13,6 +13,7 @@ from gtsam.symbol_shorthand import L, X
 
 from smoother.array_types import FloatArray
 from smoother.graph.lag_window import LagWindow, iterate
+from smoother.measurements.inertial import Preintegration, equivalent_samples
 from smoother.recording import JOINTS
 from smoother.units import GRAVITY
 from smoother.window.problem import ImuIncrements, NoiseModel, Priors
@@ -34,26 +35,16 @@ def intervals(
     t: FloatArray, R: list[Rot3], place: list[FloatArray], down: FloatArray, rng: np.random.Generator
 ) -> tuple[list[NodeState], list[ImuIncrements]]:
     """States that go through places, and noisy samples of the intervals: exact but for the noise."""
-    velocity = (place[1] - place[0]) / DT
-    states, increments = [NodeState(float(t[0]), R[0].matrix(), place[0], velocity)], []
-    for k in range(1, len(t)):
-        before = states[-1]
-        gyro = Rot3.Logmap(R[k - 1].between(R[k])) / DT
-        # what leads there by a constant acceleration, damped: the velocity at both ends is the mean one
-        acceleration = 2.0 * (place[k] - before.p - before.v * DT) / DT**2
-        acceleration = 0.5 * (acceleration + ((place[k] - place[k - 1]) / DT - before.v) / DT)
-        force = R[k - 1].unrotate(acceleration - GRAVITY * down)
-        pim = gtsam.PreintegratedImuMeasurements(
-            gtsam.PreintegrationParams(GRAVITY * down), gtsam.imuBias.ConstantBias()
-        )
-        for _ in range(2):
-            pim.integrateMeasurement(force, gyro, 0.5 * DT)
-        nav = pim.predict(gtsam.NavState(Rot3(before.R), before.p, before.v), gtsam.imuBias.ConstantBias())
-        states.append(NodeState(float(t[k]), nav.attitude().matrix(), nav.position(), nav.velocity()))
-        force = force + rng.normal(0.0, NOISE.accelerometer_density / np.sqrt(DT), 3)
-        gyro = gyro + rng.normal(0.0, NOISE.gyroscope_density / np.sqrt(DT), 3)
-        increments.append(constant(force, gyro))
-    return states, increments
+    R, p, g = np.array([each.matrix() for each in R]), np.array(place), GRAVITY * down
+    v, back = np.gradient(p, DT, axis=0), np.swapaxes(R[:-1], 1, 2)
+    delta_v, delta_p = v[1:] - v[:-1] - g * DT, p[1:] - p[:-1] - v[:-1] * DT - 0.5 * g * DT**2
+    in_body = (np.einsum("nij,nj->ni", back, each) for each in (delta_v, delta_p))
+    acc, gyro, h = equivalent_samples(Preintegration(back @ R[1:], *in_body, np.full(len(t) - 1, DT)))
+    acc += rng.normal(0.0, NOISE.accelerometer_density / np.sqrt(DT), (len(acc), 1, 3))
+    gyro += rng.normal(0.0, NOISE.gyroscope_density / np.sqrt(DT), gyro.shape)
+    states = [NodeState(*state) for state in zip(t.tolist(), R, p, v, strict=True)]
+    one = np.array([0, 1]), np.zeros(6), np.zeros(1)
+    return states, [ImuIncrements(*(x[k : k + 1] for x in (acc, gyro, h)), *one) for k in range(len(h))]
 
 
 def constant(force: FloatArray, rate: FloatArray) -> ImuIncrements:
