@@ -436,6 +436,8 @@ def test_without_a_shoulder_and_with_nothing_asked_for() -> None:
     found = solve(window, with_covariance=False)
     assert found.shoulder is found.forearm.pose_covariance is found.evidence is None
     assert solve(window, with_covariance=True).forearm.pose_covariance is not None
+    with pytest.raises(SolveError, match=r"between 20\.0 s and 20\.\d s is not determined"):
+        solve(replace(window, joint_measurements=()), with_covariance=True)
 
 
 def test_a_stamp_s_column_is_the_derivative_of_the_data() -> None:

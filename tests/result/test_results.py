@@ -61,6 +61,12 @@ def test_they_have_the_covariance_that_the_answer_states(drawn: Recovery) -> Non
     assert 0.7 < np.median(ratio) < 1.3
 
 
+def test_numbers_below_zero_are_refused(made: SimulatedArm) -> None:
+    for wrong in ({"draws": -1}, {"draws": 2, "seed": -1}):
+        with pytest.raises(UnoccludeError, match="0 or more; not -1"):
+            answer(made.recording, made.calibration, **wrong)
+
+
 @pytest.mark.slow
 def test_the_same_seed_gives_the_same_motions_and_the_answer_stays(
     made: SimulatedArm, drawn: Recovery
@@ -71,9 +77,6 @@ def test_the_same_seed_gives_the_same_motions_and_the_answer_stays(
     np.testing.assert_allclose(few.draws.rotation, drawn.draws.rotation[:2], atol=1e-6)
     for name in ("position", "quaternion", "pose_covariance"):
         np.testing.assert_array_equal(getattr(few, name), getattr(drawn, name))
-    for wrong in ({"draws": -1}, {"draws": 2, "seed": -1}):
-        with pytest.raises(UnoccludeError, match="0 or more; not -1"):
-            answer(made.recording, made.calibration, **wrong)
 
 
 def with_draws(count: int = 3, step_s: float = 0.04) -> Recovery:
