@@ -52,7 +52,7 @@ def poses(turns: list[np.ndarray], still_s: float = 5.0, rate_hz: float = 50.0) 
 
 
 QUARTERS = np.array([[1, 0, 0], [0, 1, 0], [1, 0, 0], [0, 0, 1]]) * np.pi / 2
-TURNED = poses(list(QUARTERS))
+QUARTER_TURNS = poses(list(QUARTERS))
 
 
 @pytest.mark.parametrize("protocol", ["random", "hang", "behind"])
@@ -79,7 +79,7 @@ def test_the_scale_of_the_accelerometer(protocol: str, factor: float) -> None:
 def test_a_bias_is_no_scale(axis: int, sign: int) -> None:
     """A tenth of g along one axis, as real sensors have it: several poses show it, a single one does not."""
     bias = 0.1 * STANDARD_GRAVITY * sign * np.eye(3)[axis]
-    scale = force_scale(replace(TURNED, acc=TURNED.acc + bias), NO_BIAS)
+    scale = force_scale(replace(QUARTER_TURNS, acc=QUARTER_TURNS.acc + bias), NO_BIAS)
     assert scale is not None and abs(scale.ratio - 1.0) < 0.02 and not scale.is_doubtful
     for imu in (worn("random"), worn("hang"), poses([])):
         scale = force_scale(replace(imu, acc=imu.acc + bias), NO_BIAS)
@@ -94,7 +94,7 @@ def test_what_is_no_fault_of_the_accelerometer() -> None:
         assert [*wrong_scale(force_scale(imu.select(rows), NO_BIAS))] == []
     assert force_scale(imu.select(slice(0, 3)), NO_BIAS) is None
     assert force_scale(replace(imu, acc=0.0 * imu.acc), NO_BIAS) is None
-    at_rest = force_scale(TURNED, NO_BIAS)  # which gives the scale itself
+    at_rest = force_scale(QUARTER_TURNS, NO_BIAS)  # which gives the scale itself
     assert at_rest is not None and abs(at_rest.ratio - 1.0) < 1e-3 and at_rest.sigma < 0.01
 
 
