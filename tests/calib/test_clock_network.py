@@ -114,40 +114,26 @@ def test_rounds_that_contradict_each_other_cost_sigma():
     assert link.sigma_s > 5e-3 and abs(link.offset_s - 1.0) < 3 * link.sigma_s
 
 
-@pytest.mark.parametrize("rounds", [4, 5, 6])
-def test_a_late_round_among_few_is_rejected_or_costs_sigma(rounds: int):
+@pytest.mark.parametrize(
+    ("rounds", "clocks", "late"), [(4, 2, 1), (5, 2, 1), (6, 2, 1), (6, 3, 0), (6, 3, 2)]
+)
+def test_a_late_round_among_few_is_rejected_or_costs_sigma(rounds: int, clocks: int, late: int):
     """Over minutes a skew could explain it: what cannot be told is not stated to a tenth of a millisecond."""
-    far, stated = [], []
+    far, stated, offset = [], [], np.array([0.0, 3.0, 5.0])[:clocks]
     for seed in range(40):
-        rng = np.random.default_rng([rounds, seed])
-        t, skew = np.sort(rng.uniform(0, 600, rounds)), rng.uniform(-4e-4, 4e-4)
-        heard = np.floor(np.stack([t, t + 3.0 + skew * t]) / STEP_S) * STEP_S
-        heard[1, rng.integers(rounds)] += rng.uniform(0.01, 0.2)
-        noise, node = np.full(2 * rounds, STEP_S / np.sqrt(12)), ["a"] * rounds + ["b"] * rounds
-        rows = Receptions(np.tile(np.arange(rounds), 2), node, heard.ravel(), noise, "broadcast")
-        link = solve_clocks([rows]).between("a", "b")
-        far.append(abs(link.offset_s - 3.0 - skew * link.at_s) / link.sigma_s)
-        stated.append(link.sigma_s)
-    assert max(far) < 5
-    assert rounds < 5 or np.median(stated) < 2e-4
-
-
-@pytest.mark.parametrize("late", [0, 2])
-def test_a_late_round_of_any_node_of_three_costs_sigma(late: int):
-    """Of the reference as of the others."""
-    far = []
-    for seed in range(30):
-        rng = np.random.default_rng([late, seed])
-        t, skew = np.sort(rng.uniform(0, 600, 6)), rng.uniform(-2e-4, 2e-4, 3) * [0, 1, 1]
-        heard = np.floor((t + np.array([[0.0], [3.0], [5.0]]) + skew[:, None] * t) / STEP_S) * STEP_S
-        heard[late, rng.integers(6)] += rng.uniform(0.01, 0.2)
-        noise, node = np.full(18, STEP_S / np.sqrt(12)), [name for name in "abc" for _ in t]
-        rows = Receptions(np.tile(np.arange(6), 3), node, heard.ravel(), noise, "broadcast")
+        rng = np.random.default_rng([rounds, late, seed])
+        t, skew = np.sort(rng.uniform(0, 600, rounds)), np.append(0, rng.uniform(-4e-4, 4e-4, clocks - 1))
+        heard = np.floor((t + offset[:, None] + skew[:, None] * t) / STEP_S) * STEP_S
+        heard[late, rng.integers(rounds)] += rng.uniform(0.01, 0.2)
+        noise, node = np.full(heard.size, STEP_S / np.sqrt(12)), [name for name in "abc"[:clocks] for _ in t]
+        rows = Receptions(np.tile(np.arange(rounds), clocks), node, heard.ravel(), noise, "broadcast")
         for link in solve_clocks([rows]).links():
             u, v = ("abc".index(name) for name in (link.from_clock, link.to_clock))
-            true = [0.0, 3.0, 5.0][v] - [0.0, 3.0, 5.0][u] + (skew[v] - skew[u]) * link.at_s
-            far.append(abs(link.offset_s - true) / (link.sigma_s + 1e-3))
+            true = offset[v] - offset[u] + (skew[v] - skew[u]) * link.at_s
+            far.append(abs(link.offset_s - true) / (link.sigma_s + 1e-3 * (clocks > 2)))
+            stated.append(link.sigma_s)
     assert max(far) < 5
+    assert clocks > 2 or rounds < 5 or np.median(stated) < 2e-4
 
 
 @pytest.mark.parametrize("apart_s", [0.002, 0.010, 0.020])

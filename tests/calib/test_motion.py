@@ -292,26 +292,15 @@ def test_recordings_of_two_mountings_are_refused_by_name(tmp_path: Path, capsys:
     settings = ArmSimulation.preset("realistic", protocol="random", duration_s=40.0)
     first, other = simulate_arm(settings, 0).recording, simulate_arm(settings, 1).recording
     middle_s = float(np.mean(first.imu.t_s[[0, -1]]))
-    for name, recording in (
-        (
-            "a",
-            replace(
-                first,
-                imu=first.imu.select(first.imu.t_s < middle_s),
-                arm=first.arm.select(first.arm.t_s < middle_s),
-            ),
-        ),
-        (
-            "b",
-            replace(
-                first,
-                imu=first.imu.select(first.imu.t_s >= middle_s),
-                arm=first.arm.select(first.arm.t_s >= middle_s),
-            ),
-        ),
-        ("c", other),
+    for name, recording, low_s, high_s in (
+        ("a", first, -np.inf, middle_s),
+        ("b", first, middle_s, np.inf),
+        ("c", other, -np.inf, np.inf),
     ):
-        write_recording(replace(recording, truth=None), tmp_path / f"{name}.mcap")
+        imu, arm = (
+            part.select((part.t_s >= low_s) & (part.t_s < high_s)) for part in (recording.imu, recording.arm)
+        )
+        write_recording(replace(recording, imu=imu, arm=arm, truth=None), tmp_path / f"{name}.mcap")
     files = [tmp_path / f"{name}.mcap" for name in "abc"]
     done("calibrate", "motion", *files[:2], "-o", tmp_path / "same.toml", "--processes", "1")
     capsys.readouterr()

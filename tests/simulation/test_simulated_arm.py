@@ -455,23 +455,11 @@ def test_a_capture_that_begins_after_the_recording_is_refused():
 DATA = Path(__file__).parents[2] / "data"
 
 
-def command() -> list[str]:
-    """The command that data/README.md gives."""
+def test_the_command_that_is_told_still_makes_the_demo(tmp_path: Path):
     lines = (DATA / "README.md").read_text(encoding="utf-8").splitlines()
     (line,) = (line for line in lines if line.startswith("unocclude simulate"))
-    return shlex.split(line)[1:]
-
-
-@pytest.fixture(scope="module")
-def again(tmp_path_factory) -> Path:
-    """What the command makes today."""
-    folder = tmp_path_factory.mktemp("demo")
-    assert run([part.replace("data/", f"{folder}/") for part in command()]) == 0
-    return folder
-
-
-def test_the_command_still_makes_the_recording(again):
-    kept, made = read_recording(DATA / "demo.mcap"), read_recording(again / "demo.mcap")
+    assert run([part.replace("data/", f"{tmp_path}/") for part in shlex.split(line)[1:]]) == 0
+    kept, made = (read_recording(each / "demo.mcap") for each in (DATA, tmp_path))
     for stream, names in (
         ("imu", ("t_s", "acc", "gyro")),
         ("arm", ("t_s", "position", "state")),
@@ -482,15 +470,9 @@ def test_the_command_still_makes_the_recording(again):
             # another processor may round the last digits differently
             np.testing.assert_allclose(new, old, rtol=0, atol=2e-9)
     assert kept.side == made.side == "right"
-
-
-def test_the_command_still_makes_the_calibration(again):
-    kept, made = (read_calibration(each / "demo_calibration.toml").arm("right") for each in (DATA, again))
-    assert kept.upper_arm.value_m == pytest.approx(made.upper_arm.value_m, abs=1e-12)
+    old, new = (read_calibration(each / "demo_calibration.toml").arm("right") for each in (DATA, tmp_path))
+    assert old.upper_arm.value_m == pytest.approx(new.upper_arm.value_m, abs=1e-12)
     for joint in ("elbow", "wrist", "hand"):
-        old, new = (one.lever_arms[joint].position_m for one in (kept, made))
-        np.testing.assert_allclose(new, old, rtol=0, atol=1e-12)
-
-
-def test_small_enough_to_keep():
+        levers = (one.lever_arms[joint].position_m for one in (old, new))
+        np.testing.assert_allclose(*levers, rtol=0, atol=1e-12)
     assert sum(path.stat().st_size for path in DATA.iterdir()) < 1_000_000

@@ -29,8 +29,6 @@ def board_depth(panel: SimulatedPanel, number: int = 0) -> np.ndarray:
 
 def on_board(panel: SimulatedPanel, inset_px: int, number: int = 0) -> np.ndarray:
     """Pixels inside the panel's outline, some way from its rim and from the markers."""
-    import cv2
-
     pose = panel.poses[number]
     outline = panel.lens.pixels(panel.config.corners @ pose.R_K_P.T + pose.p_K_P)
     mask = np.zeros(pose.depth.shape, np.uint8)
@@ -68,8 +66,6 @@ def test_answer_brings_the_mocap_markers_to_the_panel(ideal: SimulatedPanel):
 
 @pytest.mark.slow
 def test_spots_that_are_added():
-    import cv2
-
     def bright(config: PanelSimulation) -> int:
         pose = simulate_panel(config, seed=8).poses[0]
         return int(cv2.connectedComponents((pose.infrared > 40000).astype(np.uint8))[0]) - 1
