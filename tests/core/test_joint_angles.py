@@ -18,8 +18,8 @@ from smoother.angles.definitions import (
     torso_axes,
     wrapped_deg,
 )
-from smoother.calibration import ArmCalibration, SegmentMounting
-from smoother.result import Recovery, SegmentMotion
+from smoother.calibration import SegmentMounting
+from smoother.result import SegmentMotion
 
 DOWN = np.array([0.0, -1.0, 0.0])  # a level Kinect: x to the camera's left, y up, z away from it
 RIGHT_OF_PERSON, UP, TO_CAMERA = np.eye(3)[0], np.eye(3)[1], -np.eye(3)[2]
@@ -123,43 +123,25 @@ def test_what_is_missing_is_nan_and_singular_postures_are_marked():
     assert np.allclose(axes[0], (R_K_A[0] * R_F_A.inv()).as_matrix()) and np.isnan(axes[1:]).all()
 
 
-def recovery(up: np.ndarray, lateral: np.ndarray, side: str = "right", sigma_rad: float = 0.0) -> Recovery:
-    """Samples whose humerus points up along `up` (N, 3), its lateral epicondyle along `lateral`."""
-    made = make_recovery(make_recording(), error_m=0.0)
-    made = made.rows(slice(0, len(up)))
-    x = np.cross(up, lateral)
-    R_K_U = np.stack([x, up, lateral], axis=2)
-    R_U_B = Rotation.from_rotvec([0.3, -0.8, 0.5]).as_matrix()
-    pose = np.zeros((len(up), 6, 6))
-    pose[:, 3:, 3:] = sigma_rad**2 * np.eye(3)
-    quaternion = Rotation.from_matrix(R_K_U @ R_U_B).as_quat(scalar_first=True)
-    upper = SegmentMotion(np.zeros((len(up), 3)), quaternion, pose, np.zeros(3))
-    calibration = replace(
-        made.calibration or ArmCalibration(), mountings={"upper_arm": SegmentMounting({}, R_bone=R_U_B)}
+def test_soft_tissue_widens_them_and_what_is_not_known_is_not_said() -> None:
+    made = make_recovery(make_recording()).rows(slice(0, 4))
+    R, R_bone = (
+        Rotation.from_euler("yxy", [40.0, 70.0, -25.0], degrees=True),
+        Rotation.from_rotvec([0.3, -0.8, 0.5]),
     )
-    return replace(
-        made, segments={"upper_arm": upper}, calibration=calibration, gravity_direction=DOWN, side=side
+    quaternion = np.tile((R * R_bone).as_quat(scalar_first=True), (4, 1))
+    quaternion[1] = np.nan
+    mount_sigma_rad = np.array([0.0, 0.1, 0.0])  # about the bone
+    upper = SegmentMotion(np.zeros((4, 3)), quaternion, np.zeros((4, 6, 6)), mount_sigma_rad)
+    mounting = SegmentMounting({}, R_bone=R_bone.as_matrix())
+    calibration = replace(made.calibration, mountings={"upper_arm": mounting})
+    made = replace(
+        made, segments={"upper_arm": upper}, calibration=calibration, gravity_direction=DOWN, side="right"
     )
-
-
-def test_soft_tissue_widens_them_about_its_own_axis() -> None:
-    R = Rotation.from_euler("yxy", [40.0, 70.0, -25.0], degrees=True).as_matrix()
-    made = recovery(np.tile(R[:, 1], (2, 1)), np.tile(R[:, 2], (2, 1)))
-    about_the_bone = replace(
-        made, segments={"upper_arm": replace(made.upper, mount_sigma_rad=np.array([0.0, 0.1, 0.0]))}
-    )
-    _, sigmas = shoulder_angles(about_the_bone)
-    np.testing.assert_allclose(sigmas["shoulder_rotation"], np.degrees(0.1), rtol=1e-3)
-    np.testing.assert_allclose(sigmas["shoulder_plane"], 0.0, atol=0.01)
-    np.testing.assert_allclose(sigmas["shoulder_elevation"], 0.0, atol=0.01)
-
-
-def test_nothing_is_said_of_what_is_not_known() -> None:
-    made = recovery(np.tile([0.0, 0.0, 1.0], (4, 1)), np.tile([1.0, 0.0, 0.0], (4, 1)))
-    paused = made.upper.quaternion.copy()
-    paused[1] = np.nan
-    angles, _ = shoulder_angles(replace(made, segments={"upper_arm": replace(made.upper, quaternion=paused)}))
+    angles, sigmas = shoulder_angles(made)
     np.testing.assert_array_equal(np.isnan(angles["shoulder_plane"]), [False, True, False, False])
+    for name, expected in (("rotation", np.degrees(0.1)), ("plane", 0.0), ("elevation", 0.0)):
+        np.testing.assert_allclose(sigmas[f"shoulder_{name}"][[0, 2]], expected, rtol=1e-3, atol=0.01)
     for less in (
         replace(made, segments={}),
         replace(made, calibration=replace(made.calibration, mountings={})),
