@@ -1,10 +1,8 @@
-"""Camera and IMU motion over the same seconds, low-passed alike on one grid, free of mounting and heading.
+"""Camera and IMU motion over the same seconds, smoothed alike on one grid, free of mounting and heading.
 
-An excerpt is up to 10 s of the recording. A limb, one of the two segments of every arm that the camera saw,
-gives its direction and the acceleration of a point on it, in {K}. An IMU gives its orientation `R_E_A` and
-its acceleration in a frame {E} of its own, with z up and an unknown heading, by an offline inertial
-filter (VQF; Laidig and Seel, Information Fusion 2023). The IMU's samples reach farther on both sides, so that
-clocks may be apart.
+A limb, one of the two segments of every arm that the camera saw, gives its direction and the acceleration of
+a point on it, in {K}; an IMU its orientation `R_E_A` and its acceleration in a frame {E} of its own, with z
+up and an unknown heading. The IMU's samples reach farther on both sides, so that clocks may be apart.
 """
 
 from __future__ import annotations
@@ -18,10 +16,12 @@ import numpy as np
 
 from ..array_types import BoolArray, FloatArray
 from ..errors import RecordingError
+from ..filters import gaussian_smoothed
 from ..linalg import unit
+from ..measurements.inertial import InertialSignal, inertial_attitude
+from ..measurements.rigid import GRID_HZ, SMOOTH_S, known_at
 from ..measurements.timestamps import split_at_pauses
 from ..recording import JOINTS, ImuStream, JointState, JointTracks
-from ..rotation import Rotation
 from ..units import GRAVITY
 
 #: A segment's joints: from, to; and how far along it the IMU's acceleration is taken.
@@ -92,40 +92,32 @@ def limbs_of(tracks: JointTracks, body: int = 0, side: str = "", skeleton: str =
     return tuple(limb for limb in limbs if limb.point()[1].any())
 
 
-#: Both sides are compared on this grid, below this frequency, Hz: above it a camera's joints are noise.
-GRID_HZ, LOW_PASS_HZ = 25.0, 2.0
+#: So much beside what was not seen is left out, s.
+BESIDE_S = 0.04
 #: Length of an excerpt and how many are read of a longer recording, s.
 EXCERPT_S, EXCERPTS = 10.0, 12
 #: Data read around an excerpt, s, so that filters have settled.
 CONTEXT_S = 1.5
-#: Frames or samples farther apart than this are not bridged, s.
-BRIDGED_S = 0.25
-#: So much at the edge of what was seen has no acceleration, s.
-EDGE_S = 0.12
-#: Independent samples are this part of what the low-pass leaves, as joints' errors have a memory; and of
-#: however many, no more than this many count, as joints' constant errors and the strap's slip do not average
-#: out.
-INDEPENDENT, MOST_INDEPENDENT = 0.5, 20.0
 #: Camera and IMU must share this much, s.
 SHORTEST_S = 1.0
 
 
 @dataclass(frozen=True)
 class LimbMotion:
-    """A limb in an excerpt, low-passed, in {K}."""
+    """A limb in an excerpt, smoothed, in {K}."""
 
     direction: FloatArray  # (n, 3): along the segment; 0 where not seen
     acceleration: FloatArray  # (n, 3) m/s^2: of the point nearest to an IMU; 0 where not seen
-    measured: FloatArray  # (n, 3) m: that point as the camera measured it, not low-passed
+    measured: FloatArray  # (n, 3) m: that point as the camera measured it
     has_direction: BoolArray  # bool (n,): where directions are known
     has_point: BoolArray  # bool (n,): where points are known
 
 
 @dataclass(frozen=True)
 class ImuMotion:
-    """An IMU in an excerpt and `reach` grid steps beyond on both sides, low-passed; N = n + 2 reach."""
+    """An IMU in an excerpt and `reach` grid steps beyond on both sides, smoothed; N = n + 2 reach."""
 
-    R_E_A: FloatArray  # (N, 3, 3): low-passed entry by entry; 0 where there are no samples
+    R_E_A: FloatArray  # (N, 3, 3): smoothed entry by entry; 0 where there are no samples
     acceleration: FloatArray  # (N, 3) m/s^2: in {E}, without gravity
     rate: FloatArray  # (N,) rad/s: length of the angular rate
     there: BoolArray  # bool (N,): Where the sensor has samples
@@ -187,89 +179,45 @@ def _liveliness(limbs: Sequence[Limb], starts: FloatArray) -> FloatArray:
 def limb_motion(limb: Limb, t: FloatArray) -> LimbMotion:
     """A limb's motion at grid times (n,)."""
     limb = limb.between(t[0] - CONTEXT_S, t[-1] + CONTEXT_S)
-    frame_t = limb.tracks.t_s
-    first, second, both = limb.ends()
-    along, has_direction = _low_passed(frame_t, unit(second - first), both, t)
-    point, seen = limb.point()
-    position, has_point = _low_passed(frame_t, point, seen, t, edge_s=EDGE_S)
-    acceleration = _second_derivative(position)
-    measured = np.zeros_like(position)
-    if seen.any():
-        measured = np.stack([np.interp(t, frame_t[seen], column) for column in point[seen].T], axis=1)
+    frame_t, (first, second, both), (point, seen) = limb.tracks.t_s, limb.ends(), limb.point()
+    along, _, has_direction = _on_grid(frame_t[both], unit(second - first)[both], t)
+    position, measured, has_point = _on_grid(frame_t[seen], point[seen], t)
+    step = 1.0 / GRID_HZ
+    acceleration = np.gradient(np.gradient(position, step, axis=0), step, axis=0)
     for values, known in ((along, has_direction), (acceleration, has_point), (measured, has_point)):
         values[~known] = 0.0
     return LimbMotion(along, acceleration, measured, has_direction, has_point)
 
 
+def _on_grid(
+    times: FloatArray, values: FloatArray, t: FloatArray
+) -> tuple[FloatArray, FloatArray, BoolArray]:
+    """Values (N, 3) smoothed at grid times, the same as they are, and where they were known."""
+    if len(times) < 3:
+        return np.zeros((len(t), 3)), np.zeros((len(t), 3)), np.zeros(len(t), bool)
+    more = np.arange(1, round(4.0 * SMOOTH_S * GRID_HZ) + 1) / GRID_HZ
+    wide = np.concatenate([t[0] - more[::-1], t, t[-1] + more])
+    here = np.stack([np.interp(wide, times, column) for column in values.T], axis=1)
+    rows = slice(len(more), -len(more))
+    return gaussian_smoothed(here, SMOOTH_S * GRID_HZ)[rows], here[rows], known_at(t, times, BESIDE_S)
+
+
 def imu_motion(imu: ImuStream, t: FloatArray) -> ImuMotion:
     """An IMU's motion at grid times (N,)."""
-    n = len(t)
-    R, acceleration = np.zeros((n, 9)), np.zeros((n, 3))
-    rate, there = np.zeros(n), np.zeros(n, bool)
+    values, there = np.zeros((len(t), 13)), np.zeros(len(t), bool)
     near = slice(*np.searchsorted(imu.t_s, [t[0] - CONTEXT_S, t[-1] + CONTEXT_S]))
     samples = imu.select(near)
     # heading and tilt start anew after a pause: the longest part without one is read
-    runs_ = split_at_pauses(samples) if len(samples) > 2 else []
-    rows = max(runs_, key=lambda rows: rows.stop - rows.start, default=slice(0, 0))
-    samples = samples.select(rows)
+    runs = split_at_pauses(samples) if len(samples) > 2 else []
+    samples = samples.select(max(runs, key=lambda rows: rows.stop - rows.start, default=slice(0, 0)))
     if len(samples) > 2 and samples.t_s[-1] - samples.t_s[0] >= SHORTEST_S:
-        values = _levelled(samples)
-        passed, there = _low_passed(samples.t_s, values, np.ones(len(samples), bool), t)
-        passed[~there] = 0.0
-        R, acceleration, rate = passed[:, :9], passed[:, 9:12], passed[:, 12]
-    return ImuMotion(R.reshape(n, 3, 3), acceleration, rate, there)
-
-
-def _levelled(imu: ImuStream) -> FloatArray:
-    """(N, 13): `R_E_A`, acceleration in {E} without gravity, |rate|."""
-    from vqf import offlineVQF
-
-    step = float(imu.t_s[-1] - imu.t_s[0]) / (len(imu) - 1)
-    acc, gyro = np.ascontiguousarray(imu.acc), np.ascontiguousarray(imu.gyro)
-    answer = offlineVQF(gyro, acc, None, step)
-    R = Rotation.from_quat(answer["quat6D"][:, [1, 2, 3, 0]]).as_matrix()
-    level = np.einsum("nij,nj->ni", R, acc) - [0.0, 0.0, GRAVITY]
-    return np.hstack([R.reshape(-1, 9), level, np.linalg.norm(gyro, axis=1)[:, None]])
-
-
-def _low_passed(
-    times: FloatArray, values: FloatArray, usable: BoolArray, t: FloatArray, edge_s: float = 0.0
-) -> tuple[FloatArray, BoolArray]:
-    """Values (N, c) below `LOW_PASS_HZ` at grid times, and where they were known."""
-    from scipy.signal import butter, sosfiltfilt
-
-    usable = usable & np.isfinite(values).all(axis=1)
-    times, values = times[usable], values[usable]
-    known = np.zeros(len(t), bool)
-    if len(times) < 3:
-        return np.zeros((len(t), values.shape[1])), known
-    rate = max(GRID_HZ, min(100.0, 1.0 / float(np.median(np.diff(times)))))
-    count = max(int(np.ceil((times[-1] - times[0]) * rate)), 2)
-    even = np.linspace(times[0], times[-1], count)
-    on_grid = np.stack([np.interp(even, times, column) for column in values.T], axis=1)
-    rate = (count - 1) / (times[-1] - times[0])
-    sos = butter(2, LOW_PASS_HZ / (rate / 2), output="sos")
-    passed = sosfiltfilt(sos, on_grid, axis=0, padlen=min(count - 1, int(2 * rate)))
-    after = np.clip(np.searchsorted(times, t, side="right"), 1, len(times) - 1)
-    before, behind = times[after - 1], times[after]
-    inside = (t >= times[0]) & (t <= times[-1])
-    known = inside & ((behind - before <= BRIDGED_S) | (t == before))
-    if edge_s:
-        gaps = np.flatnonzero(np.diff(times) > BRIDGED_S)
-        borders = np.concatenate([times[[0, -1]], times[gaps], times[gaps + 1]])
-        known &= np.abs(t[:, None] - borders).min(axis=1) >= edge_s
-    return np.stack([np.interp(t, even, column) for column in passed.T], axis=1), known
-
-
-def _second_derivative(position: FloatArray) -> FloatArray:
-    """(n, 3) m/s^2 by central differences on the grid."""
-    if len(position) < 3:
-        return np.zeros_like(position)
-    inner = (position[2:] - 2 * position[1:-1] + position[:-2]) * GRID_HZ**2
-    return np.concatenate([inner[:1], inner, inner[-1:]])
-
-
-def independent_samples(count: FloatArray) -> FloatArray:
-    """How many independent samples grid samples are treated as."""
-    independent = INDEPENDENT * 2 * LOW_PASS_HZ / GRID_HZ * count
-    return np.asarray(independent / (1.0 + independent / MOST_INDEPENDENT))
+        there = (t >= samples.t_s[0]) & (t <= samples.t_s[-1])
+    if there.any():
+        signal, half = InertialSignal(samples), 0.5 / GRID_HZ
+        turn = inertial_attitude(signal, samples.rate_hz).at(t[there])
+        mean = signal.mean(t[there] - half, t[there] + half)
+        level = turn.apply(mean[:, :3]) - [0.0, 0.0, GRAVITY]
+        rate = np.linalg.norm(mean[:, 3:], axis=1)
+        levelled = np.hstack([turn.as_matrix().reshape(-1, 9), level, rate[:, None]])
+        values[there] = gaussian_smoothed(levelled, SMOOTH_S * GRID_HZ)
+    return ImuMotion(values[:, :9].reshape(-1, 3, 3), values[:, 9:12], values[:, 12], there)

@@ -1,10 +1,7 @@
 """How much of a forearm's turning, as the camera saw it, an IMU's attitude explains at every clock offset.
 
-The camera gives the forearm's direction d(t) in {K}, the IMU its attitude R_E_A(t). With the forearm's axis
-a in the sensor and the constant rotation Q from {E} to {K}, d(t) = Q R_E_A(t + offset) a, and the same holds
-for the derivatives x = d' and Y = R_E_A' after any filter along time. For one offset, Q and a follow in
-closed form alternately; over all offsets the sums that they need are correlations, which the Fourier
-transform gives.
+The relation of `measurements.rigid` holds for derivatives after any filter along time, too: of the forearm's
+direction, x, and of the IMU's attitude, Y.
 
 Where a is known, from other recordings with the same strap, Q alone is free, and seconds of motion tell.
 
@@ -14,7 +11,7 @@ A mirrored skeleton, or elbow and wrist exchanged, fits as well as the true one 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -22,16 +19,15 @@ import numpy as np
 
 from ..array_types import BoolArray, FloatArray, IntArray
 from ..filters import gaussian_smoothed
-from ..linalg import largest_trace, nearest_rotation, unit, upright
+from ..linalg import unit, upright
 from ..measurements.inertial import InertialSignal, inertial_attitude
+from ..measurements.rigid import GRID_HZ, SMOOTH_S, best_fits, correlation, fits_along, known_at
 from ..measurements.segment import FEWEST_SAMPLES, without_spikes
 from ..measurements.timestamps import dejitter
 from ..recording import ImuStream, JointTracks
 
-#: Both series are taken on this grid, Hz, and differentiated with a Gaussian of this sigma, s.
-GRID_HZ, SMOOTH_S = 25.0, 0.12
-#: Frames farther apart are not bridged, s; beside a gap the filter's reach is left out, s.
-BRIDGED_S, BESIDE_GAP_S = 0.25, 0.24
+#: Beside a gap the filter's reach is left out, s.
+BESIDE_GAP_S = 0.24
 #: A forearm whose length in a frame is outside this range of its median is not a forearm there.
 LENGTHS = (0.5, 1.6)
 #: An offset is tried where this part of the shorter one is in common, but no more than this is asked for, s.
@@ -43,13 +39,8 @@ SHORTEST_S = 1.0
 WEIGHT_FLOOR, WEIGHT_S = 0.3, 0.25
 #: Autocorrelation is summed up to this, s; no offset explains more than this part.
 CORRELATED_S, MOST_EXPLAINED = 4.0, 0.999
-#: Rounds of the alternation from all start values, and from the best of them.
-FIRST_ROUNDS, MORE_ROUNDS, KEPT = 3, 3, 2
-NEWTON_STEPS = 6
 #: Of the offsets every this many are tried first; then all where this part of the best is reached.
 COARSE, LOOKED_AT = 3, 0.5
-#: Offsets are worked on in batches of this many.
-BATCH = 1024
 
 
 @dataclass(frozen=True)
@@ -123,10 +114,7 @@ def camera_turning(arm: JointTracks, origin_s: float, tip: str) -> CameraTurning
     seen = np.hstack([unit(along[keep]), np.log(length[keep, None])])
     on_grid = np.stack([np.interp(grid, t, axis) for axis in seen.T], axis=1)
     rate = gaussian_smoothed(on_grid, SMOOTH_S * GRID_HZ, derivative=True) * GRID_HZ
-    known = (grid > t[0] + BESIDE_GAP_S) & (grid < t[-1] - BESIDE_GAP_S)
-    for row in np.flatnonzero(np.diff(t) > BRIDGED_S):
-        start, stop = np.searchsorted(grid, [t[row] - BESIDE_GAP_S, t[row + 1] + BESIDE_GAP_S])
-        known[start:stop] = False
+    known = known_at(grid, t, BESIDE_GAP_S)
     if known.sum() < SHORTEST_S * GRID_HZ:
         return None
     rate = np.where(known[:, None], rate, 0.0)
@@ -216,7 +204,7 @@ class TurningSums:
         power = np.zeros((1 if directions is None else len(directions), len(self.known)))
         for row, (rows, T, C, most) in self.runs:
             if directions is not None:
-                explained = _fits_along(T, C, directions, self.has_up)
+                explained = fits_along(T, C, directions, self.has_up)
             else:
                 explained = _searched(T, C, self.has_up)[None] if len(rows) else np.zeros((1, 0))
             power[:, row + rows] += np.clip(explained, 0.0, np.maximum(most, 0.0))
@@ -243,103 +231,7 @@ def _sums(camera: CameraTurning, imu: ImuTurning, up: FloatArray | None) -> tupl
 def _searched(T: FloatArray, C: FloatArray, heading_only: bool) -> FloatArray:
     """The best fits (n,): some offsets first, then all where these are good."""
     coarse = np.unique(np.append(np.arange(0, len(T), COARSE), len(T) - 1))
-    answer = np.interp(np.arange(len(T)), coarse, _best_fits(T[coarse], C[coarse], heading_only))
+    answer = np.interp(np.arange(len(T)), coarse, best_fits(T[coarse], C[coarse], heading_only)[0])
     fine = np.setdiff1d(np.flatnonzero(answer > LOOKED_AT * answer.max()), coarse)
-    answer[fine] = _best_fits(T[fine], C[fine], heading_only)
-    return answer
-
-
-def _fits_along(T: FloatArray, C: FloatArray, along: FloatArray, heading_only: bool) -> FloatArray:
-    """2 tr(Q' T a) - a' C a with the best rotation Q, for each of some directions a (d, 3): (d, n)."""
-    M = np.einsum("nijk,dk->dnij", T, along)
-    if heading_only:
-        trace = np.hypot(M[..., 0, 0] + M[..., 1, 1], M[..., 1, 0] - M[..., 0, 1]) + M[..., 2, 2]
-    else:
-        trace = largest_trace(M)
-    return np.asarray(2.0 * trace - np.einsum("di,nij,dj->dn", along, C, along))
-
-
-def _best_fits(T: FloatArray, C: FloatArray, heading_only: bool) -> FloatArray:
-    """`_best_fit` in batches."""
-    answers = [_best_fit(T[k : k + BATCH], C[k : k + BATCH], heading_only) for k in range(0, len(T), BATCH)]
-    return np.concatenate(answers) if answers else np.zeros(0)
-
-
-def _best_fit(T: FloatArray, C: FloatArray, heading_only: bool) -> FloatArray:
-    """The largest 2 tr(Q' T a) - a' C a over rotations Q and unit vectors a, (n,)."""
-    width, axes = np.linalg.eigh(C)
-    # a = axes y: in these axes C is diagonal
-    T = (T.reshape(-1, 9, 3) @ axes).reshape(-1, 3, 3, 3)
-    turned = _by_heading(T) if heading_only else _freely(T)
-    widths = _columns(width)
-    starts = np.ascontiguousarray(axes.transpose(2, 1, 0))  # the sensor's axes
-    score, y = _alternate(turned, widths, np.concatenate([starts, -starts], axis=1), FIRST_ROUNDS)
-    best = np.argsort(-score, axis=0)[:KEPT]
-    score, _ = _alternate(turned, widths, np.take_along_axis(y, best[None], axis=1), MORE_ROUNDS)
-    return score.max(axis=0)
-
-
-def _columns(vectors: FloatArray) -> FloatArray:
-    """Vectors (n, 3) as (3, 1, n): sums over three, and all else, are fast with the many in a row."""
-    return np.ascontiguousarray(vectors.T)[:, None]
-
-
-def _alternate(
-    turned: Callable[[FloatArray], FloatArray], width: FloatArray, y: FloatArray, rounds: int
-) -> tuple[FloatArray, FloatArray]:
-    """Rounds of Q for y and y for Q from start values (3, s, n): what they reach (s, n), and their y."""
-    value = np.zeros(y.shape[1:])
-    for _ in range(rounds):
-        z = turned(y)
-        y = _on_sphere(z, width)
-        value = ((2.0 * z - width * y) * y).sum(axis=0)
-    return value, y
-
-
-def _on_sphere(z: FloatArray, width: FloatArray) -> FloatArray:
-    """The unit vector y that maximises 2 z'y - y' diag(width) y: y = z / (width + shift), by its shift."""
-    z = np.where(np.abs(z) < 1e-12, 1e-12, z)
-    shift = np.maximum(np.sqrt((z * z).sum(axis=0)) - width[2], np.abs(z[0]) - width[0])
-    for _ in range(NEWTON_STEPS):
-        inverse = 1.0 / (width + shift)
-        squares = (z * inverse) ** 2
-        square, slope = squares.sum(axis=0), (squares * inverse).sum(axis=0)
-        shift = shift + (np.sqrt(square) - 1.0) * square / slope
-    y = z / (width + shift)
-    return np.asarray(y / np.sqrt((y * y).sum(axis=0)))
-
-
-def _freely(T: FloatArray) -> Callable[[FloatArray], FloatArray]:
-    """For vectors y (3, s, n) the z of z'y = tr(Q' T y) with the best rotation Q; T is (n, 3, 3, 3)."""
-    flat = T.reshape(-1, 9, 3)
-
-    def turned(y: FloatArray) -> FloatArray:
-        M = y.transpose(2, 1, 0) @ np.swapaxes(flat, 1, 2)  # (n, s, 9)
-        Q = nearest_rotation(M.reshape(*M.shape[:2], 3, 3))
-        return np.ascontiguousarray((Q.reshape(M.shape) @ flat).transpose(2, 1, 0))
-
-    return turned
-
-
-def _by_heading(T: FloatArray) -> Callable[[FloatArray], FloatArray]:
-    """`_freely` with a rotation Q about the third axis: then three vectors are all that counts of T."""
-    cosine, sine = _columns(T[:, 0, 0] + T[:, 1, 1]), _columns(T[:, 1, 0] - T[:, 0, 1])
-    along = _columns(T[:, 2, 2])
-
-    def turned(y: FloatArray) -> FloatArray:
-        c, s = (cosine * y).sum(axis=0), (sine * y).sum(axis=0)
-        length = np.maximum(np.hypot(c, s), 1e-300)
-        return np.asarray((c / length) * cosine + (s / length) * sine + along)
-
-    return turned
-
-
-def correlation(x: FloatArray, y: FloatArray) -> FloatArray:
-    """Sum over t of x_i(t) y_j(t + lag) for lag = -(n - 1) .. m - 1: (n + m - 1, p, q)."""
-    n, m = len(x), len(y)
-    size = 1 << (n + m - 2).bit_length()
-    fx, fy = np.fft.rfft(x[::-1], size, axis=0), np.fft.rfft(y, size, axis=0)
-    answer = np.empty((n + m - 1, x.shape[1], y.shape[1]))
-    for i in range(x.shape[1]):
-        answer[:, i] = np.fft.irfft(fx[:, [i]] * fy, size, axis=0)[: n + m - 1]
+    answer[fine] = best_fits(T[fine], C[fine], heading_only)[0]
     return answer

@@ -14,10 +14,11 @@ from smoother.array_types import FloatArray
 from smoother.filters import gaussian_smoothed
 from smoother.io import read_recording, write_recording
 from smoother.measurements.clock import constant_clock
+from smoother.measurements.rigid import correlation
 from smoother.recording import CameraFrame, Recording
 from smoother.selfcal.agreement import MotionAgreement, OffsetLine, agreement, chance
 from smoother.selfcal.pairing import decided, doubtful, find_pairing, unproved
-from smoother.selfcal.turning_evidence import CameraTurning, ImuTurning, TurningSums, correlation
+from smoother.selfcal.turning_evidence import CameraTurning, ImuTurning, TurningSums
 from smoother.simulation import ArmSimulation, simulate_arm
 
 
