@@ -247,3 +247,10 @@ def sphere(count: int) -> FloatArray:
     k = np.arange(count) + 0.5
     polar, turn = np.arccos(1 - 2 * k / count), np.pi * (1 + np.sqrt(5)) * k
     return np.stack([np.cos(turn) * np.sin(polar), np.sin(turn) * np.sin(polar), np.cos(polar)], axis=1)
+
+
+def around(direction: FloatArray, steps: FloatArray) -> FloatArray:
+    """Directions (k^2, 3) beside one (3,), by pairs of steps (k,) across it: about as many radians off."""
+    across = np.linalg.svd(direction[None])[2][1:]
+    u, v = (grid.reshape(-1, 1) for grid in np.meshgrid(steps, steps))
+    return unit(direction + u * across[0] + v * across[1])

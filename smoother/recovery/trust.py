@@ -22,7 +22,6 @@ from ..measurements.visibility import Rejection
 from ..recording import FOREARM_JOINTS, JOINTS, CameraFrame, JointTracks, Recording
 from ..result import Recovery, SelfCheck
 from ..result.verdict import EVER, Finding, finding, gap_verdicts
-from ..selfcal.pairing import doubtful, unproved
 from .change_signs import imu_lies_still, skeleton_filled
 from .imu_signs import (
     PLATEAU_SHARE,
@@ -184,7 +183,7 @@ def with_verdict(
         "imu-scale": wrong_scale(scale),
         "options-cancel": _mirror_image(recording),
         "joints-swapped": (swapped.sentence for swapped in swapped_joints(recording.arm)),
-        "no-pair": unproved(pairing),
+        "no-pair": [pairing.reason] if pairing and pairing.reason else [],
         "calibration-contradicted": misfits,
         "clock-contradicted": _measured_clock(recovery, measured),
     }
@@ -198,7 +197,7 @@ def with_verdict(
         "self-check": _self_check(recovery.estimates.self_check),
     }
     remarks = {
-        "pair-unproved": doubtful(pairing),
+        "pair-unproved": [pairing.caution] if pairing and pairing.caution else [],
         "mounting-open": open_questions,
         "distance-doubtful": distance_doubtful(recovery),
         "camera-elsewhere": _camera(recovery, NEAR_M),

@@ -15,7 +15,7 @@ from functools import partial
 import numpy as np
 
 from ..array_types import BoolArray, FloatArray
-from ..linalg import runs
+from ..linalg import parabola_vertex, runs
 from ..measurements.clock import LARGEST_OFFSET_S
 from ..measurements.segment import Timeline, down_hint
 from ..measurements.timestamps import split_at_pauses
@@ -45,7 +45,7 @@ NEAR_S = LARGEST_OFFSET_S + 0.05
 #: Another offset is one at least this far away, s.
 APART_S = 0.5
 #: A stretch is used in the line's fit where its own best offset is this near to it, s.
-ON_LINE_S = 0.12
+ON_LINE_S = 0.14
 #: The offset and drift of fewer stretches, or over a shorter time, s, are not told apart.
 FEWEST_FOR_SKEW, SKEW_SPAN_S = 3, 60.0
 #: How the evidence of streams that do not belong together is distributed: see `chance`.
@@ -89,21 +89,8 @@ class MotionAgreement:
     is_mounted: bool  # The forearm's direction in the sensor was known and used
 
 
-@dataclass(frozen=True)
-class _Stretch:
-    """A part of what the camera saw, and the IMU's runs about it."""
-
-    camera: CameraTurning
-    imu: tuple[ImuTurning, ...]
-
-    @property
-    def middle_s(self) -> float:
-        """On the camera's clock from the grid's origin."""
-        return (self.camera.first + 0.5 * len(self.camera.rate)) / GRID_HZ
-
-    def evidence(self, up: FloatArray | None, along: FloatArray | None) -> EvidenceCurve:
-        """By offset, where up in {K} and the forearm's direction in the sensor are known or free."""
-        return TurningSums.of(self.camera, self.imu, up).curve(along)
+#: A part of what the camera saw, and the IMU's runs about it.
+_Stretch = tuple[CameraTurning, tuple[ImuTurning, ...]]
 
 
 def agreement(
@@ -125,7 +112,7 @@ def agreement(
         kinds: list[tuple[FloatArray | None, FloatArray | None]] = [] if along is None else [(up, along)]
         kinds += [(up, None), (None, None)] if up is not None else [(None, None)]
         for direction, mounted in kinds:
-            curves = list(workers.map(partial(_Stretch.evidence, up=direction, along=mounted), stretches))
+            curves = list(workers.map(partial(_curve, up=direction, along=mounted), stretches))
             ahead_s, camera_s = float(imu.t_s[0] - arm.t_s[0]), float(arm.t_s[0])
             answer = _over(stretches, curves, direction, mounted is not None, ahead_s, camera_s)
             if found is None or answer.best.chance < SWITCH * found.best.chance:
@@ -139,8 +126,13 @@ def agreement(
 
 def turning_sums(recording: Recording, workers: Pool | None = None) -> Iterator[TurningSums]:
     """The sums of a recording's stretches, one after the other; none where there is no forearm direction."""
-    for stretch in _stretches(recording, None, AROUND_S, workers or Pool(1, 0)):
-        yield TurningSums.of(stretch.camera, stretch.imu, _up(recording))
+    for camera, imus in _stretches(recording, None, AROUND_S, workers or Pool(1, 0)):
+        yield TurningSums(camera, imus, _up(recording))
+
+
+def _curve(stretch: _Stretch, up: FloatArray | None, along: FloatArray | None) -> EvidenceCurve:
+    """Of a stretch, where up in {K} and the forearm's direction in the sensor are known or free."""
+    return TurningSums(*stretch, up).curve(along)
 
 
 def _up(recording: Recording) -> FloatArray | None:
@@ -189,7 +181,7 @@ def _of_excerpt(
     part: tuple[JointTracks, ImuStream], origins_s: tuple[float, float], tip: str
 ) -> _Stretch | None:
     camera, run = camera_turning(part[0], origins_s[0], tip), imu_turning(part[1], origins_s[1])
-    return None if camera is None or run is None else _Stretch(camera, (run,))
+    return None if camera is None or run is None else (camera, (run,))
 
 
 def _whole(recording: Recording, tip: str, camera_s: float, imu_s: float) -> Iterator[_Stretch]:
@@ -212,7 +204,7 @@ def _whole(recording: Recording, tip: str, camera_s: float, imu_s: float) -> Ite
     for start, stop in zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True):
         part = camera.part(start, stop)
         if part.known.sum() > GRID_HZ:
-            yield _Stretch(part, imus)
+            yield part, imus
 
 
 def _over(
@@ -224,8 +216,9 @@ def _over(
     camera_s: float,
 ) -> MotionAgreement:
     """The evidence of all stretches, added along lines of offsets."""
-    weights = np.maximum([each.camera.effective_samples for each in stretches], 1e-9)
-    times = np.array([each.middle_s for each in stretches])
+    cameras = [camera for camera, _ in stretches]
+    weights = np.maximum([camera.effective_samples for camera in cameras], 1e-9)
+    times = np.array([(camera.first + 0.5 * len(camera.rate)) / GRID_HZ for camera in cameras])
     middle_s = float(np.average(times, weights=weights))
     first = min(curve.first for curve in curves)
     length = max(curve.first + len(curve.evidence) for curve in curves) - first
@@ -241,7 +234,7 @@ def _over(
         total = np.maximum(total, one)
     offset_s = (first + np.arange(length)) / GRID_HZ + ahead_s
     near = np.abs(offset_s) <= NEAR_S
-    noise_share = float(np.average([each.camera.noise_share for each in stretches], weights=weights))
+    noise_share = float(np.average([camera.noise_share for camera in cameras], weights=weights))
     freedom = sum(curve.freedom for curve in curves)
     searched_s = max(curve.searched for curve in curves) / GRID_HZ * len(skews) ** 0.5
 
@@ -282,18 +275,12 @@ def _refined(
     """The line through the stretches' own peaks beside it: offset at t_s = 0, and skew."""
     at, lag, weight = [], [], []
     for curve, t in zip(curves, t_s.tolist(), strict=True):
-        expected = (offset_s + skew * t - ahead_s) * GRID_HZ - curve.first
-        a, b = np.clip(
-            [round(expected - ON_LINE_S * GRID_HZ), round(expected + ON_LINE_S * GRID_HZ) + 1],
-            0,
-            len(curve.evidence),
-        ).tolist()
-        if b <= a or not curve.evidence[a:b].max() > 0.0:
-            continue
-        row = a + int(curve.evidence[a:b].argmax())
-        at.append(t)
-        lag.append((row + _vertex(curve.evidence, row) + curve.first) / GRID_HZ + ahead_s)
-        weight.append(float(curve.evidence[row]))
+        own_s = (curve.first + np.arange(len(curve.evidence))) / GRID_HZ + ahead_s
+        near = np.abs(own_s - (offset_s + skew * t)) < ON_LINE_S
+        if (best := curve.evidence[near].max(initial=0.0)) > 0.0:
+            at.append(t)
+            lag.append(parabola_vertex(own_s[near], -curve.evidence[near]))
+            weight.append(float(best))
     if not at:
         return float(offset_s), float(skew)
     t, y, w = np.array(at), np.array(lag), np.array(weight)
@@ -301,12 +288,3 @@ def _refined(
         return float(np.average(y, weights=w)), 0.0
     slope, level = np.polyfit(t, y, 1, w=np.sqrt(w))
     return float(level), float(slope)
-
-
-def _vertex(values: FloatArray, row: int) -> float:
-    """Where the parabola through a maximum and its neighbours is highest, in steps from it."""
-    if not 0 < row < len(values) - 1:
-        return 0.0
-    left, middle, right = values[row - 1 : row + 2]
-    curvature = left - 2.0 * middle + right
-    return float(np.clip(0.5 * (left - right) / curvature, -0.5, 0.5)) if curvature < 0 else 0.0

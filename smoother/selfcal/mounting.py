@@ -17,13 +17,12 @@ import numpy as np
 
 from ..array_types import BoolArray, FloatArray
 from ..calibration import ArmCalibration, LeverArm
-from ..linalg import largest_trace, parabola_vertex, sphere
+from ..linalg import around, largest_trace, parabola_vertex, sphere
 from ..measurements.alignment import Alignment, acceleration_pairs, align, direction_pairs, pairs
 from ..measurements.clock import OFFSET_SIGMA_S
 from ..measurements.outliers import reject_by_camera
 from ..measurements.segment import Segment, Timeline
 from ..recording import FOREARM_JOINTS, JOINTS, Recording
-from ..rotation import Rotation
 from .excerpts import choose_excerpts, informative_excerpts
 
 #: Clock offsets tried first, s.
@@ -124,8 +123,8 @@ def _direction_and_offset(
             opposite = directions @ best < -0.5
             margin = float(at[opposite].min() - at[k]) if opposite.any() else float("nan")
         choice = choice + [parabola_vertex(offsets, own[:, k]) for own in loss]
-        width = (0.25, 0.06, 0.0)[step]
-        directions = _cap(best, width) if known is None else known[None]
+        if known is None:
+            directions = around(best, (0.25, 0.06, 0.0)[step] * np.linspace(-1.0, 1.0, 9 if step < 2 else 1))
         offsets = np.linspace(-0.03, 0.03, 7)
     return choice, best, margin, spread
 
@@ -147,17 +146,6 @@ def _losses(segment: Segment, rows: BoolArray, offsets: FloatArray, directions: 
         profile = np.moveaxis(tensor @ directions.T, -1, 1) + hint
         loss += member.sum() - largest_trace(profile)
     return loss / DIRECTION_SIGMA_RAD**2
-
-
-def _cap(centre: FloatArray, width: float) -> FloatArray:
-    """Directions around a centre, up to `width` rad away, the centre first."""
-    if width == 0.0:
-        return centre[None]
-    side = np.linspace(-width, width, 9)
-    u, v = (grid.ravel() for grid in np.meshgrid(side, side))
-    base = np.linalg.svd(centre[None])[2][1:]
-    tilt = u[:, None] * base[0] + v[:, None] * base[1]
-    return np.vstack([centre, Rotation.from_rotvec(np.cross(centre, tilt)).apply(centre)])
 
 
 def _levers(
@@ -331,45 +319,31 @@ FEWEST_FRAMES = 30
 
 def contradictions(segments: Sequence[Segment], given: ArmCalibration) -> Iterator[str]:
     """What of a given calibration this recording contradicts, a sentence each."""
-    excerpts = choose_excerpts(list(segments))
-    yield from _direction(excerpts, given)
+    excerpts, levers = choose_excerpts(list(segments)), given.lever_arms
+    if (along := given.forearm_direction) is not None:
+        own = find_mounting(excerpts, ArmCalibration(given.side))
+        found = own.calibration.forearm_direction
+        if found is not None and own.direction_spread_rad < SURE_RAD:
+            angle_deg = float(np.degrees(np.arccos(np.clip(found @ along, -1.0, 1.0))))
+            if angle_deg > OTHERWISE_DEG + np.degrees(own.direction_spread_rad):
+                yield (
+                    "the calibration does not fit this recording: the IMU sits"
+                    f" {angle_deg:.0f} degrees off the calibration's mounting on the forearm"
+                )
+    lengths: list[tuple[str, str, str, float, float]] = []
     if given.upper_arm is not None:
-        seen = _length(excerpts, "shoulder", "elbow")
-        yield from _other_length("upper arm", given.upper_arm.value_m, given.upper_arm.sigma_m, seen)
-    if {"elbow", "wrist"} <= set(given.lever_arms):
-        elbow, wrist = given.lever_arms["elbow"], given.lever_arms["wrist"]
+        lengths.append(("upper arm", "shoulder", "elbow", given.upper_arm.value_m, given.upper_arm.sigma_m))
+    if {"elbow", "wrist"} <= set(levers):
+        elbow, wrist = levers["elbow"], levers["wrist"]
         length_m = float(np.linalg.norm(wrist.position_m - elbow.position_m))
         sigma_m = float(np.hypot(elbow.sigma_m, wrist.sigma_m).max())
-        yield from _other_length("forearm", length_m, sigma_m, _length(excerpts, "elbow", "wrist"))
-
-
-def _direction(excerpts: list[Segment], given: ArmCalibration) -> Iterator[str]:
-    """The forearm's direction in the sensor."""
-    along = given.forearm_direction
-    if along is None:
-        return
-    own = find_mounting(excerpts, ArmCalibration(given.side))
-    found = own.calibration.forearm_direction
-    if found is None or not own.direction_spread_rad < SURE_RAD:
-        return
-    angle_deg = float(np.degrees(np.arccos(np.clip(found @ along, -1.0, 1.0))))
-    if angle_deg > OTHERWISE_DEG + np.degrees(own.direction_spread_rad):
-        yield (
-            "the calibration does not fit this recording: the IMU sits"
-            f" {angle_deg:.0f} degrees off the calibration's mounting on the forearm"
-        )
-
-
-def _other_length(what: str, given_m: float, sigma_m: float, seen_m: float | None) -> Iterator[str]:
-    if seen_m is not None and abs(seen_m - given_m) > max(LENGTH_M, 3.0 * sigma_m):
-        yield (
-            f"the calibration does not fit this recording: its {what} is {100 * given_m:.0f} cm long, and"
-            f" the camera sees {100 * seen_m:.0f} cm"
-        )
-
-
-def _length(excerpts: Sequence[Segment], first: str, second: str) -> float | None:
-    """Median distance between two joints that the camera sees, m; None in too few frames."""
-    lengths = [each.distances(first, second, each.with_depth) for each in excerpts]
-    known = np.concatenate([np.zeros(0), *lengths])
-    return float(np.median(known)) if len(known) >= FEWEST_FRAMES else None
+        lengths.append(("forearm", "elbow", "wrist", length_m, sigma_m))
+    for what, first, second, length_m, sigma_m in lengths:
+        parts = [each.distances(first, second, each.with_depth) for each in excerpts]
+        seen_m = np.concatenate([np.zeros(0), *parts])
+        middle_m = float(np.median(seen_m)) if len(seen_m) >= FEWEST_FRAMES else length_m
+        if abs(length_m - middle_m) > max(LENGTH_M, 3.0 * sigma_m):
+            yield (
+                f"the calibration does not fit this recording: its {what} is {100 * length_m:.0f} cm long,"
+                f" and the camera sees {100 * middle_m:.0f} cm"
+            )

@@ -7,7 +7,6 @@ are unrelated have to prove themselves. An offset that the user states is used a
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -102,18 +101,6 @@ def is_telling(found: MotionAgreement, line: OffsetLine) -> bool:
     explained = SOUND_EXPLAINED * (1.0 - found.noise_share)
     expected = -found.freedom * float(np.log1p(-explained))
     return expected > TELLING or (expected > LESS_TELLING and line.evidence < HARDLY_ANY * expected)
-
-
-def unproved(pairing: Pairing | None) -> Iterator[str]:
-    """Why a pairing is not to be trusted, for a verdict's reasons."""
-    if pairing is not None and pairing.reason:
-        yield pairing.reason
-
-
-def doubtful(pairing: Pairing | None) -> Iterator[str]:
-    """What is open of a pairing that nothing contradicts, for a verdict's cautions."""
-    if pairing is not None and pairing.caution:
-        yield pairing.caution
 
 
 def _with_given(found: MotionAgreement, given: Clock) -> Pairing:

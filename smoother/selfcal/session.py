@@ -9,13 +9,13 @@ another one, as after a strap was put on anew.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from ..array_types import FloatArray
-from ..linalg import sphere, unit
+from ..linalg import around, sphere
 from ..recording import Recording
 from ..runtime.pool import Pool
 from .agreement import CHANCE_SCALE, OFFSETS_PER_S, agreement, turning_sums
@@ -81,10 +81,8 @@ def _alike(
     along: FloatArray, members: tuple[int, ...], sums: Mapping[int, Sequence[TurningSums]]
 ) -> tuple[int, ...]:
     """The members; where two directions beside the shared one are clearly better, those of one of the two."""
-    u, v = np.mgrid[-REACH_RAD:REACH_RAD:STEP_RAD, -REACH_RAD:REACH_RAD:STEP_RAD].reshape(2, -1, 1)
-    near = np.hypot(u, v)[:, 0] <= REACH_RAD
-    across = np.linalg.svd(along[None])[2][1:]
-    directions = unit(along + u[near] * across[0] + v[near] * across[1])
+    directions = around(along, np.arange(-REACH_RAD, REACH_RAD, STEP_RAD))
+    directions = directions[directions @ along > np.cos(REACH_RAD)]
     support = np.array([sum(each.best_of(directions) for each in sums[number]) for number in members])
     support = np.maximum(support, support.max(axis=1, keepdims=True) - MOST_OBJECTION)
     of_two = np.array([np.maximum(support, own[:, None]).sum(axis=0) for own in support.T])
@@ -102,9 +100,9 @@ def _shared_direction(sums: Sequence[TurningSums]) -> FloatArray:
     directions = sphere(DIRECTIONS)
     best = directions[int(_support(sums, directions).argmax())]
     for halved in range(HALVED):
-        beside = np.array(list(_beside(best, BESIDE_RAD * 0.5**halved)))
+        beside = around(best, BESIDE_RAD * 0.5**halved * np.linspace(-1.0, 1.0, 3))
         best = beside[int(_support(sums, beside).argmax())]
-    return np.asarray(best)
+    return best
 
 
 def _support(sums: Sequence[TurningSums], directions: FloatArray) -> FloatArray:
@@ -114,11 +112,3 @@ def _support(sums: Sequence[TurningSums], directions: FloatArray) -> FloatArray:
         by_chance = CHANCE_SCALE * np.log(max(OFFSETS_PER_S * len(each.known) / GRID_HZ, 1.0))
         total += np.clip(each.best_of(directions) - by_chance, 0.0, MOST_OF_ONE)
     return total
-
-
-def _beside(along: FloatArray, apart_rad: float) -> Iterator[FloatArray]:
-    """A direction, and eight around it."""
-    across = np.linalg.svd(along[None])[2][1:]
-    for u in (0.0, -apart_rad, apart_rad):
-        for v in (0.0, -apart_rad, apart_rad):
-            yield unit(along + u * across[0] + v * across[1])

@@ -154,36 +154,34 @@ class EvidenceCurve:
     freedom: float  # Independent samples of the camera's turning beyond the unknowns
 
 
-_Sums = tuple[IntArray, FloatArray, FloatArray, FloatArray]
-
-
-@dataclass(frozen=True)
 class TurningSums:
     """The sums over time that tell how much an IMU explains, at every offset at which enough is in common."""
 
-    camera: CameraTurning
-    has_up: bool  # {E}'s up is known in {K}: its heading alone is free
-    first: int  # The first offset, in steps of the grid: IMU's number less camera's
-    known: FloatArray  # (k,): grid points that the camera has and a run of the IMU, by offset
-    needed: float  # So many have to be in common
-    # By run: its first row of `known`; rows from there on (r,), T (r, 3, 3, 3), C (r, 3, 3), the most (r,)
-    runs: tuple[tuple[int, _Sums], ...]
-
-    @classmethod
-    def of(cls, camera: CameraTurning, runs: Sequence[ImuTurning], up: FloatArray | None) -> TurningSums:
-        """Of what the camera saw and the IMU's runs; `up` (3,) in {K}."""
+    def __init__(self, camera: CameraTurning, runs: Sequence[ImuTurning], up: FloatArray | None) -> None:
+        """Of what the camera saw and the IMU's runs; `up` (3,) in {K}: {E}'s heading alone is free."""
+        self.camera, self.has_up = camera, up is not None
         starts = [run.first - camera.first - (len(camera.rate) - 1) for run in runs]
-        first = min(starts)
-        known = np.zeros(max(run.first + len(run.rate) for run in runs) - camera.first - first)
+        self.first = min(starts)  # The first offset, in steps of the grid: IMU's number less camera's
+        ends = max(run.first + len(run.rate) for run in runs)
+        self.known = np.zeros(ends - camera.first - self.first)  # grid points in common, by offset
         known_s = camera.known.sum() / GRID_HZ
         imu_s = sum(len(run.rate) for run in runs) / GRID_HZ
-        needed = GRID_HZ * max(min(OVERLAP_SHARE * min(known_s, imu_s), OVERLAP_S), SHORTEST_S)
-        sums: list[tuple[int, _Sums]] = []
+        self.needed = GRID_HZ * max(min(OVERLAP_SHARE * min(known_s, imu_s), OVERLAP_S), SHORTEST_S)
+        # by run: rows of `known` (r,), T (r, 3, 3, 3), C (r, 3, 3), and the most there is to explain (r,)
+        self.runs: list[tuple[IntArray, FloatArray, FloatArray, FloatArray]] = []
+        weight = camera.weight[:, None]
+        power = weight * (camera.rate**2).sum(axis=1, keepdims=True)
         for run, start in zip(runs, starts, strict=True):
-            count, own = _sums(camera, run, up)
-            known[start - first : start - first + len(count)] += count
-            sums.append((start - first, own))
-        return cls(camera, up is not None, first, known, needed, tuple(sums))
+            m, begin = len(run.rate), start - self.first
+            count = correlation(camera.known[:, None].astype(float), np.ones((m, 1)))[:, 0, 0]
+            self.known[begin : begin + len(count)] += count
+            rows = np.flatnonzero(count > GRID_HZ * SHORTEST_S - 0.5)
+            gram = np.einsum("tij,tik->tjk", run.rate, run.rate).reshape(m, 9)
+            C = correlation(weight, gram)[rows, 0].reshape(-1, 3, 3)
+            T = correlation(weight * camera.rate, run.rate.reshape(m, 9))[rows].reshape(-1, 3, 3, 3)
+            if up is not None:  # x in axes whose third points up, as that of {E} does
+                T = np.einsum("ai,najk->nijk", upright(up), T)
+            self.runs.append((begin + rows, T, C, correlation(power, np.ones((m, 1)))[rows, 0, 0]))
 
     def curve(self, along: FloatArray | None = None) -> EvidenceCurve:
         """The evidence at every offset; `along` (3,) is the forearm's direction in the sensor, if known."""
@@ -202,30 +200,15 @@ class TurningSums:
     def _evidence(self, directions: FloatArray | None) -> FloatArray:
         """(d, k) for directions (d, 3) at every offset, or (1, k) for the best one at each."""
         power = np.zeros((1 if directions is None else len(directions), len(self.known)))
-        for row, (rows, T, C, most) in self.runs:
+        for rows, T, C, most in self.runs:
             if directions is not None:
                 explained = fits_along(T, C, directions, self.has_up)
             else:
                 explained = _searched(T, C, self.has_up)[None] if len(rows) else np.zeros((1, 0))
-            power[:, row + rows] += np.clip(explained, 0.0, np.maximum(most, 0.0))
+            power[:, rows] += np.clip(explained, 0.0, np.maximum(most, 0.0))
         power[:, self.known <= self.needed - 0.5] = 0.0
         share = np.clip(power / max(self.camera.power, 1e-12), 0.0, MOST_EXPLAINED)
         return np.asarray(-self._freedom(directions is not None) * np.log1p(-share))
-
-
-def _sums(camera: CameraTurning, imu: ImuTurning, up: FloatArray | None) -> tuple[FloatArray, _Sums]:
-    """Grid points in common by offset (n + m - 1,); where enough are (r,), T, C, and the most to explain."""
-    m = len(imu.rate)
-    weight = camera.weight[:, None]
-    gram = np.einsum("tij,tik->tjk", imu.rate, imu.rate).reshape(m, 9)
-    count = correlation(camera.known[:, None].astype(float), np.ones((m, 1)))[:, 0, 0]
-    rows = np.flatnonzero(count > GRID_HZ * SHORTEST_S - 0.5)
-    C = correlation(weight, gram)[rows, 0].reshape(-1, 3, 3)
-    T = correlation(weight * camera.rate, imu.rate.reshape(m, 9))[rows].reshape(-1, 3, 3, 3)
-    most = correlation(weight * (camera.rate**2).sum(axis=1)[:, None], np.ones((m, 1)))[rows, 0, 0]
-    if up is not None:  # x in axes whose third points up, as that of {E} does
-        T = np.einsum("ai,najk->nijk", upright(up), T)
-    return count, (rows, T, C, most)
 
 
 def _searched(T: FloatArray, C: FloatArray, heading_only: bool) -> FloatArray:
