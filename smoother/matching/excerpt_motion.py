@@ -119,6 +119,7 @@ class ImuMotion:
 
     R_E_A: FloatArray  # (N, 3, 3): smoothed entry by entry; 0 where there are no samples
     acceleration: FloatArray  # (N, 3) m/s^2: in {E}, without gravity
+    measured: FloatArray  # (N, 3) m/s^2: the same as it was measured
     rate: FloatArray  # (N,) rad/s: length of the angular rate
     there: BoolArray  # bool (N,): Where the sensor has samples
 
@@ -204,7 +205,7 @@ def _on_grid(
 
 def imu_motion(imu: ImuStream, t: FloatArray) -> ImuMotion:
     """An IMU's motion at grid times (N,)."""
-    values, there = np.zeros((len(t), 13)), np.zeros(len(t), bool)
+    values, measured, there = np.zeros((len(t), 13)), np.zeros((len(t), 3)), np.zeros(len(t), bool)
     near = slice(*np.searchsorted(imu.t_s, [t[0] - CONTEXT_S, t[-1] + CONTEXT_S]))
     samples = imu.select(near)
     # heading and tilt start anew after a pause: the longest part without one is read
@@ -216,8 +217,8 @@ def imu_motion(imu: ImuStream, t: FloatArray) -> ImuMotion:
         signal, half = InertialSignal(samples), 0.5 / GRID_HZ
         turn = inertial_attitude(signal, samples.rate_hz).at(t[there])
         mean = signal.mean(t[there] - half, t[there] + half)
-        level = turn.apply(mean[:, :3]) - [0.0, 0.0, GRAVITY]
+        measured[there] = turn.apply(mean[:, :3]) - [0.0, 0.0, GRAVITY]
         rate = np.linalg.norm(mean[:, 3:], axis=1)
-        levelled = np.hstack([turn.as_matrix().reshape(-1, 9), level, rate[:, None]])
+        levelled = np.hstack([turn.as_matrix().reshape(-1, 9), measured[there], rate[:, None]])
         values[there] = gaussian_smoothed(levelled, SMOOTH_S * GRID_HZ)
-    return ImuMotion(values[:, :9].reshape(-1, 3, 3), values[:, 9:12], values[:, 12], there)
+    return ImuMotion(values[:, :9].reshape(-1, 3, 3), values[:, 9:12], measured, values[:, 12], there)

@@ -56,7 +56,7 @@ def joint_likelihood(
         sensor, n = excerpt.imus[imu], len(excerpt.t)
         there = np.stack([sensor.there[shift : shift + n] for shift in shifts])
         rows: BoolArray = np.asarray(there.all(axis=0))
-        acceleration = np.stack([sensor.acceleration[shift : shift + n, 2] for shift in shifts], axis=1)[rows]
+        acceleration = np.stack([sensor.measured[shift : shift + n, 2] for shift in shifts], axis=1)[rows]
         for limb, arm in enumerate(excerpt.limbs):
             seen = arm.has_point
             if seen.sum() < SHORTEST_S * GRID_HZ or rows.sum() < SHORTEST_S * GRID_HZ:

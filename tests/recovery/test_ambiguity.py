@@ -15,8 +15,7 @@ from smoother.linalg import nearest_rotation, unit
 from smoother.measurements.remedy import Remedy
 from smoother.recording import CameraFrame, Recording
 from smoother.recovery import ambiguity
-from smoother.recovery.ambiguity import with_ambiguities
-from smoother.recovery.explanations import (
+from smoother.recovery.ambiguity import (
     LEAST_ACCELERATION,
     LEAST_RAD,
     LEVER_SIGMA_M,
@@ -24,6 +23,7 @@ from smoother.recovery.explanations import (
     Likelihood,
     Seen,
     effective_count,
+    with_ambiguities,
 )
 from smoother.recovery.trust import with_gap_verdicts
 from smoother.result import Recovery
@@ -167,10 +167,10 @@ def test_second_moments_give_the_cost_of_the_plain_sum() -> None:
     what = scene(rng)
     truth = (np.eye(3), ALONG_A, LEVER_A)
     gravity = np.outer(unit(np.array([0.1, -1.0, 0.2])), unit(np.array([0.0, -1.0, 0.1]))) / 0.07
-    likelihood = Likelihood.of(what, truth, gravity)
+    likelihood = Likelihood(what, truth, gravity)
     weights = weights_of(what, truth)
     for sign in (1.0, -1.0):
-        found = likelihood.lowest(sphere(5), LEVER_A, sign, steps=3)
+        found = likelihood.lowest(sphere(5), LEVER_A, (sign,), steps=3)
         for Q, f, lever, cost in zip(*found, strict=True):
             assert np.linalg.det(Q) == pytest.approx(sign)
             assert cost == pytest.approx(slow_cost(what, weights, gravity, (Q, f, lever)), rel=1e-9)
@@ -180,10 +180,10 @@ def test_second_moments_give_the_cost_of_the_plain_sum() -> None:
 def test_free_motion_tells_a_mirrored_skeleton(mirror: bool) -> None:
     what = scene(np.random.default_rng(3), mirror=mirror)
     image = MIRROR if mirror else np.eye(3)
-    likelihood = Likelihood.of(what, (image, ALONG_A, LEVER_A), np.zeros((3, 3)))
+    likelihood = Likelihood(what, (image, ALONG_A, LEVER_A), np.zeros((3, 3)))
     costs = {}
     for sign in (1.0, -1.0):
-        Q, f, lever, cost = likelihood.lowest(sphere(30), LEVER_A, sign)
+        Q, f, lever, cost = likelihood.lowest(sphere(30), LEVER_A, (sign,))
         best = int(np.argmin(cost))
         costs[sign] = cost[best]
         if (sign < 0) == mirror:
@@ -197,8 +197,8 @@ def test_free_motion_tells_a_mirrored_skeleton(mirror: bool) -> None:
 def test_motion_in_one_plane_does_not() -> None:
     """A half turn about an axis in the plane makes the one the other."""
     what = scene(np.random.default_rng(4), plane=True)
-    likelihood = Likelihood.of(what, (np.eye(3), ALONG_A, LEVER_A), np.zeros((3, 3)))
-    lowest = [likelihood.lowest(sphere(30), LEVER_A, sign)[3].min() for sign in (1.0, -1.0)]
+    likelihood = Likelihood(what, (np.eye(3), ALONG_A, LEVER_A), np.zeros((3, 3)))
+    lowest = [likelihood.lowest(sphere(30), LEVER_A, (sign,))[3].min() for sign in (1.0, -1.0)]
     # two explanations of the same noise: some units of log-likelihood
     assert abs(lowest[0] - lowest[1]) < 5.0
 
@@ -206,8 +206,8 @@ def test_motion_in_one_plane_does_not() -> None:
 def test_without_accelerations_the_directions_decide() -> None:
     none, what = np.zeros((0, 3)), scene(np.random.default_rng(5))
     what = replace(what, acc_K=none, imu_K=none, turn_K=np.zeros((0, 3, 3)))
-    likelihood = Likelihood.of(what, (np.eye(3), ALONG_A, LEVER_A), np.zeros((3, 3)))
-    Q, f, lever, cost = likelihood.lowest(sphere(30), LEVER_A, 1.0)
+    likelihood = Likelihood(what, (np.eye(3), ALONG_A, LEVER_A), np.zeros((3, 3)))
+    Q, f, lever, cost = likelihood.lowest(sphere(30), LEVER_A, (1.0,))
     best = int(np.argmin(cost))
     np.testing.assert_allclose(Q[best] @ what.R_K_A @ f[best], what.along_K, atol=0.1)
     np.testing.assert_allclose(lever[best], LEVER_A)
