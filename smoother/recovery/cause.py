@@ -66,18 +66,18 @@ def alternatives(recording: Recording) -> Iterator[Alternative]:
     yield by_remedy(Remedy(negate=("accelerometer", "gyroscope")), "the sensor's axes seem left-handed")
     yield Alternative(
         "the gyroscope's rates seem 57 times too small (rad/s converted as if they were deg/s)",
-        lambda given: _turning(given, DEGREES),
+        lambda given: _scaled(given, gyro=DEGREES),
         'import them again as they are (gyroscope_unit = "rad/s")',
     )
     yield Alternative(
         "the gyroscope's rates seem 57 times too large (deg/s labelled rad/s)",
-        lambda given: _turning(given, 1.0 / DEGREES),
+        lambda given: _scaled(given, gyro=1.0 / DEGREES),
         'import them again in their unit (gyroscope_unit = "deg/s")',
     )
     for factor, words in ((1000.0, "1000 times too small"), (100.0, "100 times too small")):
         yield Alternative(
             f"the camera's positions seem {words}",
-            lambda given, by=factor: _sized(given, by),  # type: ignore[misc]
+            lambda given, by=factor: _scaled(given, position=by),  # type: ignore[misc]
             "import them again in their unit (position_unit)",
         )
     yield ON_UPPER_ARM
@@ -88,38 +88,20 @@ def by_remedy(remedy: Remedy, mistake: str, kind: str = "") -> Alternative:
     return Alternative(mistake, remedy.applied, f"run again with {remedy.options}", remedy, kind or mistake)
 
 
+def _scaled(recording: Recording, gyro: float = 1.0, position: float = 1.0) -> Recording:
+    imu, arm = recording.imu, recording.arm
+    imu, arm = replace(imu, gyro=imu.gyro * gyro), replace(arm, position=arm.position * position)
+    return replace(recording, imu=imu, arm=arm)
+
+
 def _in_front(recording: Recording, remedy: Remedy) -> bool:
     """Whether a camera that looks along z could see the arm then; any other sees it anywhere."""
     if recording.camera_frame not in (CameraFrame.KINECT, CameraFrame.OPTICAL):
         return True
-    depth = _tracked(recording)[:, 2]
-    depth_m = float(np.median(depth)) if len(depth) else 1.0
-    return (depth_m > 0.0) != (remedy.mirror == "z")
-
-
-def _tracked(recording: Recording) -> FloatArray:
-    """Positions (n, 3) of some of the tracked samples."""
     arm = recording.arm.select(slice(None, None, max(len(recording.arm) // MOST_FRAMES, 1)))
-    position = arm.position[arm.state == JointState.TRACKED]
-    return np.asarray(position[np.isfinite(position).all(axis=1)])
-
-
-def frames_with_down(down: FloatArray, recording: Recording, within_deg: float) -> list[CameraFrame]:
-    """Other conventions of the camera's axes in which down is near a direction (3,) of {K}."""
-    cosine = np.cos(np.radians(within_deg))
-    return [
-        frame
-        for frame in CameraFrame
-        if frame is not recording.camera_frame and float(frame.down @ down) > cosine
-    ]
-
-
-def _turning(recording: Recording, factor: float) -> Recording:
-    return replace(recording, imu=replace(recording.imu, gyro=recording.imu.gyro * factor))
-
-
-def _sized(recording: Recording, factor: float) -> Recording:
-    return replace(recording, arm=replace(recording.arm, position=recording.arm.position * factor))
+    depth_m = arm.position[..., 2][arm.state == JointState.TRACKED]
+    depth_m = depth_m[np.isfinite(depth_m)]
+    return not len(depth_m) or (float(np.median(depth_m)) > 0.0) != (remedy.mirror == "z")
 
 
 #: The IMU was not on this forearm where nothing that was tried fits, the forearm's direction is off by more
@@ -273,7 +255,8 @@ def _wrong_gravity(fit: ClosedForm, recording: Recording, down: FloatArray) -> C
     candidates = _that_fit(recording, down, fit)
     if candidates:
         return _named(candidates, recording.applied_fixes)
-    frames = frames_with_down(fit.down, recording, SAME_DOWN_DEG)
+    others = (frame for frame in CameraFrame if frame is not recording.camera_frame)
+    frames = [frame for frame in others if fit.down_deg(frame.down) < SAME_DOWN_DEG]
     if recording.gravity_hint is not None or not frames:
         return Cause(
             "camera and IMU fit together, but not with the direction of gravity stated in the recording;"

@@ -49,7 +49,6 @@ class Mounting:
 
     offset_s: FloatArray
     calibration: ArmCalibration
-    direction_margin: float
     direction_spread_rad: float = float("nan")
 
 
@@ -60,21 +59,19 @@ def find_mounting(
     count = max(segment.recording for segment in segments) + 1
     along = known.forearm_direction
     both = [_both(segment) for segment in segments]
-    offset_s, margin, spread = np.zeros(count), float("nan"), float("nan")
+    offset_s, spread = np.zeros(count), float("nan")
     if any(rows.sum() >= 10 for rows in both):
-        offset_s, found, margin, spread = _direction_and_offset(segments, both, count, along, offset_sigma_s)
+        offset_s, found, spread = _direction_and_offset(segments, both, count, along, offset_sigma_s)
         along = found if along is None else along
     if along is None and "strap" not in _seen(segments):
-        return Mounting(offset_s, _point_levers(segments, known), margin, spread)
+        return Mounting(offset_s, _point_levers(segments, known), spread)
     levers = dict(known.lever_arms)
     missing = [
         joint for joint in _seen(segments) if joint not in levers and joint not in ("strap", "shoulder")
     ]
     if missing:
         levers |= _levers(segments, offset_s, along, known, missing)
-    return Mounting(
-        offset_s, ArmCalibration(known.side, levers, known.upper_arm, known.R_F_A), margin, spread
-    )
+    return Mounting(offset_s, ArmCalibration(known.side, levers, known.upper_arm, known.R_F_A), spread)
 
 
 def _seen(segments: list[Segment]) -> list[str]:
@@ -102,11 +99,11 @@ def _direction_and_offset(
     count: int,
     known: FloatArray | None,
     offset_sigma_s: float,
-) -> tuple[FloatArray, FloatArray, float, float]:
-    """Grid over offsets and directions, refined twice; the margin is the loss saved against the opposite."""
+) -> tuple[FloatArray, FloatArray, float]:
+    """Grid over offsets and directions, refined twice; also how far off those nearly as likely are, rad."""
     directions = sphere(400) if known is None else known[None]
     offsets, choice = OFFSETS_S, np.zeros(count)
-    margin = spread = float("nan")
+    spread = float("nan")
     for step in range(3):
         loss = np.zeros((count, len(offsets), len(directions)))
         for segment, rows in zip(segments, both, strict=True):
@@ -120,13 +117,11 @@ def _direction_and_offset(
         if step == 0:
             likely = directions[at < at[k] + NEARLY_AS_LIKELY]
             spread = float(np.arccos(np.clip(likely @ best, -1.0, 1.0)).max())
-            opposite = directions @ best < -0.5
-            margin = float(at[opposite].min() - at[k]) if opposite.any() else float("nan")
         choice = choice + [parabola_vertex(offsets, own[:, k]) for own in loss]
         if known is None:
             directions = around(best, (0.25, 0.06, 0.0)[step] * np.linspace(-1.0, 1.0, 9 if step < 2 else 1))
         offsets = np.linspace(-0.03, 0.03, 7)
-    return choice, best, margin, spread
+    return choice, best, spread
 
 
 def _losses(segment: Segment, rows: BoolArray, offsets: FloatArray, directions: FloatArray) -> FloatArray:
