@@ -83,6 +83,7 @@ def test_a_gap_that_another_explanation_contradicts(path: tuple[Recording, Recov
 
 
 def test_what_fits_clearly_better_is_the_cause(path: tuple[Recording, Recovery]) -> None:
+    """Also where the answer is not trusted already; one that fits badly, or as well as the answer, is not."""
     recording, recovery = path
     better = judged(*path, mirror(-20.0)).estimates
     assert better.trusted is False and not better.untrusted
@@ -92,6 +93,11 @@ def test_what_fits_clearly_better_is_the_cause(path: tuple[Recording, Recovery])
     assert undone.cause.endswith("run again without --mirror x")
     alone = judged(*path).estimates  # what does not fit at all is left out by `explanations`
     assert alone.trusted and not alone.untrusted and alone.remedies == ()
+    distrusted = replace(recovery, estimates=replace(recovery.estimates, trusted=False, reasons=("why",)))
+    named = judged(recording, distrusted, mirror(-20.0)).estimates
+    assert named.cause == named.reasons[0] != "why" and named.reasons[1:] == ("why",)
+    for unfit in (mirror(-20.0, direction_rad=0.5), mirror(0.0)):
+        assert judged(recording, distrusted, unfit) is distrusted
 
 
 def test_another_mounting(path: tuple[Recording, Recovery]) -> None:
@@ -103,16 +109,6 @@ def test_another_mounting(path: tuple[Recording, Recovery]) -> None:
     assert judged(*path, replace(turned, cost=6.0)).estimates.trusted
     unsure = replace(recovery, pose_covariance=recovery.pose_covariance * 2000.0)
     assert judged(recording, unsure, turned).estimates.trusted
-
-
-def test_what_is_not_trusted_already(path: tuple[Recording, Recovery]) -> None:
-    """A mirror that fits is its cause; one that fits badly, or as well as the answer, is not."""
-    recording, recovery = path
-    distrusted = replace(recovery, estimates=replace(recovery.estimates, trusted=False, reasons=("why",)))
-    named = judged(recording, distrusted, mirror(-20.0)).estimates
-    assert named.cause == named.reasons[0] != "why" and named.reasons[1:] == ("why",)
-    for unfit in (mirror(-20.0, direction_rad=0.5), mirror(0.0)):
-        assert judged(recording, distrusted, unfit) is distrusted
 
 
 #: The forearm in the sensor, and a joint's lever arm, m.
@@ -176,41 +172,29 @@ def test_second_moments_give_the_cost_of_the_plain_sum() -> None:
             assert cost == pytest.approx(slow_cost(what, weights, gravity, (Q, f, lever)), rel=1e-9)
 
 
-@pytest.mark.parametrize("mirror", [False, True])
-def test_free_motion_tells_a_mirrored_skeleton(mirror: bool) -> None:
-    what = scene(np.random.default_rng(3), mirror=mirror)
+@pytest.mark.parametrize(
+    ("mirror", "plane", "is_accelerated"),
+    [(False, False, True), (True, False, True), (False, False, False), (False, True, True)],
+)
+def test_the_lowest_of_both_kinds(mirror: bool, plane: bool, is_accelerated: bool) -> None:
+    """Free motion tells a mirrored skeleton. In one plane a half turn makes the one the other."""
+    what = scene(np.random.default_rng(3), mirror=mirror, plane=plane)
+    if not is_accelerated:
+        none = np.zeros((0, 3))
+        what = replace(what, acc_K=none, imu_K=none, turn_K=np.zeros((0, 3, 3)))
     image = MIRROR if mirror else np.eye(3)
     likelihood = Likelihood(what, (image, ALONG_A, LEVER_A), np.zeros((3, 3)))
-    costs = {}
+    lowest = {}
     for sign in (1.0, -1.0):
-        Q, f, lever, cost = likelihood.lowest(sphere(30), LEVER_A, (sign,))
-        best = int(np.argmin(cost))
-        costs[sign] = cost[best]
-        if (sign < 0) == mirror:
-            np.testing.assert_allclose(Q[best], image, atol=0.01)
-            np.testing.assert_allclose(f[best], ALONG_A, atol=0.01)
-            np.testing.assert_allclose(lever[best], LEVER_A, atol=0.01)
-    right, wrong = (-1.0, 1.0) if mirror else (1.0, -1.0)
-    assert costs[wrong] - costs[right] > 100.0
-
-
-def test_motion_in_one_plane_does_not() -> None:
-    """A half turn about an axis in the plane makes the one the other."""
-    what = scene(np.random.default_rng(4), plane=True)
-    likelihood = Likelihood(what, (np.eye(3), ALONG_A, LEVER_A), np.zeros((3, 3)))
-    lowest = [likelihood.lowest(sphere(30), LEVER_A, (sign,))[3].min() for sign in (1.0, -1.0)]
-    # two explanations of the same noise: some units of log-likelihood
-    assert abs(lowest[0] - lowest[1]) < 5.0
-
-
-def test_without_accelerations_the_directions_decide() -> None:
-    none, what = np.zeros((0, 3)), scene(np.random.default_rng(5))
-    what = replace(what, acc_K=none, imu_K=none, turn_K=np.zeros((0, 3, 3)))
-    likelihood = Likelihood(what, (np.eye(3), ALONG_A, LEVER_A), np.zeros((3, 3)))
-    Q, f, lever, cost = likelihood.lowest(sphere(30), LEVER_A, (1.0,))
-    best = int(np.argmin(cost))
-    np.testing.assert_allclose(Q[best] @ what.R_K_A @ f[best], what.along_K, atol=0.1)
-    np.testing.assert_allclose(lever[best], LEVER_A)
+        every = likelihood.lowest(sphere(30), LEVER_A, (sign,))
+        lowest[sign] = [each[int(np.argmin(every[3]))] for each in every]
+    right, wrong = lowest.pop(np.linalg.det(image)), *lowest.values()
+    if plane:  # two explanations of the same noise: some units of log-likelihood
+        assert abs(wrong[3] - right[3]) < 5.0
+        return
+    for found, true in zip(right, (image, ALONG_A, LEVER_A), strict=False):
+        np.testing.assert_allclose(found, true, atol=0.01)
+    assert wrong[3] - right[3] > 100.0 or not is_accelerated
 
 
 @pytest.mark.parametrize("memory", [0.0, 0.5, 0.9])

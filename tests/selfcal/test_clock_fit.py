@@ -19,7 +19,7 @@ from smoother.measurements.segment import split_into_segments
 from smoother.measurements.timestamps import synthetic_stamps
 from smoother.recording import Recording
 from smoother.runtime.pool import Pool
-from smoother.selfcal.clock_fit import SYNTHETIC_SIGMA_S, ClockScore, refined_clock
+from smoother.selfcal.clock_fit import SYNTHETIC_SIGMA_S
 from smoother.selfcal.pairing import coarse_offset, find_pairing, pair
 from smoother.selfcal.rounds import self_calibrate
 from smoother.simulation import SimulatedArm
@@ -215,18 +215,6 @@ def test_a_measured_clock_is_a_prior() -> None:
     assert given.clock_offset_sigma_s < min(0.001, free.clock_offset_sigma_s)
     weak = answer(recording, clock=constant_clock(true_s + 0.05, 0.15))
     assert weak.clock_offset_s == pytest.approx(free.clock_offset_s, abs=0.003)
-
-
-def test_prior_and_motion_weigh_as_their_information() -> None:
-    """One window says 20 ms with 5 ms; the prior says zero with its own sigma."""
-    information = np.full(1, 1.0 / 0.005**2)
-    score = ClockScore(np.ones(1), 0.02 * information, information)
-    for prior_s in (0.005, 0.15):
-        clock = refined_clock(constant_clock(0.0, prior_s), score, False)
-        share = prior_s**2 / (prior_s**2 + 0.005**2)
-        assert clock.mean_s == pytest.approx(0.02 * share, rel=1e-6)
-        assert clock.sigma_s == pytest.approx(np.sqrt(share) * 0.005, rel=1e-6)
-        assert clock.prior_sigma_s == prior_s
 
 
 @pytest.mark.parametrize(("seconds", "seed"), [(12.0, 31), (20.0, 1)])
