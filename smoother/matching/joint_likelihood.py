@@ -16,6 +16,7 @@ import numpy as np
 
 from ..array_types import BoolArray, FloatArray
 from ..errors import UnoccludeError
+from ..linalg import unit
 from ..measurements.position_process import Kernel, joint_covariance
 from .excerpt_motion import GRID_HZ, SHORTEST_S, MatchExcerpt
 
@@ -27,29 +28,18 @@ PUBLISHED_REACH_S = 0.2
 BEST_AGAINST_NONE = 10.0
 
 
-def published_shifts(reach: int) -> np.ndarray:
-    """Shifts that the published methods try, counted from -reach."""
-    steps = min(reach, round(PUBLISHED_REACH_S * GRID_HZ))
-    return np.arange(reach - steps, reach + steps + 1)
-
-
-def vertical(down: FloatArray | None, method: str) -> FloatArray:
-    """Up in {K}, unit vector (3,)."""
-    if down is None:
-        raise UnoccludeError(
-            f"the method {method} compares vertical motion and needs the camera's axes; "
-            "state the camera's frame in the recording, or use the method motion"
-        )
-    return np.asarray(-down / np.linalg.norm(down))
-
-
 def joint_likelihood(
     excerpts: list[MatchExcerpt], imu: int, down: FloatArray | None, shift_cost: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """Evidence that an IMU is on each limb by Feng's joint likelihood (5.3)."""
-    up = vertical(down, "joint-likelihood")
-    reach = excerpts[0].reach
-    shifts = published_shifts(reach)
+    if down is None:
+        raise UnoccludeError(
+            "the method joint-likelihood compares vertical motion and needs the camera's axes; "
+            "state the camera's frame in the recording, or use the method motion"
+        )
+    up, reach = unit(-down), excerpts[0].reach
+    steps = min(reach, round(PUBLISHED_REACH_S * GRID_HZ))
+    shifts = np.arange(reach - steps, reach + steps + 1)
     value = np.zeros((len(excerpts[0].limbs), len(shifts)))
     count = np.zeros_like(value)
     for excerpt in excerpts:

@@ -182,17 +182,12 @@ def shift_cost(reach: int) -> FloatArray:
 
 def stillness(excerpts: list[MatchExcerpt], imu: int) -> float:
     """Evidence that a sensor is on nothing that lives: the time in which it does not turn at all."""
-    still_s = 0.0
-    step = int(SHORTEST_S * GRID_HZ)
+    still_s, step = 0.0, int(SHORTEST_S * GRID_HZ)
     for excerpt in excerpts:
-        motion = excerpt.imus[imu]
-        rate, there = (
-            x[excerpt.reach : len(motion.rate) - excerpt.reach] for x in (motion.rate, motion.there)
-        )
-        for k in range(0, len(rate) - step + 1, step):
-            second = rate[k : k + step]
-            if there[k : k + step].all() and float(np.ptp(second)) < STILL_RATE:
-                still_s += SHORTEST_S
+        motion, count = excerpt.imus[imu], len(excerpt.t) // step
+        rows = slice(excerpt.reach, excerpt.reach + count * step)
+        rate, there = (x[rows].reshape(count, step) for x in (motion.rate, motion.there))
+        still_s += SHORTEST_S * int((there.all(axis=1) & (np.ptp(rate, axis=1) < STILL_RATE)).sum())
     return min(still_s / STILL_CHANCE_S, MOST_STILL)
 
 

@@ -18,9 +18,8 @@ from ..array_types import FloatArray
 from ..linalg import around, sphere
 from ..recording import Recording
 from ..runtime.pool import Pool
-from .agreement import CHANCE_SCALE, OFFSETS_PER_S, agreement, turning_sums
+from .agreement import CHANCE_SCALE, GRID_HZ, OFFSETS_PER_S, TurningSums, agreement, turning_sums
 from .pairing import LIKELY, decided
-from .turning_evidence import GRID_HZ, TurningSums
 
 #: Directions that are tried, and how far those beside the best one are from it at first, rad; how often that
 #: is halved.

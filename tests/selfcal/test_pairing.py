@@ -14,9 +14,16 @@ from smoother.filters import gaussian_smoothed
 from smoother.measurements.clock import constant_clock
 from smoother.measurements.rigid import correlation
 from smoother.recording import CameraFrame, Recording
-from smoother.selfcal.agreement import MotionAgreement, OffsetLine, agreement, chance
+from smoother.selfcal.agreement import (
+    CameraTurning,
+    ImuTurning,
+    MotionAgreement,
+    OffsetLine,
+    TurningSums,
+    agreement,
+    chance,
+)
 from smoother.selfcal.pairing import decided, find_pairing
-from smoother.selfcal.turning_evidence import CameraTurning, ImuTurning, TurningSums
 from smoother.simulation import ArmSimulation, simulate_arm
 
 
