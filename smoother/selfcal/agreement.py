@@ -1,7 +1,7 @@
 """At which clock offset camera and IMU agree best over a whole recording, and how well chance does.
 
-How much of a forearm's turning, as the camera saw it, an IMU's attitude explains is known at every offset: the
-relation of `measurements.rigid` holds for derivatives after any filter along time, too, x of the forearm's
+How much of a forearm's turning, as the camera saw it, an IMU's attitude explains is known at every offset:
+the relation of `measurements.rigid` holds for derivatives after any filter along time, x of the forearm's
 direction and Y of the IMU's attitude. Where a is known, from other recordings with the same strap, Q alone is
 free, and seconds of motion tell. What lies outside the overlap is treated as unexplained: an offset cannot
 win by leaving most of the data out. A mirrored skeleton, or elbow and wrist exchanged, fits as well as the
