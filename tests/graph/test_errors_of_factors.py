@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import replace
-from itertools import pairwise
 
 import gtsam
 import numpy as np
@@ -15,7 +14,7 @@ from small_window import BIAS_LENGTH_S, LEVERS, UPPER_FIRST, UPPER_NODES, small_
 
 import smoother.graph.build
 from smoother.array_types import FloatArray
-from smoother.graph.build import MOST_BIASES, bias_of_intervals, build, upper_arm_sigmas
+from smoother.graph.build import bias_of_intervals, build, upper_arm_sigmas
 from smoother.graph.factors import DENSITY_STEP, INTEGRATION_VARIANCE, PARENT_TIE_M, TISSUE_S
 from smoother.recording import JOINTS
 from smoother.units import GRAVITY
@@ -34,16 +33,6 @@ def exp(w: FloatArray) -> FloatArray:
 
 def cross(w: FloatArray) -> FloatArray:
     return np.array([[0.0, -w[2], w[1]], [w[2], 0.0, -w[0]], [-w[1], w[0], 0.0]])
-
-
-@pytest.fixture(autouse=True)
-def two_biases(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(smoother.graph.build, "BIAS_LENGTH_S", BIAS_LENGTH_S)
-
-
-@pytest.fixture
-def window() -> Window:
-    return small_window()[0]
 
 
 def moved(values: gtsam.Values, seed: int = 5) -> gtsam.Values:
@@ -143,8 +132,10 @@ def inertial(
     return errors
 
 
-def test_each_factor_has_the_error_of_its_formula(window: Window) -> None:
+def test_each_factor_has_the_error_of_its_formula(monkeypatch: pytest.MonkeyPatch) -> None:
     """All of them at values that are a little off; the IMU's to what its linearised bias leaves."""
+    monkeypatch.setattr(smoother.graph.build, "BIAS_LENGTH_S", BIAS_LENGTH_S)  # two of them
+    window = small_window()[0]
     graph, start, _ = build(window)
     values = moved(start)
     errors = errors_by_class(graph, values)
@@ -251,16 +242,3 @@ def test_each_factor_has_the_error_of_its_formula(window: Window) -> None:
     # to what the bias moves beyond first order: 6e-4
     np.testing.assert_allclose(errors.pop("ImuFactorWithGravityDirection"), expected, rtol=0.002)
     assert not errors
-
-
-@pytest.mark.parametrize(
-    ("duration_s", "count"), [(1.9, 1), (5.9, 1), (6.1, 2), (10.2, 3), (300.0, MOST_BIASES)]
-)
-def test_a_bias_for_about_four_seconds(
-    duration_s: float, count: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.undo()  # as it is
-    window, _ = small_window()
-    t = 100.0 + np.linspace(0.0, duration_s, 50)
-    expected = [int((0.5 * (a + b) - 100.0) / duration_s * count) for a, b in pairwise(t)]
-    assert bias_of_intervals(replace(window, t=t)).tolist() == expected and expected[-1] == count - 1
