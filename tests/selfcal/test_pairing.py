@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 from smoother.array_types import FloatArray
 from smoother.filters import gaussian_smoothed
 from smoother.measurements.clock import constant_clock
-from smoother.measurements.rigid import correlation
+from smoother.measurements.rigid import best_fits, correlation, fits_along, known_at
 from smoother.recording import CameraFrame, Recording
 from smoother.selfcal.agreement import (
     CameraTurning,
@@ -211,3 +211,22 @@ def test_correlation_is_the_sum() -> None:
         rows = [t for t in range(7) if 0 <= t + lag < 11]
         expected = sum((np.outer(x[t], y[t + lag]) for t in rows), np.zeros((2, 3)))
         np.testing.assert_allclose(found[k], expected, atol=1e-12)
+
+
+def test_the_fit_finds_the_axis_and_every_part_s_rotation() -> None:
+    """Two parts of one sensor, each in axes of its own: directions and forces are explained whole."""
+    rng = np.random.default_rng(2)
+    along, forces = np.array([0.48, 0.6, 0.64]), rng.normal(size=(2, 50, 3))
+    turns, Q = (
+        Rotation.random(100, random_state=2).as_matrix(),
+        Rotation.random(2, random_state=3).as_matrix(),
+    )
+    seen = turns.reshape(2, 50, 3, 3) @ along @ np.swapaxes(Q, 1, 2)
+    T = np.einsum("eni,enjk->eijk", seen, turns.reshape(2, 50, 3, 3))
+    F = np.einsum("eni,enj->eij", forces @ np.swapaxes(Q, 1, 2), forces)
+    fit = best_fits(T[None], 100.0 * np.eye(3)[None], False, F[None], rounds=20)[:, 0]
+    np.testing.assert_allclose(fit, [100.0, 2.0 * (forces**2).sum()], rtol=1e-6)
+    of_one = fits_along(T[:1], 50.0 * np.eye(3)[None], np.array([along, -along]), False)[:, 0]
+    assert of_one[0] == pytest.approx(50.0) and of_one[1] < 25.0
+    t = np.array([0.0, 0.2, 0.4, 1.0, 1.2])
+    assert known_at(np.array([0.05, 0.2, 0.35, 0.7, 1.1, 1.15]), t, 0.1).tolist() == [0, 1, 0, 0, 0, 0]
