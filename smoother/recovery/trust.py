@@ -16,6 +16,7 @@ import numpy as np
 from ..array_types import FloatArray
 from ..calibration import ArmCalibration
 from ..config import Anatomy
+from ..error_radius import within_words
 from ..linalg import robust_sigma
 from ..measurements.clock import LARGEST_OFFSET_S, Clock
 from ..measurements.visibility import Rejection
@@ -162,6 +163,10 @@ FAILED_SHARE = 0.25
 MOST_FRAMES = 20_000
 
 
+#: A gap says nothing of where the arm was when 95 of 100 errors reach as far as an arm does, m.
+NOWHERE_M = 0.5
+
+
 def with_verdict(
     recovery: Recovery,
     recording: Recording,
@@ -187,7 +192,8 @@ def with_verdict(
         "calibration-contradicted": misfits,
         "clock-contradicted": _measured_clock(recovery, measured),
     }
-    of_some_times = (*steps, *lost_samples(recovery, recording), *imu_lies_still(recovery, recording, bias))
+    still = imu_lies_still(recovery, recording, bias)
+    of_some_times = (*steps, *lost_samples(recovery, recording), *still, *_nowhere(recovery))
     further_against_all = {
         "impossible-length": _anatomy(arm, anatomy),
         "gravity": _gravity(recovery, recording),
@@ -249,6 +255,17 @@ def with_gap_verdicts(recovery: Recovery) -> Recovery:
         )
         estimates = replace(estimates, cautions=(f"{which} not to be trusted", *estimates.cautions))
     return replace(recovery, estimates=estimates)
+
+
+def _nowhere(recovery: Recovery) -> Iterator[Finding]:
+    """Gaps in which the answer may as well be anywhere that an arm reaches."""
+    radius_m = recovery.error_95_m
+    for gap in recovery.gaps:
+        own = radius_m[slice(*np.searchsorted(recovery.t_s, [gap.start_s, gap.end_s]).tolist())]
+        own = own[np.isfinite(own)]
+        if len(own) and (usual_m := float(np.median(own))) > NOWHERE_M:
+            sentence = f"nothing shows where the arm was: it is stated {within_words(usual_m)}"
+            yield finding("gap-open", sentence, (gap.start_s, gap.end_s))
 
 
 def _self_check(check: SelfCheck | None) -> Iterator[str]:

@@ -73,6 +73,21 @@ def test_faults_of_the_sensor(
     assert words in found.verdict or "clip" in words
 
 
+@pytest.mark.parametrize(("sigma_m", "open_gaps"), [(0.1, []), (0.3, [1])])
+def test_a_gap_with_an_answer_that_is_none_is_not_trusted(
+    sigma_m: float, open_gaps: list[int], sound: Recording
+) -> None:
+    recovery = solved(0, duration_s=20.0)
+    pose = recovery.pose_covariance.copy()
+    gap = recovery.gaps[1]
+    pose[(recovery.t_s > gap.start_s) & (recovery.t_s < gap.end_s), :3, :3] = sigma_m**2 * np.eye(3)
+    found = with_verdict(replace(recovery, pose_covariance=pose), sound, ALONE.arm.anatomy)
+    assert [number for number, each in enumerate(found.gap_verdicts) if not each.trusted] == open_gaps
+    assert any("nothing shows where the arm was" in each.sentence for each in found.estimates.findings) is (
+        sigma_m > 0.2
+    )
+
+
 def test_a_hand_called_the_wrist_is_asked_for(sound: Recording) -> None:
     recovery = solved(0, duration_s=20.0)
     levers = {joint: lever for joint, lever in recovery.calibration.lever_arms.items() if joint != "hand"}
