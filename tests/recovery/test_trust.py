@@ -73,7 +73,7 @@ def test_faults_of_the_sensor(
     assert words in found.verdict or "clip" in words
 
 
-@pytest.mark.parametrize(("sigma_m", "open_gaps"), [(0.1, []), (0.3, [1])])
+@pytest.mark.parametrize(("sigma_m", "open_gaps"), [(0.1, []), (0.4, [1])])
 def test_a_gap_with_an_answer_that_is_none_is_not_trusted(
     sigma_m: float, open_gaps: list[int], sound: Recording
 ) -> None:
