@@ -181,7 +181,9 @@ def limb_motion(limb: Limb, t: FloatArray) -> LimbMotion:
     """A limb's motion at grid times (n,)."""
     limb = limb.between(t[0] - CONTEXT_S, t[-1] + CONTEXT_S)
     frame_t, (first, second, both), (point, seen) = limb.tracks.t_s, limb.ends(), limb.point()
-    along, _, has_direction = _on_grid(frame_t[both], unit(second - first)[both], t)
+    directions = unit(second - first)
+    both &= np.isfinite(directions).all(axis=1)  # two joints in one place have none
+    along, _, has_direction = _on_grid(frame_t[both], directions[both], t)
     position, measured, has_point = _on_grid(frame_t[seen], point[seen], t)
     step = 1.0 / GRID_HZ
     acceleration = np.gradient(np.gradient(position, step, axis=0), step, axis=0)
@@ -193,7 +195,7 @@ def limb_motion(limb: Limb, t: FloatArray) -> LimbMotion:
 def _on_grid(
     times: FloatArray, values: FloatArray, t: FloatArray
 ) -> tuple[FloatArray, FloatArray, BoolArray]:
-    """Values (N, 3) smoothed at grid times, the same as they are, and where they were known."""
+    """Values (N, 3) at grid times, smoothed and as they are, and where they were known."""
     if len(times) < 3:
         return np.zeros((len(t), 3)), np.zeros((len(t), 3)), np.zeros(len(t), bool)
     more = np.arange(1, round(4.0 * SMOOTH_S * GRID_HZ) + 1) / GRID_HZ

@@ -20,7 +20,7 @@ from .excerpt_motion import SHORTEST_S, ImuMotion, LimbMotion, MatchExcerpt
 DIRECTION_SIGMA, ACCELERATION_SIGMA = 0.06, 0.5
 #: How much an acceleration counts against a direction.
 WEIGHT = (DIRECTION_SIGMA / ACCELERATION_SIGMA) ** 2
-#: The camera's gravity, known to about 0.15 rad, is one more direction for each 6 samples.
+#: The camera's gravity, known to about 0.15 rad, counts as 6 samples of one more direction in each excerpt.
 GRAVITY_PULL = 6.25 * (DIRECTION_SIGMA / 0.15) ** 2
 #: What mounting, soft tissue and stamps spoil, as a part of the motion.
 SPOILT = 0.3

@@ -248,7 +248,7 @@ def _moments_around(
 
 #: A sensor is still where over this long on both sides of a moment, s, its specific force varies by less than
 #: the first, m/s^2, and it turns by less than the second, rad/s rms: a person's arm that moves at all
-#: turns, and trembles more; on average a sway, which turns back twice a period, passes for rest.
+#: turns, and trembles more; by its mean rate a sway, which turns back twice a period, would pass for rest.
 STILL_HALF_S, STILL_FORCE, STILL_RATE = 0.5, 0.1, 0.03
 
 

@@ -200,7 +200,7 @@ class Swing:
     def of(cls, solution: Solution, states: States, t: FloatArray) -> Swing | None:
         """With the forearm's states at times (n,); None without a shoulder, or if IMUs show the way to it."""
         chain = any(SEGMENTS[body.segment].carries_parent for body in solution.bodies[1:])
-        if solution.shoulder is None or "elbow" not in solution.levers or chain:
+        if solution.shoulder is None or "elbow" not in solution.levers or chain or not len(t):
             return None
         lever = states.R @ solution.levers["elbow"]
         arm = states.p + lever - interpolate(solution.t, solution.shoulder, t)

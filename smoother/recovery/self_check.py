@@ -31,7 +31,7 @@ from .samples import poses_at
 from .task import Task
 
 #: Length of a stretch, s: as the gaps, within these limits; of a recording without gaps the last.
-SHORTEST_S, LONGEST_S, WITHOUT_GAPS_S = 0.4, 4.0, 1.0
+SHORTEST_S, LONGEST_S = 0.4, 4.0
 #: Visible time that is left on both sides of a stretch, s, and from its window's ends.
 BESIDE_S, MARGIN_S = 0.5, 2.0
 #: Candidates begin this far apart, s; motion is compared in steps of this length, s.

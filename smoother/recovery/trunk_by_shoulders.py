@@ -25,8 +25,6 @@ JOINT_BIAS_M = 0.01
 #: A heading is the mean of the frames so near, s (one standard deviation of the weights): errors of skeletons
 #: last some tenths of a second. Farther than this from a frame there is none, s.
 MEAN_S, REACH_S = 0.25, 1.0
-#: How fast a trunk may turn meanwhile, rad/s.
-TURN_RAD_S = np.radians(10.0)
 #: How far people lean forwards and sideways as they use an arm, rad (one standard deviation).
 LEAN_RAD = (np.radians(5.0), np.radians(8.0))
 #: Frames with both shoulders that a recording needs.

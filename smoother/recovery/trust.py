@@ -159,8 +159,6 @@ HAND_RATIO, HAND_M = 1.02, 0.32
 SHORTEST_GAP_S = 0.25
 #: More hidden stretches than this share may not fail.
 FAILED_SHARE = 0.25
-#: Of frames, at most this many are looked at.
-MOST_FRAMES = 20_000
 
 
 #: A gap says nothing of where the arm was when 95 of 100 errors reach as far as an arm does, m: from shoulder

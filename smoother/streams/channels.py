@@ -52,9 +52,10 @@ class StreamLabels:
     @classmethod
     def of(cls, info: Any) -> StreamLabels:
         """From a full `pylsl.StreamInfo`."""
-        channels = [info.desc().child("channels").child("channel")]
-        while len(channels) < info.channel_count():
-            channels.append(channels[-1].next_sibling("channel"))
+        channels, channel = [], info.desc().child("channels").child("channel")
+        for _ in range(info.channel_count()):
+            channels.append(channel)
+            channel = channel.next_sibling("channel")
         labels, types, units = channel_labels(channel.child_value for channel in channels)
         return cls(info.name(), info.type(), labels, types, units, info.channel_format() == _STRINGS)
 

@@ -14,7 +14,7 @@ from small_window import BIAS_LENGTH_S, LEVERS, UPPER_FIRST, UPPER_NODES, small_
 
 import smoother.graph.build
 from smoother.array_types import FloatArray
-from smoother.graph.build import bias_of_intervals, build, upper_arm_sigmas
+from smoother.graph.build import REST_SPEED, bias_of_intervals, build, upper_arm_sigmas
 from smoother.graph.factors import DENSITY_STEP, INTEGRATION_VARIANCE, PARENT_TIE_M, TISSUE_S
 from smoother.recording import JOINTS
 from smoother.units import GRAVITY
@@ -135,7 +135,7 @@ def inertial(
 def test_each_factor_has_the_error_of_its_formula(monkeypatch: pytest.MonkeyPatch) -> None:
     """All of them at values that are a little off; the IMU's to what its linearised bias leaves."""
     monkeypatch.setattr(smoother.graph.build, "BIAS_LENGTH_S", BIAS_LENGTH_S)  # two of them
-    window = small_window()[0]
+    window = replace(small_window()[0], still=np.array([4, 5]))
     graph, start, _ = build(window)
     values = moved(start)
     errors = errors_by_class(graph, values)
@@ -177,6 +177,8 @@ def test_each_factor_has_the_error_of_its_formula(monkeypatch: pytest.MonkeyPatc
 
     expected = [gaussian(v[i + 1] - v[i], window.velocity_change[i]) for i in (3, 4, 5)]
     np.testing.assert_allclose(errors.pop("BetweenFactorVector"), expected, rtol=1e-7)
+    expected = [cauchy(v[i], REST_SPEED, noise.cauchy) for i in (4, 5)]
+    np.testing.assert_allclose(errors.pop("PriorFactorVector"), expected, rtol=1e-7)
     expected = []
     for node, in_A in zip(window.field.node, window.field.in_A, strict=True):
         off = np.cross(R[node] @ in_A, window.field.in_K)

@@ -62,7 +62,7 @@ def test_mounting_and_order_do_not_matter() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("change", ["no direction of gravity", "frames missing"])
+@pytest.mark.parametrize("change", ["no direction of gravity", "frames missing", "two joints in one place"])
 def test_what_is_not_needed(change: str) -> None:
     """Also with a third of the frames gone in gaps, which are not made up, each is found."""
     people, down = scene(), None if change.startswith("no") else DOWN
@@ -72,6 +72,9 @@ def test_what_is_not_needed(change: str) -> None:
         places = [
             replace(limb, tracks=limb.tracks.hide((limb.tracks.t_s % 3.0) < 1.0, every)) for limb in places
         ]
+    if change.startswith("two"):
+        for limb in places:
+            limb.tracks.position[50] = limb.tracks.position[50, 1]
     for worn, match in zip(people.worn, match_imus(imus(people), places, down), strict=True):
         assert match.joint == worn.joint
 

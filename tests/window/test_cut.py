@@ -263,7 +263,7 @@ def prepared_of(gaps: tuple[Gap, ...]) -> PreparedSegment:
         sigma_m=np.full((len(frame_t), len(JOINTS)), 0.01),
         gaps=gaps,
         acceleration_std=np.full(n, 0.5),
-        still=np.zeros(n, bool),
+        still=np.arange(n) % 2 == 0,
         start_s=0.5,
         end_s=END_S,
     )
@@ -316,6 +316,9 @@ def test_measurements_belong_to_their_nodes(steps: list[tuple[float, float]]) ->
         middle, dt = 0.5 * (window.t[1:] + window.t[:-1]), np.diff(window.t)
         in_gap = np.array([any(g.start_s < t < g.end_s for g in prepared.gaps) for t in middle])
         np.testing.assert_array_equal(np.isfinite(window.velocity_change), in_gap)
+        hidden = np.array([any(g.start_s < t < g.end_s for g in prepared.gaps) for t in window.t])
+        at_rest = np.isin(window.t, prepared.t[prepared.still])
+        assert window.still.tolist() == np.flatnonzero(hidden & at_rest).tolist()
         expected = np.hypot(0.5, STILL_ACCELERATION) * np.sqrt(0.2 * dt[in_gap])
         np.testing.assert_allclose(window.velocity_change[in_gap], expected)
 

@@ -634,7 +634,7 @@ def _stripped(cells: list[str], least: int = 0) -> list[str]:
 _DATE = (
     r"^\s*(?:(?:(?P<y>\d{4})[-/.](?P<m>\d\d?)[-/.](?P<d>\d\d?)"
     r"|(?P<a>\d\d?)(?P<mark>[-/.])(?P<b>\d\d?)[-/.](?P<Y>\d{4}))[ T_]+)?"
-    r"(?P<hour>\d\d?)(?P<colon>[:.])(?P<minute>\d\d)[:.](?P<second>\d\d)(?:[.,:_](?P<part>\d{1,15})\d*)?"
+    r"(?P<hour>\d\d?)(?P<colon>[:.])(?P<minute>\d\d)(?:[:.](?P<second>\d\d)(?:[.,:_](?P<part>\d{1,15})\d*)?)?"
     r"\s*(?P<noon>[AaPp][Mm])?\s*(?:Z|UTC|GMT)?\s*(?:(?P<sign>[+-])(?P<zone>\d\d?):?(?P<minutes>\d\d)?)?\s*$"
 )
 _DAY_S = 86_400.0
@@ -659,16 +659,19 @@ def seconds_of_dates(cells: Sequence[str]) -> FloatArray:  # -> (n,) s
     is_american = has("mark", "/")  # 01/31/2026, and 31.01.2026 elsewhere
     month = number("m") + np.where(is_american, number("a"), number("b"))
     day = number("d") + np.where(is_american, number("b"), number("a"))
-    hour = np.where(has("noon", ""), number("hour"), number("hour") % 12 + 12 * has("noon", "pm", "PM", "Pm"))
+    hour = np.where(
+        has("noon", ""), number("hour"), number("hour") % 12 + 12 * has("noon", "pm", "PM", "Pm", "pM")
+    )
     zone = np.where(has("sign", "-"), -60, 60) * (60 * number("zone") + number("minutes"))
     seconds = 3600 * hour + 60 * number("minute") + number("second")
     months = (12 * (number("y") + number("Y") - 1970) + month - 1).astype("M8[M]")
     date = months.astype("M8[D]") + (day - 1).astype(np.int64)
-    is_date = (date.astype("M8[M]") == months) & (month >= 1) & (month <= 12) & (seconds < _DAY_S)
+    is_time = (hour < 24) & (number("minute") < 60) & (number("second") < 60) & (np.abs(zone) < _DAY_S)
+    is_date = (date.astype("M8[M]") == months) & (month >= 1) & (month <= 12)
     is_dated = ~has("y", "") | ~has("mark", "")
     seconds += np.where(is_dated, date.astype(np.int64) * _DAY_S - zone, 0.0)
     seconds += number("part") / 10.0 ** np.asarray(pc.utf8_length(text("part")))
-    seconds[~np.where(is_dated, is_date, has("colon", ":"))] = np.nan
+    seconds[~(is_time & np.where(is_dated, is_date, has("colon", ":") & ~has("second", "")))] = np.nan
     if np.nanmax(seconds, initial=0.0) < 2 * _DAY_S:  # times of day: midnight passes
         steps = np.diff(seconds, prepend=seconds[:1])
         seconds = seconds + _DAY_S * np.cumsum(np.nan_to_num(steps) < -_DAY_S / 2)

@@ -131,10 +131,16 @@ def test_what_is_no_table_is_one_short_sentence(tmp_path: Path, text: str):
         (["20.08.2021 20:21:13,835"], 1629490873.835),
         (["8/20/2021 8:21:13.835 PM"], 1629490873.835),
         (["20:21:13.835"], 73273.835),
+        (["2021-08-20 20:21"], 1629490860.0),
+        (["8/20/2021 8:21:13.835 pM"], 1629490873.835),
+        *(
+            ([cell], np.nan)
+            for cell in ("20:21", "2021-08-20 20:61:13", "2021-08-20 20:21:60", "2021-02-30 1:02:03")
+        ),
     ],
 )
 def test_dates(cells: list[str], seconds: float):
-    assert seconds_of_dates(cells)[0] == pytest.approx(seconds, abs=1e-6)
+    assert seconds_of_dates(cells)[0] == pytest.approx(seconds, abs=1e-6, nan_ok=True)
 
 
 def test_dates_of_which_too_many_are_none_and_times_past_midnight():
