@@ -36,6 +36,6 @@ def rows(*columns: np.ndarray, separator: str = ",", end: str = "", form: str = 
     return [separator.join(row) + end for row in zip(*cells, strict=True)]
 
 
-def printed(values: np.ndarray, digits: int = 6) -> np.ndarray:
-    """Values as a file with so many decimals has them."""
-    return np.array([float(f"{v:.{digits}f}") for v in np.ravel(values)]).reshape(np.shape(values))
+def printed(values: np.ndarray) -> np.ndarray:
+    """Values as a file with six decimals has them."""
+    return np.array([float(f"{v:.6f}") for v in np.ravel(values)]).reshape(np.shape(values))

@@ -278,6 +278,14 @@ def test_messages_before_their_channel_in_a_chunk(path: Path):
     assert [topic.count for topic in container.topics] == [2, 2]
 
 
+def test_what_is_not_wanted_is_counted_and_passed_over(path: Path):
+    path.write_bytes(written([(i % 3, 10 * i, 1000 * (i % 3 == 2)) for i in range(300)], chunk_size=1 << 20))
+    container = Container(path)
+    found = [each.log_ns for each in container.messages(lambda topic: topic.name == "/b")]
+    assert found == [10 * i for i in range(1, 300, 3)]
+    assert [(topic.name, topic.count) for topic in container.topics] == [(name, 100) for name in TOPICS]
+
+
 def test_repair(path: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     """What was lost is listed, and whoever reads the whole file learns of it."""
     output, figures = tmp_path / "b.mcap", tmp_path / "c.json"

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import struct
+import zlib
 from pathlib import Path
 
 import cv2
@@ -152,17 +154,30 @@ def test_a_damaged_message_of_an_image_or_of_sound_is_left_out_and_told(tmp_path
 
 def test_files_that_break_off_or_state_too_much(tmp_path: Path):
     """OpenCV takes 4 GB and half a minute for such a PNG; it looks at the size of other formats itself."""
-    _, packed = cv2.imencode(".png", pictures()[0])
-    data = bytearray(packed.tobytes())
-    at = data.index(b"IDAT") - 4
-    np.testing.assert_array_equal(unpacked(bytes(data)), pictures()[0])
-    data[at : at + 4] = b"\xf8\xff\xff\xc9"
-    with pytest.raises(ValueError, match="breaks off"):
-        unpacked(bytes(data))
+    depth, _ = pictures()
+    whole, jpeg = (
+        cv2.imencode(".png", depth)[1].tobytes(),
+        cv2.imencode(".jpg", depth.astype("u1"))[1].tobytes(),
+    )
+    np.testing.assert_array_equal(unpacked(whole), depth)
+    assert unpacked(jpeg).shape == (6, 5)
+    at = whole.index(b"IDAT") - 4
+    data = whole[:at] + b"\xf8\xff\xff\xc9" + whole[at + 4 :]
+    head = whole[12:16] + struct.pack(">II", 60_000, 60_000) + whole[24:29]
+    huge = whole[:12] + head + struct.pack(">I", zlib.crc32(head)) + whole[33:]
+    for broken, said in (
+        (b"GIF89a", "neither"),
+        (b"", "neither"),
+        (whole[:20], "breaks off"),
+        (jpeg[:40], "damaged"),
+    ):
+        with pytest.raises(ValueError, match=said):
+            unpacked(broken)
     wavfile.write(tmp_path / "a.wav", 8000, np.zeros(8, np.int16))
     sound = (tmp_path / "a.wav").read_bytes()
     for name, content, said in (
-        ("a.png", bytes(data), r"a\.png is not an image .*breaks off"),
+        ("a.png", data, r"a\.png is not an image .*breaks off"),
+        ("a.png", huge, r"a\.png is not an image .*larger than"),
         ("a.pgm", b"P5 2000000000 9000 65535\n", r"a\.pgm is not an image .*larger than"),
         ("a.wav", sound.replace(b"data", b"dL\0a"), r"a\.wav is not a WAV file that can be read"),
         ("a.wav", b"RF64" + sound[4:], r"a\.wav is not a WAV file that can be read"),

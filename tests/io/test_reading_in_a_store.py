@@ -66,11 +66,19 @@ def renumbered_body(_: Path) -> RecordingFile:
     return file
 
 
-@pytest.mark.parametrize("made", [plain, two_arms, dropped_samples, renumbered_body])
+def several_imus(_: Path) -> RecordingFile:
+    file = as_file(make(20))
+    imu, arm = file.imus[0], file.arms[0]
+    other = replace(imu, topic="/imu/b", frame_id="b", gyro=np.roll(imu.gyro, 300, axis=0))
+    file.imus, file.arms = [replace(imu, topic="/imu/a", frame_id="a"), other], [replace(arm, side="")]
+    return file
+
+
+@pytest.mark.parametrize("made", [plain, two_arms, dropped_samples, renumbered_body, several_imus])
 def test_columns_in_files_are_the_same(made: object, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     path = tmp_path / "a.mcap"
     write_recording(made(tmp_path), path)  # type: ignore[operator]
-    chosen = {"side": "right"} if made is two_arms else {}
+    chosen = {two_arms: {"side": "right"}, several_imus: {"imu": "/imu/a"}}.get(made, {})
     expected = open_recording(path), read_recording(path, **chosen)
     in_small_parts(monkeypatch)
     assert_same(expected, (open_recording(path), read_recording(path, **chosen)), exact=True)

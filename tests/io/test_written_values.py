@@ -4,30 +4,97 @@ from __future__ import annotations
 
 import csv
 import json
-from dataclasses import replace
+from dataclasses import fields, replace
 from pathlib import Path
 
 import numpy as np
+import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 from made_results import assert_same, recovery
 
-from smoother.io import read_recovery, write_recovery
+from smoother.io import open_recording, read_recovery, write_recording, write_recovery
+from smoother.io.export.markers import write_c3d, write_trc
 from smoother.io.export.prepare import METADATA_KEY, export_csv, export_parquet, file_columns
+from smoother.io.mcap.merge import repair_container
 from smoother.io.mcap.messages import nanoseconds
-from smoother.result import Recovery
-
-quick = settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
-START = 1_700_000_000 * 10**9
-numbers = st.floats(-1e3, 1e3, allow_subnormal=True)
-places = st.floats(-10, 10).map(lambda value: round(value, 6))
-
+from smoother.io.recording.streams import ArmFrames, ImuSamples, RecordingFile
+from smoother.io.tables.markers import read_markers
+from smoother.recording import JOINTS
+from smoother.result import Estimates, Recovery
 
 few = settings(max_examples=15, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 #: What may be in a name: no surrogates, which are not text.
 words = st.text(st.characters(exclude_categories=["Cs"]), max_size=12)
 large = st.floats(-1e6, 1e6)
+
+
+@st.composite
+def files(draw: st.DrawFn) -> RecordingFile:
+    """Streams of any values and rising stamps less than three hours apart."""
+    count, frames = draw(st.integers(1, 12)), draw(st.integers(1, 8))
+    steps = (arrays.arrays(np.int64, size, elements=st.integers(1, 10**13)) for size in (count, frames))
+    samples, seen = (1_700_000_000 * 10**9 + np.cumsum(draw(each)) for each in steps)
+    acc, gyro = (draw(arrays.arrays(np.float64, (count, 3), elements=large)) for _ in range(2))
+    state = draw(arrays.arrays(np.int8, (frames, 5), elements=st.integers(0, 2)))
+    state[:, 1] = 2  # an arm that is never there is not written
+    position = draw(arrays.arrays(np.float64, (frames, 5, 3), elements=large))
+    position[state == 0] = np.nan
+    arm = ArmFrames("/skeleton", "camera", draw(st.integers(0, 9)), "right", seen, position, state)
+    imu = ImuSamples("/imu/forearm_right", "forearm_right", samples, acc, gyro)
+    return RecordingFile(Path("drawn"), imus=[imu], arms=[arm])
+
+
+@few
+@given(files())
+def test_recordings(tmp_path: Path, file: RecordingFile):
+    write_recording(file, tmp_path / "a.mcap", force=True)
+    repair_container(tmp_path / "a.mcap", tmp_path / "b.mcap", force=True)
+    for back in (open_recording(tmp_path / name) for name in ("a.mcap", "b.mcap")):
+        (imu,), (arm,) = back.imus, back.arms
+        assert not back.notes
+        for name in ("stamp_ns", "acc", "gyro"):
+            np.testing.assert_array_equal(getattr(imu, name), getattr(file.imus[0], name))
+        for name in ("stamp_ns", "position", "state", "body", "side"):
+            np.testing.assert_array_equal(getattr(arm, name), getattr(file.arms[0], name))
+
+
+@pytest.mark.slow
+@few
+@given(
+    arrays.arrays(np.float64, st.tuples(st.integers(2, 6), st.integers(1, 4), st.just(3)), elements=large),
+    st.data(),
+)
+def test_markers(tmp_path: Path, position: np.ndarray, data: st.DataObject):
+    position[abs(position).max(axis=2) < 1e-3] = 0.5  # the origin stands for a hidden marker
+    position[data.draw(arrays.arrays(np.bool_, position.shape[:2]))] = np.nan
+    names = [f"M{i}" for i in range(position.shape[1])]
+    rate = data.draw(st.sampled_from([30.0, 100.0, 119.88]))
+    write_c3d(tmp_path / "a.c3d", names, position, rate, force=True)
+    write_trc(tmp_path / "a.trc", names, np.arange(len(position)) / rate, position, rate, force=True)
+    # four bytes a number; nine decimals of a metre
+    for suffix, errors in (("c3d", {"rtol": 2e-7, "atol": 1e-30}), ("trc", {"rtol": 1e-15, "atol": 0.51e-9})):
+        back = read_markers(tmp_path / f"a.{suffix}")
+        assert list(back.names) == names and abs(back.rate_hz - rate) < 1e-5
+        np.testing.assert_allclose(back.position, position, **errors)
+
+
+known = sorted({each.name for each in fields(Estimates)} - {"further"})
+values = st.none() | st.booleans() | st.integers(-(2**53), 2**53) | st.floats(allow_nan=False) | words
+values = st.recursive(
+    values,
+    lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.sampled_from(JOINTS), inner, max_size=3),
+    max_leaves=8,
+)
+
+
+@pytest.mark.slow
+@given(st.dictionaries(st.sampled_from([*known, "else"]), values, max_size=6))
+def test_estimates_whatever_a_file_states(plain: dict):
+    """Nothing is lost; an empty list says the same as none."""
+    empty = [name for name in plain if plain[name] == [] and getattr(Estimates(), name, None) == ()]
+    assert Estimates.from_plain(plain).plain() == {name: plain[name] for name in plain if name not in empty}
 
 
 @st.composite

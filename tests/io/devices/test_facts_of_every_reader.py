@@ -26,7 +26,7 @@ from smoother.io.files import ImuFiles, import_files
 from smoother.io.recording.keypoints import TOPIC
 from smoother.io.registry import FileReader, recognise, unknown_file
 from smoother.io.tables.describe import describe_file
-from smoother.io.tables.table import LONGEST_LINE, layout_of, read_head
+from smoother.io.tables.table import LONGEST_LINE, MOST_COLUMNS, layout_of, read_head
 from smoother.units import STANDARD_GRAVITY
 
 T, ACC, GYRO = turning(1000, 100.0)
@@ -254,7 +254,13 @@ LIMITS: dict[str, tuple[Callable[[Path], Path], str]] = {
     "a million columns": (
         lambda folder: text(folder / "a.csv", (",".join(["1"] * 500_000) + "\n") * 2), "row of 500,000 columns"
     ),
+    "columns parted by blanks": (
+        lambda folder: text(folder / "a.txt", (" ".join(["1"] * (MOST_COLUMNS + 1)) + "\n") * 3), "10,001 columns"
+    ),
     "a long line": (lambda folder: text(folder / "a.csv", "t,x\n" + "7" * (LONGEST_LINE + 1)), "has a line of"),
+    "a wide workbook": (
+        lambda folder: workbook(folder / "a.xlsx", [list(range(MOST_COLUMNS + 1))] * 3), "10,001 columns"
+    ),
     "an unpacked workbook": (
         lambda folder: packed(folder / "a.xlsx", "xl/worksheets/sheet9.xml", 300_000_000), "MB unpacked"
     ),

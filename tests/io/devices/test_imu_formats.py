@@ -137,7 +137,6 @@ def test_a_plain_layout(
 NOTHING = np.full((COUNT, 3), np.nan)
 EVEN = ACC / np.linalg.norm(ACC, axis=1, keepdims=True)
 PHYPHOX = '"Time (s)","X (m/s^2)","Y (m/s^2)","Z (m/s^2)"'
-LOGGED = xyz("accelerometerAcceleration", "{}{}(G)")
 KG, DG = ("K x [m/s^2],K y [m/s^2],K z [m/s^2]", "D x [rad/s],D y [rad/s],D z [rad/s]")
 #: Tables that are refused, and what is to be done.
 REFUSED = [

@@ -76,9 +76,12 @@ def test_no_gravity_and_a_camera_that_says_its_axes(results, tmp_path, capsys):
     command = ("export", results / "hold.mcap", "-o", tmp_path / "a.trc", "--format", "trc")
     said = refused(capsys, *command)
     assert "'hold' found no gravity" in said and "--frame camera" in said
-    done(*command, "--frame", "camera", "--rate", "20", "--json", tmp_path / "j.json")
-    (row,) = json.loads((tmp_path / "j.json").read_text())["files"]
-    assert (row["rate_hz"], row["rows"]) == (20, 400)
+    command = ("export", results / "hold.mcap", "--rate", "20", "--json", tmp_path / "j.json", "--force")
+    for words in (["trc", "--frame", "camera"], ["c3d"]):
+        done(*command, "-o", tmp_path / f"a.{words[0]}", "--format", *words)
+        (row,) = json.loads((tmp_path / "j.json").read_text())["files"]
+        assert (row["rate_hz"], row["rows"]) == (20, 400)
+    assert ezc3d.c3d(str(tmp_path / "a.c3d"))["parameters"]["POINT"]["RATE"]["value"] == [20]
     source = replace(make_recording(), camera_frame=CameraFrame.OPTICAL)
     write_recording(source, tmp_path / "rec.mcap")
     hold = replace(made("right"), method="hold", gravity_direction=np.full(3, np.nan))
