@@ -112,6 +112,9 @@ def test_what_changed_is_printed_and_written(study: Path, tmp_path: Path, capsys
     assert [row["session"] for row in rows] == ["s0", "s1", "s2"]
     assert rows[0]["change"] == "" and float(rows[2]["change"]) == pytest.approx(last["difference"], rel=1e-5)
     assert "p1" in (tmp_path / "p.html").read_text(encoding="utf-8")
+    done("progress", study, "--csv", tmp_path / "all.csv")
+    with open(tmp_path / "all.csv", encoding="utf-8", newline="") as file:
+        assert {row["person"] for row in csv.DictReader(file)} == {"p1", "'=p2"}, "a name is no formula"
 
 
 @pytest.fixture(scope="module")

@@ -1,4 +1,7 @@
-"""How commands print and end: tables, odd names, closed streams, signals, without a reader; the viewer."""
+"""How commands print and end: tables, hostile names, streams closed or full, signals; the viewer.
+
+And what is said of an angle not known, a wrong unit, a result that is its own truth, and the demo.
+"""
 
 from __future__ import annotations
 
@@ -111,7 +114,6 @@ def test_no_output_gets_the_number_of_a_closed_stream(tmp_path: Path) -> None:
     assert (tmp_path / "out").read_text() == "the output"
 
 
-ROOT = Path(__file__).parents[2]
 #: Clears the screen, sets the title, links, turns the direction of writing, goes back, markup, a formula.
 HOSTILE = (
     "\x1b[2J\x1b]0;owned\x07",
@@ -123,7 +125,6 @@ HOSTILE = (
     "=cmd|' /C calc'!A0",
 )
 ACTING = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u200e\u200f\u202a-\u202e\u2066-\u2069]")
-SUSPECT = re.compile(r"pickle|dill|joblib|shelve|marshal|yaml|eval|exec|__import__|np\.load|numpy\.load")
 
 
 @pytest.fixture(scope="module")

@@ -43,6 +43,10 @@ def test_keys_and_an_honest_result(recovery):
     assert figures["occluded"]["position_rms_m"] is None  # nothing was hidden
     assert figures["occluded"]["samples"] == 0
     assert figures["visible"]["samples"] == figures["all"]["samples"]
+    blank = replace(recovery, pose_covariance=np.full_like(recovery.pose_covariance, np.nan))
+    without = validate(blank, truth).to_dict()["all"]
+    assert without["nees"] is None and without["coverage_95"] is None
+    assert without["position_rms_m"] == figures["all"]["position_rms_m"]
 
 
 def test_slow_implementation(recovery):

@@ -7,6 +7,7 @@ import os
 from dataclasses import replace
 from pathlib import Path
 
+import cv2
 import numpy as np
 from made_measures import made_measures, study_row, write_study
 from results import made
@@ -27,6 +28,8 @@ _TEXTS = {
     "no_sigma.toml": "[arm.right.lever_arm.elbow]\nposition_m = [0.03, -0.21, 0.0]\n",
     "words.csv": "t_s,ax,ay,az,gx,gy,gz\n0,1,2,9.8,0,0,0\n0.01,1,two,9.8,0,0,0\n",
     "lacks_z.csv": "t_s,ax,ay,gx,gy\n" + "".join(f"{0.01 * i:.2f},0,9.8,0,0\n" for i in range(200)),
+    "lacks_gz.csv": "t_s,ax,ay,az,gx,gy\n0,0,0,9.8,0,0\n",
+    "lens.toml": "fx = 1\nfy = 1\ncx = 1\ncy = 1\nwidth = 2\nheight = 2\n",
     "trials.csv": "name,start_s,end_s\nfirst,1,x\n",
     "markers.trc": "PathFileType\t4\t(X/Y/Z)\tmarkers.trc\n",
     "map.toml": "[markers]\nknee = ['KNE']\n",
@@ -41,6 +44,7 @@ _TEXTS = {
     "few.json": json.dumps({"measures": _FEW}),
     "empty.csv": "",
     "rows.csv": "t_s,x,y,z\n",
+    "lacks_t.csv": "time,x,y,z\n0,1,2,3\n",
     "two.csv": "t_s,x,y,z\n0,1,2,3\n0.1,1,two,3\n",
     "poses_truth.toml": "mine",
     "first.txt": "a.csv\n",
@@ -90,7 +94,9 @@ def bad_inputs(folder: Path) -> None:
     if hasattr(os, "mkfifo"):
         os.mkfifo(folder / "pipe.mcap")
     (folder / "folder").mkdir()
-    (folder / "binary.toml").write_bytes(b"\xff\xfe\x00")
+    for name in ("binary.toml", "binary.csv"):
+        (folder / name).write_bytes(b"\xff\xfe\x00")
+    cv2.imwrite(str(folder / "depth.png"), np.ones((2, 2), np.uint16))
     good = folder / "good.mcap"
     write_recording(simulate_arm(ArmSimulation(repetitions=1), 1).recording, good)
     file = open_recording(good)
@@ -98,6 +104,9 @@ def bad_inputs(folder: Path) -> None:
     write_recording(file, folder / "no_imu.mcap")
     file.imus = [*imus, replace(imus[0], topic="/imu/base")]
     write_recording(file, folder / "two_imus.mcap")
+    angle = np.arange(len(imus[0].acc)) / 50.0
+    file.imus = [replace(imus[0], mag=np.column_stack([np.cos(angle), np.sin(angle), 0 * angle]))]
+    write_recording(file, folder / "flat.mcap")
     file.imus, file.arms = imus, []
     write_recording(file, folder / "no_joints.mcap")
     write_recovery(made(), folder / "result.mcap")

@@ -170,7 +170,6 @@ def test_what_has_no_smoothness_is_nan(speed: np.ndarray):
 
 
 BEND_T = np.arange(0.0, 20.0, 0.1)
-WHATS = {"max": np.max, "min": np.min, "median": np.median, "range": np.ptp}
 
 
 def swinging(flexion_rad: np.ndarray, t_s: np.ndarray) -> dict[str, np.ndarray]:

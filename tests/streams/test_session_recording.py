@@ -145,7 +145,7 @@ def test_a_full_disk_ends_the_recording_and_not_the_session(original, tmp_path, 
 
 
 def test_a_disk_that_does_not_take_the_end_is_said(original, tmp_path, monkeypatch):
-    """It delays no answer either; the end mark was dropped silently, and the file closed while written."""
+    """The end mark was dropped silently, and the file closed while it was being written."""
     source, recording, session = begun(original, tmp_path / "session.mcap")
     hangs = threading.Event()
     monkeypatch.setattr(session_recording, "_CLOSE_S", 0.2)
@@ -156,6 +156,21 @@ def test_a_disk_that_does_not_take_the_end_is_said(original, tmp_path, monkeypat
     said = [sentence for _, sentence in session.figures[0].events if "has no end" in sentence]
     assert len(said) == 1 and "unocclude repair" in said[0]
     assert not recording.is_whole and not (tmp_path / "session.mcap").exists()
+
+
+def test_a_slow_disk_delays_no_answer(original, tmp_path, monkeypatch):
+    """It takes nothing until the last answer is given, then all."""
+    source, recording, session = begun(original, tmp_path / "session.mcap")
+    write, answered = recording._output.write, threading.Event()
+
+    def slow(*arguments):
+        assert answered.wait(30.0), "an answer waits for the disk"
+        write(*arguments)
+
+    monkeypatch.setattr(recording._output, "write", slow)
+    session.run(never, lambda *_: source.ended and answered.set())
+    recording.close()
+    same(read_recording(original), read_recording(tmp_path / "session.mcap"))
 
 
 SIDES = ("right", "left")

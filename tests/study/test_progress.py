@@ -93,6 +93,11 @@ def test_a_known_change_is_found_and_a_null_change_is_not_called(tmp_path: Path)
     alarms = sum(word in (MORE, LESS) for word in null) / len(null)
     assert len(null) >= 600 and UNKNOWN not in null
     assert alarms == pytest.approx(0.05, abs=0.026)  # 3 sigmas of a share of 0.05 over 640
+    for person in persons:  # Holm: all main measures of a person that are known count together
+        p, adjusted = np.sort([(each.change.p, each.change.p_together) for each in person.main], axis=0).T
+        known = np.isfinite(p).sum()
+        step_down = np.maximum.accumulate(np.arange(known, 0, -1) * p[:known])
+        np.testing.assert_allclose(adjusted[:known], np.minimum(step_down, 1.0))
 
 
 def test_what_takes_no_part_is_said(tmp_path: Path):
