@@ -8,7 +8,7 @@ from dataclasses import replace
 import gtsam
 import numpy as np
 import pytest
-from gtsam.symbol_shorthand import B, C, E, G, L, M, S, U, V, W, X, Y
+from gtsam.symbol_shorthand import B, C, D, E, F, G, L, M, N, Q, S, U, V, W, X, Y, Z
 from scipy.spatial.transform import Rotation
 from small_window import BIAS_LENGTH_S, LEVERS, UPPER_FIRST, UPPER_NODES, small_window
 
@@ -16,6 +16,7 @@ import smoother.graph.build
 from smoother.array_types import FloatArray
 from smoother.graph.build import REST_SPEED, bias_of_intervals, build, upper_arm_sigmas
 from smoother.graph.factors import DENSITY_STEP, INTEGRATION_VARIANCE, PARENT_TIE_M, TISSUE_S
+from smoother.graph.variables import DIMENSION, sizes_of, values_of
 from smoother.recording import JOINTS
 from smoother.units import GRAVITY
 from smoother.window.problem import ImuIncrements, JointMeasurements, NoiseModel, Window
@@ -244,3 +245,22 @@ def test_each_factor_has_the_error_of_its_formula(monkeypatch: pytest.MonkeyPatc
     # to what the bias moves beyond first order: 6e-4
     np.testing.assert_allclose(errors.pop("ImuFactorWithGravityDirection"), expected, rtol=0.002)
     assert not errors
+
+
+def test_sizes_and_values_of_all_that_windows_have() -> None:
+    """As GTSAM counts and holds them, of every letter."""
+    kinds = {gtsam.Pose3(gtsam.Rot3.RzRyRx(0.1, -0.2, 0.3), np.array([1.0, 2.0, 3.0])): (X, Y, Z)}
+    kinds |= {gtsam.imuBias.ConstantBias(np.full(3, 0.1), np.full(3, 0.01)): (B, C, D), 0.25: (U,)}
+    of_key = {letter(7): value for value, letters in kinds.items() for letter in letters}
+    of_key |= {letter(7): np.array([0.4, 0.5, 0.6]) for letter in (V, W, Q, L, S, E, F, M, N)}
+    of_key[G(7)] = gtsam.Unit3(np.array([0.1, -0.9, 0.2]))
+    assert {chr(gtsam.Symbol(key).chr()) for key in of_key} == set(DIMENSION)
+    everything = gtsam.Values()
+    for key, value in of_key.items():
+        everything.insert(key, value)
+    for key, size in zip(of_key, sizes_of(np.array(list(of_key), np.uint64)), strict=True):
+        alone = gtsam.Values()
+        alone.insert(key, of_key[key])
+        assert size == DIMENSION[chr(gtsam.Symbol(key).chr())] == alone.dim()
+        assert values_of(everything, [key]).equals(alone, 1e-12)
+    assert values_of(everything, list(of_key)).equals(everything, 1e-12)

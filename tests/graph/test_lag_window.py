@@ -236,6 +236,18 @@ def test_sigma_covers_the_error_and_grows_in_a_gap(motion: Motion, shoulder: boo
     assert 0.05 < np.mean(nees[15:]) < 3.0
 
 
+def test_the_wrist_alone_leaves_its_place_open_at_first_and_says_so(motion: Motion) -> None:
+    lag = lag_window(motion.down)
+    motion.add(lag, 0, (), 0.0)
+    unseen = lag.solve(0.0)
+    motion.see(lag, -1, 0, ("wrist",))
+    once_seen = lag.solve(0.0)
+    # half a metre, and half a radian at the wrist's lever arm of 10 cm
+    assert np.sqrt(np.diag(unseen.block("position"))) == pytest.approx(np.full(3, 0.5), rel=0.02)
+    assert np.sqrt(np.diag(once_seen.block("position"))).max() == pytest.approx(0.05, rel=0.2)
+    assert once_seen.shoulder is None and "shoulder" not in once_seen.rows
+
+
 @pytest.mark.slow
 def test_a_second_imu_holds_the_forearm_in_a_gap_also_where_its_samples_come_late(chain: Motion) -> None:
     (_, two), (_, one), (lag, late) = (

@@ -13,6 +13,8 @@ from scipy.spatial.transform import Rotation
 
 from smoother.errors import UnoccludeError
 from smoother.measurements.visibility import Gap
+from smoother.recovery.drawn_samples import _widened
+from smoother.recovery.samples import widen_turns
 from smoother.result import Draws, Estimates, Recovery, SelfCheck, UntrustedInterval
 from smoother.result.verdict import from_plain, gap_verdicts, plain, trusted_at
 from smoother.simulation import SimulatedArm
@@ -77,6 +79,16 @@ def test_the_same_seed_gives_the_same_motions_and_the_answer_stays(
     np.testing.assert_allclose(few.draws.rotation, drawn.draws.rotation[:2], atol=1e-6)
     for name in ("position", "quaternion", "pose_covariance"):
         np.testing.assert_array_equal(getattr(few, name), getattr(drawn, name))
+
+
+def test_wide_angles_are_widened_as_their_covariance_is() -> None:
+    """Exactly: the rows of a square root stand for the draws."""
+    root = np.random.default_rng(1).normal(size=(3, 6, 6)) * np.array([0.005, 0.1, 0.4])[:, None, None]
+    covariance, draws = root @ root.transpose(0, 2, 1), root.transpose(0, 2, 1)  # draws (n, k, 6)
+    both = np.concatenate(_widened(draws[:, :, :3], draws[:, :, 3:], covariance), axis=2)
+    np.testing.assert_allclose(np.einsum("nki,nkj->nij", both, both), widen_turns(covariance), rtol=1e-9)
+    assert widen_turns(covariance)[2, 3, 3] > 2.0 * covariance[2, 3, 3]
+    np.testing.assert_array_equal(both[0], draws[0])  # small angles stay
 
 
 def with_draws(count: int = 3, step_s: float = 0.04) -> Recovery:
