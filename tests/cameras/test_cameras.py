@@ -109,7 +109,7 @@ def test_clocks_that_are_seconds_apart_are_found() -> None:
         ("none", "other_person", 905, "another person"),
         ("none", "moved", 905, "was moved"),
         ("further", "other_person", 930, "its rays pass"),
-        ("further", "moved", 932, "from about 1"),
+        ("further", "moved", 932, "from about 15 s"),
     ],
 )
 def test_a_camera_that_is_wrong_is_named_and_left_out(rgb: str, fault: str, seed: int, words: str) -> None:

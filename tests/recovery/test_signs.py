@@ -299,6 +299,8 @@ FAULTS = [
     (partial(moving, 5), in_middle_gap, camera("x", -6.0), ("the camera was moved",), True),
     (partial(moving, 3, cameras=(60.0,)), in_middle_gap, PUSHED, ("the camera was moved",), True),
     (partial(moving, 3), in_middle_gap, nearer_on_both_sides, ("nothing on either side confirms",), False),
+    # a slip of which both sides were left out as blocks
+    (partial(moving, 1, "realistic", 40.0), halfway, strap(15.0), ("nothing on either side",), False),
 ]  # fmt: skip
 
 
@@ -320,10 +322,14 @@ def test_what_changes_distrusts_the_recording_or_the_gap(
     said = found.reasons if whole else gaps[0].reasons
     assert any(all(word in reason for word in words) for reason in said), said
     assert whole or any(each.trusted for each in verdicts)
+    distance_m = sample_errors(recovery, made.recording.truth).distance_m
+    assert not (distance_m[recovery.trusted] > 0.04).any()
     severity = {each.sentence: each.severity for each in found.findings}
     if words:  # a slip's own gap may be the only one
         assert {severity[reason] for reason in found.reasons} <= {"recording", "times"}
         assert all(severity[why] == "times" for each in found.untrusted for why in each.reasons)
+        of_gaps = [caution for caution in found.cautions if not caution.endswith("not to be trusted")]
+        assert {severity[caution] for caution in of_gaps} <= {"caution"}
 
 
 @pytest.mark.slow
