@@ -239,7 +239,7 @@ SAME_POSTURE = np.radians(10.0)
 def upper_arm_sigmas(window: Window) -> FloatArray:
     """How far from constant the upper arm's length is at the shoulder's knots (k,), m.
 
-    In one posture it is off by the same all the time: the knots of a gap that show it count as one.
+    The error is the same throughout a posture: all knots of a gap in one posture weigh as much as one.
     """
     assert window.shoulder is not None
     in_gap = np.isfinite(window.velocity_change)

@@ -181,9 +181,7 @@ def limb_motion(limb: Limb, t: FloatArray) -> LimbMotion:
     """A limb's motion at grid times (n,)."""
     limb = limb.between(t[0] - CONTEXT_S, t[-1] + CONTEXT_S)
     frame_t, (first, second, both), (point, seen) = limb.tracks.t_s, limb.ends(), limb.point()
-    directions = unit(second - first)
-    both &= np.isfinite(directions).all(axis=1)  # two joints in one place have none
-    along, _, has_direction = _on_grid(frame_t[both], directions[both], t)
+    along, _, has_direction = _on_grid(frame_t[both], unit(second - first)[both], t)
     position, measured, has_point = _on_grid(frame_t[seen], point[seen], t)
     step = 1.0 / GRID_HZ
     acceleration = np.gradient(np.gradient(position, step, axis=0), step, axis=0)
@@ -196,6 +194,8 @@ def _on_grid(
     times: FloatArray, values: FloatArray, t: FloatArray
 ) -> tuple[FloatArray, FloatArray, BoolArray]:
     """Values (N, 3) at grid times, smoothed and as they are, and where they were known."""
+    is_value = np.isfinite(values).all(axis=1)  # two joints in one place have no direction
+    times, values = times[is_value], values[is_value]
     if len(times) < 3:
         return np.zeros((len(t), 3)), np.zeros((len(t), 3)), np.zeros(len(t), bool)
     more = np.arange(1, round(4.0 * SMOOTH_S * GRID_HZ) + 1) / GRID_HZ

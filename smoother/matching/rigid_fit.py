@@ -20,14 +20,14 @@ from .excerpt_motion import SHORTEST_S, ImuMotion, LimbMotion, MatchExcerpt
 DIRECTION_SIGMA, ACCELERATION_SIGMA = 0.06, 0.5
 #: How much an acceleration counts against a direction.
 WEIGHT = (DIRECTION_SIGMA / ACCELERATION_SIGMA) ** 2
-#: The camera's gravity, known to about 0.15 rad, counts as 6 samples of one more direction in each excerpt.
+#: Gravity in the camera's frame, known to about 0.15 rad, weighs as much as 6 samples of a direction.
 GRAVITY_PULL = 6.25 * (DIRECTION_SIGMA / 0.15) ** 2
 #: What mounting, soft tissue and stamps spoil, as a part of the motion.
 SPOILT = 0.3
 #: Independent samples a second, as joints' errors have a memory; and of however many, no more than this many
 #: count, as joints' constant errors and the strap's slip do not average out.
 INDEPENDENT_HZ, MOST_INDEPENDENT = 2.0, 20.0
-#: Shifts are tried in steps of this many grid steps, then all near the best few; by so many rounds each.
+#: The search over shifts: coarse step, in grid steps, and how many of the best are refined; rounds of both.
 COARSE_STEPS, BEST_SHIFTS = 4, 3
 COARSE_ROUNDS, FINE_ROUNDS = 3, 8
 

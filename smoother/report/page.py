@@ -38,7 +38,7 @@ from .sheet import Fold, Html, Page, PageSection, capitalised, caption, notes, p
 from .summary import below, box
 from .traces import MOST_POINTS, decimate
 
-#: An arm's recording, answer, and what it was held against, as far as they are there.
+#: An arm's recording, result, validation and reference; None where there is none.
 Arm = tuple[Recording | None, Recovery, Validation | None, Truth | None]
 
 

@@ -428,7 +428,7 @@ def paired(tables: list[ImuTable], source: str) -> ImuTable:
     return in_shown_units(table)
 
 
-#: A gyroscope, deg/s, reads at least so many times what an accelerometer that is shaken does in g.
+#: Least ratio between a gyroscope's readings in deg/s and those of a shaken accelerometer in g.
 _SHAKEN = 30.0
 
 
