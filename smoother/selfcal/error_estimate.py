@@ -164,25 +164,28 @@ class ConstantErrors:
         joints: tuple[str, ...],
         place: bool,
         imu_sigma: float,
+        cameras: int = 1,
         stamp_sigma_s: float = 0.0,
         focal_share: float = 0.0,
     ) -> ConstantErrors:
         """The errors as another round estimates them, of joints with enough samples.
 
-        `place`: a tracked strap represents the IMU.
+        `place`: a tracked strap represents the IMU; `cameras`: how many see depth.
         """
         sizes = _Sizes(
             imu_sigma,
             imu_sigma,
-            JOINT_M if joints else 0.0,
+            JOINT_M / np.sqrt(cameras) if joints else 0.0,
             STRAP_RAD,
             STRAP_PLACE_M if place else None,
+            joints,
+            cameras,
             focal_share,
         )
         first = sizes
         for _ in range(STEPS):
             mean, covariance = pooled.posterior(sizes.covariance())
-            sizes = sizes.updated(mean, covariance, joints, first)
+            sizes = sizes.updated(mean, covariance, first)
         lens = (0.0, 0.0)
         if focal_share:  # a lens that the motion contradicts is off by as much as the motion shows
             lens = pooled.lens(replace(sizes, focal_share=OPEN_SHARE).covariance())
@@ -224,7 +227,19 @@ class _Sizes:
     joint_m: float
     strap_rad: float
     strap_place_m: float | None
+    joints: tuple[str, ...]  # Those of the forearm that `joint_m` is of
+    cameras: int = 1  # With depth
     focal_share: float = 0.0
+
+    @property
+    def alike(self) -> FloatArray:
+        """Covariance (5, 5) of the joints' errors on an axis, as a part of their own variance.
+
+        A further camera is placed by its joints: against the first camera's their errors average out joint
+        by joint, but what all joints of the first one have in common stays as it was.
+        """
+        seen = np.isin(JOINTS, ("shoulder", *self.joints))
+        return np.eye(len(JOINTS)) + (self.cameras - 1) / seen.sum() * np.outer(seen, seen)
 
     def covariance(self) -> FloatArray:
         """Of the errors, (SIZE, SIZE); no direction is exactly free of error."""
@@ -239,17 +254,20 @@ class _Sizes:
                 [self.focal_share, min(DISTORTION * self.focal_share, LARGEST_DISTORTION), 1e-6]
             )
         covariance = np.diag(variance)
+        common = np.kron(self.alike - np.eye(len(JOINTS)), np.eye(3))
+        covariance[JOINT_ERRORS, JOINT_ERRORS] += self.joint_m**2 * common
         turn = np.zeros((3, SIZE))
         for row, (a, b) in zip(turn, GYROSCOPE_PAIRS, strict=True):
             row[a], row[b] = np.sqrt(0.5), -np.sqrt(0.5)
         return covariance - (self.gyroscope**2 - DEFINED_RAD**2) * turn.T @ turn
 
-    def updated(
-        self, mean: FloatArray, covariance: FloatArray, joints: tuple[str, ...], first: _Sizes
-    ) -> _Sizes:
+    def updated(self, mean: FloatArray, covariance: FloatArray, first: _Sizes) -> _Sizes:
         """A step: each kind's mean square over its elements."""
-        square = mean**2 + np.diag(covariance)
-        of_joints = square[JOINT_ERRORS].reshape(-1, 3)[[JOINTS.index(joint) for joint in joints]]
+        second = np.outer(mean, mean) + covariance
+        square, own = np.diag(second), [JOINTS.index(joint) for joint in self.joints]
+        by_axis = second[JOINT_ERRORS, JOINT_ERRORS].reshape(2 * (len(JOINTS), 3))
+        products = np.einsum("iaja->ij", by_axis)[np.ix_(own, own)]
+        of_joints = np.linalg.inv(self.alike[np.ix_(own, own)]) * products
 
         def size(squares: FloatArray, free: int, before: float) -> float:
             return float(np.sqrt((squares.sum() + WEIGHT * (USUAL * before) ** 2) / (free + WEIGHT)))
@@ -257,9 +275,11 @@ class _Sizes:
         return _Sizes(
             size(square[:9], 9, first.accelerometer),
             size(square[9:18], 6, first.gyroscope),
-            min(size(of_joints, 3 * len(joints), first.joint_m), LARGEST_JOINT_M) if joints else 0.0,
+            min(size(of_joints, 3 * len(own), first.joint_m), LARGEST_JOINT_M) if own else 0.0,
             size(square[STRAP_ERRORS], 9, first.strap_rad),
             self.strap_place_m,
+            self.joints,
+            self.cameras,
             self.focal_share,
         )
 

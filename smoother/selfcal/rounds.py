@@ -123,7 +123,7 @@ def self_calibrate(
         config.arm.upper_arm_flex_m,
     )
     cameras = max(1 if each.camera is None else int(each.camera.max(initial=0)) + 1 for each in excerpts)
-    with_depth = any((origin := each.frame_origins) is None or np.isnan(origin).any() for each in excerpts)
+    see_depth = max(_cameras_with_depth(each) for each in excerpts)
     errors = ConstantErrors()
     earlier: dict[int, Solution] = {}
     everything = list(range(len(excerpts)))
@@ -162,6 +162,7 @@ def self_calibrate(
             well_seen_joints(in_order, place),
             place,
             config.imu.scale_sigma,
+            max(see_depth, 1),
             SYNTHETIC_SIGMA_S if any(synthetic) else 0.0,
             excerpts[0].focal_share if any(with_lens(window) for window in in_order) else 0.0,
         )
@@ -173,7 +174,7 @@ def self_calibrate(
             )
             for number, clock in enumerate(clocks)
         )
-        prior = _recentred(estimate, start, given, with_depth)
+        prior = _recentred(estimate, start, given, see_depth > 0)
         if numbers == everything and _settled(before, (estimate, errors.joints, clocks)):
             break
         numbers = everything
@@ -198,6 +199,13 @@ def _interrupted_s(excerpts: list[Segment]) -> float:
         return float("nan")
     length_s = float(np.median([excerpt.signal.end_s - excerpt.signal.start_s for excerpt in excerpts]))
     return length_s if length_s < SHORT_S else float("nan")
+
+
+def _cameras_with_depth(excerpt: Segment) -> int:
+    """How many of the cameras see depth."""
+    origins = excerpt.frame_origins
+    flat = np.zeros(len(excerpt.frame_t_camera), bool) if origins is None else np.isfinite(origins[:, 0])
+    return len(np.unique(flat[~flat] if excerpt.camera is None else excerpt.camera[~flat]))
 
 
 def _every_second(excerpts: list[Segment]) -> list[int]:
