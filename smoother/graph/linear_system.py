@@ -9,7 +9,7 @@ asked for (Takahashi et al., 1973; block form as in the Rauch-Tung-Striebel smoo
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
 
@@ -46,6 +46,10 @@ class Jacobian:
         rhs[row[~inside]] = entries[2][~inside]
         columns = {key: slice(first, end) for key, first, end in ends}
         return cls(row[inside], column[inside], entries[2][inside], rhs, columns, width)
+
+    def scaled(self, scale: FloatArray) -> Jacobian:  # (r,)
+        """With each row times a number."""
+        return replace(self, value=self.value * scale[self.row], rhs=self.rhs * scale)
 
     def entries(self, rows: slice) -> tuple[IntArray, IntArray, FloatArray]:
         """Rows, counted from the first of these, columns and values of the entries in them."""

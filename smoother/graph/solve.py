@@ -170,6 +170,8 @@ def _read(
         found = evidence(optimised, system, optimised.given.priors.shared)
         solution = replace(solution, evidence=found)
     if with_covariance:
+        if window.noise.in_common > 1.0:
+            system = optimised.system_as_known(extra)
         _consider(optimised, system, knots)
         bodies = [_with_covariance(body, system, window) for body in optimised.bodies]
         pose = bodies[0].pose_covariance

@@ -143,6 +143,15 @@ class SolvedWindow:
         """The normal equations, with columns of further quantities."""
         return LinearSystem(self.jacobian, node_of_variables(self.window), extra)
 
+    def system_as_known(self, extra: Sequence[FloatArray]) -> LinearSystem:
+        """The same for covariances: what a camera's joints err together, they tell less of."""
+        scale = np.ones(len(self.jacobian.rhs))
+        for group in self.groups:
+            if group.kind == "camera":
+                scale[group.rows] = self.window.noise.in_common**-0.5
+        columns = [scale[:, None] * each for each in extra]
+        return LinearSystem(self.jacobian.scaled(scale), node_of_variables(self.window), columns)
+
 
 def levers_of(shared: FloatArray, layout: SharedLayout) -> dict[str, FloatArray]:
     """Lever arms (3,) m by joint, each in the axes of the IMU that the joint is tied to."""

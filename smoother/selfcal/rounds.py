@@ -41,7 +41,7 @@ from ..window.priors import (
 from ..window.problem import Window
 from ..window.solution import Solution
 from ..window.trajectory import started_from
-from .camera_noise import joint_noise, sigma_by_camera, sigma_by_joint
+from .camera_noise import in_common, joint_noise, sigma_by_camera, sigma_by_joint
 from .clock_fit import SYNTHETIC_SIGMA_S, clock_score, refined_clock
 from .error_estimate import ConstantErrors, JointBias, PooledEvidence, well_seen_joints
 from .excerpts import choose_excerpts
@@ -188,6 +188,7 @@ def self_calibrate(
         joint_sigma_m,
         errors,
         upper_arm_sigma_m,
+        in_common(in_order, answers),
         spread,
         interrupted_s=_interrupted_s(excerpts) if given.forearm_direction is None else float("nan"),
     )

@@ -37,6 +37,7 @@ class SelfCalibration:
     joint_sigma_m: FloatArray  # (5,) or (c, 5) m: effective noise per axis, in the order of `JOINTS`
     errors: ConstantErrors  # Of IMU and camera
     upper_arm_sigma_m: float  # How far from constant the upper arm's length is
+    in_common: float = 1.0  # How much larger the camera's variance is, as its joints err together
     # How far the forearm's direction in the sensor may be from the estimate; nan where it was given
     direction_spread_rad: float = float("nan")
     # By segment with a further IMU t_own = t_camera + offset, mean, of the camera's stamps as `clocks` have

@@ -185,6 +185,7 @@ class NoiseModel:
     shoulder_walk: float  # How the shoulder wanders
     # By segment beyond the forearm, how far its joints are from constant in its IMU's axes, per axis
     tissue_m: tuple[tuple[str, float], ...] = ()
+    in_common: float = 1.0  # By this much the camera's variance is larger than its joints' own
 
 
 @dataclass(frozen=True)
