@@ -1,6 +1,6 @@
 """Baseline `gaussian-process`: Feng (thesis, Glasgow 2014), chapter 4, as a smoother over gaps and margins.
 
-The published form answers live from the last frames (`predict`); here the joint prior (4.24) is conditioned
+The published form answers live from the last frames; here the joint prior (4.24) is conditioned
 on everything in a window about its mean position. Hyper-parameters by maximum likelihood on visible motion
 (2.13), but v0: seconds do not show how far a movement goes, so it is the variance over the whole segment.
 """
@@ -70,27 +70,6 @@ def _to_measurements(
 ) -> FloatArray:
     positions = mapped_covariance(kernel, at, rows, data.frame_t, VALUE)
     return np.hstack([positions, mapped_covariance(kernel, at, rows, data.acc_t, SECOND) * STEP_S**-2])
-
-
-def predict(
-    kernel: Kernel,
-    data: Measurements,
-    at: FloatArray,
-    latency_s: float = 0.1,
-    order: int = 5,  # at (k,) s
-) -> tuple[FloatArray, FloatArray]:  # mean (k, c) m, sigma (k,) m
-    """The autoregressive predictor: the position now, from late frames and prompt accelerations (4.3)."""
-    mean, sigma = np.full((len(at), data.position.shape[1]), np.nan), np.full(len(at), np.nan)
-    arrived = np.searchsorted(data.frame_t + latency_s, at + 1e-9, side="right")
-    for k in np.flatnonzero(arrived):
-        frames = slice(max(int(arrived[k]) - order, 0), int(arrived[k]))
-        frame_t, position = data.frame_t[frames], data.position[frames]
-        a, b = np.searchsorted(data.acc_t, [frame_t[0] - 1e-9, at[k] + 1e-9])
-        level = position.mean(axis=0)
-        window = Measurements(frame_t, position - level, data.acc_t[a:b], data.acceleration[a:b])
-        posterior, now = Posterior(kernel, window), at[k : k + 1]
-        mean[k], sigma[k] = posterior.position(now)[0] + level, np.sqrt(posterior.variance(now)[0])
-    return mean, sigma
 
 
 #: Accelerations are averaged to at most this rate, Hz.

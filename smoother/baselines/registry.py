@@ -52,7 +52,6 @@ _LINEAR = (
 )
 _CAMERA = "the camera's own skeleton alone, its guesses included [@jatesiktat2017]"
 _PCHIP = "shape-preserving cubic interpolation of the camera's points [@fritsch1980]"
-_LATENCY = frozenset({"latency_s"})
 #: Every baseline, the strongest first.
 BASELINES = _by_name(
     BaselineEntry("rts", "rts", _RTS),
@@ -67,11 +66,6 @@ BASELINES = _by_name(
     BaselineEntry("pchip", "simple", _PCHIP),
     BaselineEntry("hold", "simple", "the last visible value carried forward"),
 )
-#: Baselines that see only what has arrived: they answer for the present.
-LIVE_BASELINES = _by_name(
-    BaselineEntry("autoregressive", "simple", options=_LATENCY),
-    BaselineEntry("constant-velocity", "simple", needs_orientation=False, options=_LATENCY),
-)
 
 
 def recover(
@@ -85,14 +79,13 @@ def recover(
     from .scene import of_best_camera, recovery_of, scenes_of
 
     options = dict(options or {})
-    entries = BASELINES | LIVE_BASELINES
-    if method not in entries:
-        raise UnoccludeError(f"there is no method '{method}'; baselines: {', '.join(entries)}")
+    if method not in BASELINES:
+        raise UnoccludeError(f"there is no method '{method}'; baselines: {', '.join(BASELINES)}")
     if orientation not in ORIENTATIONS:
         raise UnoccludeError(
             f"there is no orientation '{orientation}'; choose one of: {', '.join(ORIENTATIONS)}"
         )
-    entry = entries[method]
+    entry = BASELINES[method]
     if unknown := options.keys() - entry.options:
         raise UnoccludeError(f"{method} has no option {', '.join(sorted(unknown))}")
     recording, graph = of_best_camera(recording, graph)

@@ -1,4 +1,4 @@
-"""Baselines in a few lines: `hold`, `pchip`, `camera-only`, `linear-drift`, and two of the past alone."""
+"""Baselines in a few lines: `hold`, `pchip`, `camera-only` and `linear-drift`."""
 
 from __future__ import annotations
 
@@ -11,8 +11,7 @@ from ..linalg import interpolate
 from ..measurements.alignment import lever_of
 from ..measurements.visibility import Gap
 from ..recording import FOREARM_JOINTS, JOINTS
-from .gaussian_process import likeliest, measurements, predict
-from .scene import Path, Scene, between, finite_rows, no_answer
+from .scene import Path, Scene, between, finite_rows
 
 
 def hold(scene: Scene) -> Path:
@@ -146,47 +145,3 @@ def snapped(scene: Scene, rows: np.ndarray, position: FloatArray) -> FloatArray:
     length = np.linalg.norm(away, axis=1)[:, None]
     good = np.isfinite(length) & (length > 1e-6)
     return np.where(good, centre + upper_arm.value_m * away / np.where(good, length, 1.0), position)
-
-
-#: The camera's latency by default, s (Feng's Kinect).
-LATENCY_S = 0.1
-#: Frames that the predictor looks back (L = 5), and the display's velocity is taken over.
-FRAMES = 5
-#: The predictor answers at this rate, and is interpolated between, Hz.
-RATE_HZ = 30.0
-#: What a hand's velocity may change, m/s/sqrt(s): the sigma of the display.
-VELOCITY_WALK = 1.0
-
-
-def autoregressive(scene: Scene, latency_s: float = LATENCY_S) -> Path:
-    """The last frames that have arrived, and accelerations up to now (Feng, thesis, Glasgow 2014, 4.3)."""
-    # hyper-parameters and orientation are of the whole segment: better than a live predictor would have them
-    if scene.visible.sum() < 2:
-        return no_answer(scene)
-    data = measurements(scene)
-    kernel = likeliest(scene, data)
-    coarse = np.linspace(scene.t[0], scene.t[-1], int((scene.t[-1] - scene.t[0]) * RATE_HZ) + 2)
-    mean, sigma = predict(kernel, data, coarse, latency_s, FRAMES)
-    variance = np.interp(scene.t, coarse, sigma**2)
-    return Path(interpolate(coarse, mean, scene.t), covariance=variance[:, None, None] * np.eye(3))
-
-
-def constant_velocity(scene: Scene, latency_s: float = LATENCY_S) -> Path:
-    """The last positions that have arrived, and the velocity of the last `FRAMES` of them, going on."""
-    frame_t, point = scene.visible_points
-    if len(frame_t) < 2:
-        return no_answer(scene)
-    arrived = np.searchsorted(frame_t + latency_s, scene.t, side="right")
-    position = np.full((len(scene.t), 3), np.nan)
-    variance = np.full(len(scene.t), np.nan)
-    for last in np.unique(arrived[arrived >= 2]):
-        rows = np.flatnonzero(arrived == last)
-        frames = slice(max(int(last) - FRAMES, 0), int(last))
-        t, origin = frame_t[frames], frame_t[last - 1]
-        line = np.polynomial.polynomial.polyfit(t - origin, point[frames], 1)
-        ahead = scene.t[rows] - origin
-        position[rows] = line[0] + ahead[:, None] * line[1]
-        spread = max(float(np.sum((t - t.mean()) ** 2)), 1e-6)
-        noise = scene.point_sigma_m**2 * (1.0 / len(t) + (scene.t[rows] - t.mean()) ** 2 / spread)
-        variance[rows] = noise + VELOCITY_WALK**2 * ahead**3 / 3.0
-    return Path(position, covariance=variance[:, None, None] * np.eye(3))

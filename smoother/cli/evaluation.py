@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import typer
 
 from ..errors import CalibrationError, UnoccludeError
-from ..evaluation.methods import GRAPH, LIVE_METHODS, METHODS, make_methods
+from ..evaluation.methods import GRAPH, METHODS, make_methods
 from ..table import tabulated
 from . import options as o
 from .load import (
@@ -163,14 +163,11 @@ def compare(
     align: o.Align = False,
     report: o.Report = None,
     orientation: o.Orientation = None,
-    live: o.Live = False,
-    latency: o.Latency = 0.1,
 ) -> None:
     """Compare all methods on a recording with truth.
 
     The graph runs once; the other methods get its calibration, its clock and the camera samples that it
-    accepted. No method sees the truth. With `--live` also what would have been shown live: by the live
-    smoother and by two simple methods.
+    accepted. No method sees the truth.
 
     Example: unocclude compare session.mcap --truth trial.c3d --markers map.toml --report c.html
     """
@@ -180,7 +177,7 @@ def compare(
     from ..evaluation.reference import ReferenceAlignment, read_reference
     from ..io.tables.markers import MARKER_FORMATS
 
-    names = [*o.listed(methods, METHODS, "method"), *(LIVE_METHODS if live else ())]
+    names = o.listed(methods, METHODS, "method")
     chosen_filter = filter_of(names, orientation)
     if truth is None and (markers is not None or align):
         raise typer.BadParameter("--markers and --align are for a truth named with --truth")
@@ -204,7 +201,7 @@ def compare(
         recording, given = arms[place]
         blind, clock = replace(recording, truth=None), source.clock(recording)
         first, second = (part_of(progress, half, 2) for half in (0, 1))
-        running = make_methods([GRAPH, *names], given, config, chosen_filter, first, clock, latency)
+        running = make_methods([GRAPH, *names], given, config, chosen_filter, first, clock)
         graph = running[GRAPH](blind)
         own, alignment = recording.truth, ReferenceAlignment()
         if truth is not None:
@@ -257,28 +254,25 @@ def gaps(
         o.File, o.value("CAL.toml", "Save sigma correction factors, for `smooth`."), o.ADDED_TO
     ] = None,
     orientation: o.Orientation = None,
-    live: o.Live = False,
-    latency: o.Latency = 0.1,
     gaps_per_run: Annotated[int, o.rare("Most gaps hidden at the same time.", min=1)] = 6,
 ) -> None:
     """Hide visible stretches and measure the error by gap length.
 
     The answer is compared with the recording's truth where it has one, else with the camera samples
     that were hidden; these carry the camera's own noise. Also prints sigma correction factors,
-    which `--keep-in` saves in a calibration file. With `--live` also what would have been shown live, by
-    the time since the last frame. Every arm with an IMU is tested, and all together.
+    which `--keep-in` saves in a calibration file. Every arm with an IMU is tested, and all together.
 
     Example: unocclude gaps session.mcap --lengths 0.5,1,2,3 --seed 1 --json gaps.json
     """
     from calib.file import read_calibration
     from calib.sigma_factor import factor_sentences
 
-    from ..evaluation.gaps import compare_real_gaps, evaluate_gaps, pooled, since_last_frame, since_table
+    from ..evaluation.gaps import compare_real_gaps, evaluate_gaps, pooled
     from ..recording import arm_words
     from .config import with_processes
 
     lengths_s = parse_lengths(lengths)
-    names = [*o.listed(methods, METHODS, "method"), *(LIVE_METHODS if live else ())]
+    names = o.listed(methods, METHODS, "method")
     chosen_filter = filter_of(names, orientation)
     if keep_in is not None and GRAPH not in names:
         raise typer.BadParameter(f"--keep-in keeps what {GRAPH} needs; add it to --methods")
@@ -302,7 +296,7 @@ def gaps(
     def hide_and_recover(place: int, progress: Progress) -> GapTable:
         recording, known = arms[place]
         clock = source.clock(recording)
-        running = make_methods(names, known, inner, chosen_filter, clock=clock, latency_s=latency)
+        running = make_methods(names, known, inner, chosen_filter, clock=clock)
         how = {"seed": seed, "repetitions": repetitions, "gaps_per_run": gaps_per_run}
         return evaluate_gaps(recording, lengths_s, running, progress=progress, processes=side_by_side, **how)
 
@@ -319,9 +313,6 @@ def gaps(
         name = ", ".join(recording.name for recording in recordings)
         gap_curves_page(table, name, (*sentences, *notes)).write(report, out.force)
     figures = table.to_dict() | {"real_gaps": real, "notes": list(dict.fromkeys(notes))}
-    since = since_last_frame(table, names) if live else []
-    if live:
-        figures["since_last_frame"] = since
     by_arm: dict[tuple[str, int | None], list[GapTable]] = {}  # of all recordings together
     for recording, own in evaluated if len(arms) > len(loaded) else ():
         by_arm.setdefault((recording.side, recording.body), []).append(own)
@@ -332,7 +323,6 @@ def gaps(
     for arm, own in each.items():
         show(own.table(f" ({arm_words(*arm)})"))
     show(table.table(" (all arms together)" if each else ""))
-    show(since_table(since))
     keys = "length_s=gap_s factor_50 factor_95 factor=applied count=hidden_gaps pooled=of_all_lengths"
     show(tabulated("Sigma correction factor", factors, keys))
     for sentence in sentences:

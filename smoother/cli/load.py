@@ -55,10 +55,11 @@ def load_arms(
 
 def filter_of(names: Sequence[str], orientation: str | None) -> str:
     """The orientation filter of the baselines among the chosen methods."""
-    from ..baselines.registry import BASELINES, DEFAULT_ORIENTATION, LIVE_BASELINES
+    from ..baselines.registry import BASELINES, DEFAULT_ORIENTATION
 
-    known = BASELINES | LIVE_BASELINES
-    if orientation is not None and not any(known[name].needs_orientation for name in names if name in known):
+    if orientation is not None and not any(
+        name in BASELINES and BASELINES[name].needs_orientation for name in names
+    ):
         raise typer.BadParameter(
             "--orientation belongs to the methods that need a filter's orientation, such as rts; no such"
             f" method was chosen, but {', '.join(names)}"

@@ -170,5 +170,3 @@ _filters = "vqf (default), madgwick, comotti or complementary; not of graph."
 Orientation = Annotated[Filter, rare_value("FILTER", _filters)]
 Anatomy = Annotated[Limbs, rare("Range of limb lengths that is plausible.")]
 BodyHeight = Annotated[Number, rare_value("M", "For limb lengths before a camera without depth.")]
-Live = Annotated[bool, rare("Also replay it through the live smoother and two simple methods.", "--live")]
-Latency = Annotated[float, rare_value("S", "Latency of the camera for --live, s.", min=0.0, max=1.0)]

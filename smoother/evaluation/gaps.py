@@ -8,7 +8,6 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
-from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -132,7 +131,6 @@ REFERENCES = ("wrist", "strap", "hand", "elbow")
 class GapErrors(Errors):
     """Errors inside a hidden gap."""
 
-    since_s: FloatArray = field(default_factory=lambda: np.zeros(0))  # (n,) s: time since the gap began
     # (n, 2): by what sigma has to be multiplied to hold, see `sigma_factor.needed_factors`
     needed_factors: FloatArray = field(default_factory=lambda: np.zeros((0, len(LEVELS))))
     reference: str = ""  # What the answer was compared with: "truth" or a joint
@@ -157,7 +155,7 @@ def score_gap(
             t_s = t_s - np.interp(t_s, own_t_s, own_t_s - arm.t_s)
         rows = np.flatnonzero(gap.contains(t_s))
         samples = sample_errors(recovery.rows(rows), truth)
-        name, since_s, scored = "truth", t_s[rows] - gap.start_s, samples.scored
+        name, scored = "truth", samples.scored
         reference, difference = samples.reference.position, samples.difference_m
         turns = {key: getattr(samples, key) for key in ("turn_rad", "turn_squared_sigmas")}
         stated, noise = recovery.pose_covariance[rows, :3, :3], np.zeros((3, 3))
@@ -174,7 +172,7 @@ def score_gap(
         else:
             path = recovery.joints[name]
             covariance = recovery.joint_covariance.get(name, np.full((len(recovery), 3, 3), np.nan))
-        reference, t_s, since_s = arm.joint(name)[frames], own_t_s[frames], arm.t_s[frames] - gap.start_s
+        reference, t_s = arm.joint(name)[frames], own_t_s[frames]
         difference, scored = position_at(recovery.t_s, path, t_s) - reference, np.ones(len(t_s), dtype=bool)
         stated = linear_at(recovery.t_s, covariance.reshape(-1, 9), t_s).reshape(-1, 3, 3)
         # a hidden sample has the camera's own noise, which the answer's covariance does not include
@@ -187,7 +185,6 @@ def score_gap(
         squared_sigmas(difference, stated + noise),
         scored=scored,
         **turns,
-        since_s=since_s,
         needed_factors=needed_factors(difference, stated, noise),
         reference=name,
         sigma_max_m=float(np.sqrt(finite.max())) if len(finite) else None,
@@ -374,35 +371,6 @@ def pooled(tables: Sequence[GapTable]) -> GapTable:
     """The gaps of several recordings as one table."""
     notes = dict.fromkeys(note for table in tables for note in table.notes)
     return GapTable(tuple(row for table in tables for row in table.rows), tuple(notes))
-
-
-#: Borders of the times since the last frame, s; a gap's last part may be shorter.
-BORDERS_S = (0.0, 0.25, 0.5, 1.0, 2.0, 3.0, 5.0, 10.0, 30.0)
-
-
-def since_last_frame(table: GapTable, methods: Sequence[str]) -> list[dict[str, Any]]:
-    """Errors in hidden gaps by method and by the time since each began."""
-    rows = []
-    for from_s, to_s in pairwise(BORDERS_S):
-        for method in methods:
-            own = [row.errors for row in table.rows if row.method == method]
-            since_s = np.concatenate([np.zeros(0), *(each.since_s for each in own)])
-            figures = vars(Errors.pooled(own).figures((since_s >= from_s) & (since_s < to_s)))
-            if figures["samples"]:
-                about = {"from_s": from_s, "to_s": to_s, "method": method}
-                distances = {f"{name}_m": figures[f"position_{name}_m"] for name in ("rms", "median", "p95")}
-                rows.append(about | distances | {name: figures[name] for name in ("nees", "samples")})
-    return rows
-
-
-def since_table(rows: Sequence[Mapping[str, Any]]) -> Table:
-    """What each method has at a time since the last frame."""
-    columns = {"method": "method", "rms, cm": "rms_m", "median": "median_m", "95 %": "p95_m", "NEES": "nees"}
-    return tabulated(
-        "Error by the time since the last frame that showed the forearm",
-        rows,
-        {"since the last frame, s": lambda row: f"{row['from_s']:g} to {row['to_s']:g}", **columns},
-    )
 
 
 #: Real gaps shorter than this are flicker, s; a ratio below this deserves no warning.

@@ -15,9 +15,7 @@ from smoother.baselines.kalman import kalman, multirate_kalman
 from smoother.baselines.rts import rts, ukf
 from smoother.baselines.scene import Baseline, Path, Scene
 from smoother.baselines.simple import (
-    autoregressive,
     camera_only,
-    constant_velocity,
     hold,
     linear_drift,
     pchip,
@@ -179,7 +177,7 @@ def test_ends_are_bridged_by_smoothers_and_followed_by_all(baseline: Baseline):
 
 @pytest.mark.parametrize(
     "baseline",
-    [*BASELINES, camera_only, hold, pchip, linear_drift, autoregressive, constant_velocity],
+    [*BASELINES, camera_only, hold, pchip, linear_drift],
 )
 def test_nothing_seen_gives_no_answer(baseline: Baseline):
     scene = scene_of(arm("white", 2, occlusion_lengths_s=NO_GAPS, duration_s=4.0))

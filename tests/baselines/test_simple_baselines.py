@@ -1,4 +1,4 @@
-"""Baselines without a model: what has arrived alone, odd scenes; `linear-drift` as published."""
+"""Baselines without a model: odd scenes; `linear-drift` as published."""
 
 from __future__ import annotations
 
@@ -12,17 +12,14 @@ from smoother.array_types import FloatArray
 from smoother.baselines.registry import recover
 from smoother.baselines.scene import Scene, between, scenes_of
 from smoother.baselines.simple import (
-    autoregressive,
     boundary,
     camera_only,
-    constant_velocity,
     hold,
     linear_drift,
 )
-from smoother.calibration import ArmCalibration
 from smoother.linalg import interpolate
 from smoother.measurements.visibility import Gap
-from smoother.recording import JOINTS, ImuStream
+from smoother.recording import JOINTS
 
 FRAME_S = 1.0 / 30.0
 
@@ -84,57 +81,6 @@ def test_hold_stands_still_in_a_gap(behind: Scene):
         path.position[seen],
         between(behind.frame_t, behind.point, behind.t)[seen],
     )
-
-
-LATENCY_S = 0.1
-
-
-def scene(hidden_from_s: float = np.inf, sigma_m: float = 0.003) -> Scene:
-    """A point that swings along x, 6 s of it, seen at 30 Hz until it hides."""
-    rng = np.random.default_rng(3)
-    t, frame_t = np.arange(0.0, 6.0, 0.01), np.arange(0.0, 6.0, 1 / 30)
-    acceleration = -(2.0**2) * truth(t)
-    point = truth(frame_t) + sigma_m * rng.normal(size=(len(frame_t), 3))
-    point[frame_t >= hidden_from_s] = np.nan
-    joints = np.full((len(frame_t), 5, 3), np.nan)
-    return Scene(
-        imu=ImuStream("imu", t, acceleration, np.zeros_like(acceleration)),
-        R_K_A=np.tile(np.eye(3), (len(t), 1, 1)),
-        attitude_sigma_rad=0.01,
-        gravity=np.array([0.0, -9.81, 0.0]),
-        acceleration=acceleration,
-        frame_t=frame_t,
-        joints=joints,
-        camera_joints=joints,
-        point=point,
-        point_sigma_m=sigma_m,
-        gaps=(),
-        calibration=ArmCalibration(),
-        point_effective_sigma_m=sigma_m,
-    )
-
-
-def truth(t: np.ndarray) -> np.ndarray:
-    return np.outer(0.15 * np.sin(2.0 * t), [1.0, 0.0, 0.0])
-
-
-@pytest.mark.parametrize("method", [autoregressive, constant_velocity])
-def test_what_has_arrived_answers_for_the_present(method):
-    moving, cut = scene(), scene(hidden_from_s=4.0)
-    t, answer, of_cut = moving.t, method(moving, LATENCY_S).position, method(cut, LATENCY_S)
-    assert np.isnan(answer[t < LATENCY_S - 0.05]).all()
-    later = t > 1.0
-    error = np.linalg.norm(answer - truth(t), axis=1)[later]
-    # what arrived is 0.1 s old: held, it would be off by up to 0.15 x 2 x 0.1 = 3 cm
-    held = np.linalg.norm(truth(t - LATENCY_S) - truth(t), axis=1)[later]
-    assert np.sqrt(np.mean(error**2)) < 0.6 * np.sqrt(np.mean(held**2))
-    # it never sees what has not arrived, but for hyper-parameters of the whole segment
-    before = t < 4.0 + LATENCY_S - 0.04
-    off_m = 2e-3 if method is autoregressive else 0.0
-    np.testing.assert_allclose(answer[before], of_cut.position[before], rtol=0.0, atol=off_m)
-    sigma = np.sqrt(np.trace(of_cut.covariance, axis1=1, axis2=2))
-    at = [int(np.searchsorted(t, s)) for s in (4.05, 4.5, 5.5)]
-    assert sigma[at[0]] < sigma[at[1]] < sigma[at[2]]
 
 
 PEOPLE = (50, 51, 52)

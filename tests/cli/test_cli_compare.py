@@ -19,7 +19,7 @@ from smoother.cli.run import run
 from smoother.errors import SolveError
 from smoother.evaluation.compare import compare
 from smoother.evaluation.gaps import evaluate_gaps
-from smoother.evaluation.methods import GRAPH, LIVE_METHODS, METHODS, make_methods
+from smoother.evaluation.methods import METHODS, make_methods
 from smoother.io import read_recording, read_recovery, write_recording
 from smoother.recording import Recording
 from smoother.runtime import pool
@@ -95,47 +95,6 @@ def test_what_cannot_be_compared_is_said_in_a_sentence(ten_seconds: Path, tmp_pa
     late = ("--truth", tmp_path / "late.csv", "--methods", "graph", "--json", tmp_path / "c.json")
     assert "check that both use the same clock" in refused(capsys, "compare", ten_seconds / "rec.mcap", *late)
     assert not (tmp_path / "c.json").exists()
-
-
-@pytest.fixture(scope="module")
-def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    path = tmp_path_factory.mktemp("live") / "rec.mcap"
-    done(
-        *("simulate", "arm", "--preset", "realistic", "--set", "protocol=random", "--set", "duration_s=20"),
-        *("--set", "occlusion_lengths_s=1", "--seed", 2, "-o", path),
-    )
-    return path
-
-
-@pytest.mark.slow
-def test_what_was_shown_beside_the_offline_answer(recording: Path, tmp_path: Path):
-    figures = tmp_path / "c.json"
-    done("compare", recording, "--methods", GRAPH, "--live", "--processes", 1, "--json", figures)
-    methods = json.loads(figures.read_text())["methods"]
-    assert set(methods) == {GRAPH, *LIVE_METHODS}
-    assert all(each["failure"] == "" for each in methods.values())
-    visible = {name: each["visible"]["position_rms_m"] for name, each in methods.items()}
-    # the live smoother sees no future, and the last velocity going on no IMU
-    assert visible[GRAPH] < visible["live-now"] < visible["constant-velocity"]
-    # no answer is late: 0.1 s of latency is predicted away
-    assert abs(methods["live-now"]["lag_s"]) < 0.02
-
-
-@pytest.mark.slow
-def test_by_the_time_since_the_last_frame(
-    recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-):
-    figures = tmp_path / "g.json"
-    done(
-        *("gaps", recording, "--lengths", 0.5, "--gaps-per-run", 2, "--live", "--processes", 1, "--json"),
-        figures,
-    )
-    assert "since the last frame" in capsys.readouterr().out
-    rows = json.loads(figures.read_text())["since_last_frame"]
-    assert {row["method"] for row in rows} >= {GRAPH, "autoregressive", "constant-velocity"}
-    assert all(row["to_s"] <= 1.0 and row["samples"] > 0 for row in rows)
-    display = [row["rms_m"] for row in rows if row["method"] == "constant-velocity"]
-    assert display == sorted(display)  # it knows less and less
 
 
 def call(*arguments: object) -> int:
@@ -293,7 +252,7 @@ def test_side_by_side_gives_the_same_table(monkeypatch: pytest.MonkeyPatch) -> N
     made = simulate_arm(
         ArmSimulation.preset("white", protocol="random", duration_s=8.0, occlusion_lengths_s=()), seed=7
     )
-    names = ["graph", "linear-drift", "live-now"]
+    names = ["graph", "linear-drift", "hold"]
     methods = make_methods(names, made.calibration, ALONE)
     tables = [
         evaluate_gaps(made.recording, [0.5, 1.0], methods, gaps_per_run=1, processes=processes)
@@ -302,10 +261,9 @@ def test_side_by_side_gives_the_same_table(monkeypatch: pytest.MonkeyPatch) -> N
     assert len(tables[0].rows) == 2 * len(names)
     for alone, beside in zip(*(table.rows for table in tables), strict=True):
         assert (alone.method, alone.length_s, alone.gap) == (beside.method, beside.length_s, beside.gap)
-        assert alone.failure == beside.failure  # of live-now: too short to calibrate itself
-        if not alone.failure:
-            # libraries of this process may use several threads and round otherwise: a step of the optimiser
-            assert alone.figures.position_rms_m == pytest.approx(beside.figures.position_rms_m, rel=0.05)
+        assert alone.failure == beside.failure == ""
+        # libraries of this process may use several threads and round otherwise: a step of the optimiser
+        assert alone.figures.position_rms_m == pytest.approx(beside.figures.position_rms_m, rel=0.05)
 
 
 @pytest.mark.slow

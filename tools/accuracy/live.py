@@ -13,15 +13,18 @@ from typing import Any
 
 import numpy as np
 
-from smoother.evaluation.methods import arrivals
 from smoother.evaluation.metrics import CHI2_95_3, lag_s, squared_sigmas
 from smoother.live.answers import LiveOutput, LiveState
+from smoother.live.buffers import SkeletonFrame
 from smoother.live.calibrations import InlineCalibrator
 from smoother.live.smoother import LiveSmoother
+from smoother.recording import ImuStream, Recording
 from smoother.simulation import ArmSimulation, SimulatedArm, simulate_arm
 from tools.accuracy.check import check, error_table, option, seeds_option
 
 LATENCY_S, OFFSET_S = 0.1, -0.02
+#: Answers are asked for at this rate, Hz.
+RATE_HZ = 30.0
 #: Borders of the time since the last frame, s.
 BORDERS_S = (0.0, 0.25, 0.5, 1.0, 1.5, 2.2)
 #: The first answers are those of this time, s: until about the second calibration.
@@ -52,6 +55,22 @@ def scored(
     return found, lag_s(t_s, shown, true)
 
 
+def arrivals(recording: Recording) -> Iterator[tuple[float, ImuStream, list[SkeletonFrame]]]:
+    """Step by step what has arrived since the last one: the time, samples, frames."""
+    imu, arm = recording.imu, recording.arm
+    arrival_s = np.asarray(arm.t_s) + OFFSET_S + LATENCY_S
+    first = frame = 0
+    for now_s in np.arange(float(imu.t_s[0]), float(imu.t_s[-1]), 1.0 / RATE_HZ).tolist():
+        last = int(np.searchsorted(imu.t_s, now_s, side="right"))
+        until = int(np.searchsorted(arrival_s, now_s, side="right"))
+        frames = [
+            SkeletonFrame(float(arm.t_s[k]), float(arrival_s[k]), np.array(arm.position[k]), arm.state[k])
+            for k in range(frame, until)
+        ]
+        yield now_s, imu.select(slice(first, last)), frames
+        first, frame = last, until
+
+
 def play(simulation: SimulatedArm) -> list[LiveOutput]:
     """All answers of one recording."""
     recording, outputs = simulation.recording, []
@@ -62,7 +81,7 @@ def play(simulation: SimulatedArm) -> list[LiveOutput]:
         calibrator=InlineCalibrator(15),
         further=list(further),
     ) as live:
-        for now_s, samples, frames in arrivals(recording, OFFSET_S, LATENCY_S):
+        for now_s, samples, frames in arrivals(recording):
             live.add_imu(samples)
             for segment, imu in further.items():
                 live.add_imu(imu.select((imu.t_s > before_s) & (imu.t_s <= now_s)), segment)
