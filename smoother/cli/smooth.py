@@ -106,7 +106,7 @@ def smooth_figures(recording: Recording, recovery: Recovery) -> dict[str, Any]:
         "found": None if found is None else found.figures,
         "not_determined": [] if found is None else list(found.not_determined),
         "rejected": rejected(recovery),
-        "advice": advice(recovery, found),
+        "advice": advice(recovery),
     }
 
 

@@ -122,12 +122,9 @@ class _ArmReport:
         }
 
     def first(self) -> Iterator[PageSection]:
-        """What follows the first screen: what to do where the set-up is wrong, and the angles."""
+        """What follows the first screen: the angles."""
         if not len(self.recovery):
             return
-        if self.recovery.estimates.trusted is False:
-            sentences = advice(self.recovery, self.estimates)
-            yield PageSection(f"{self.prefix}What to do", sentences=sentences)
         found, heading = joint_angles(self.recovery), f"{self.prefix}Joint angles"
         missing = [f"{a.title}: {found.reasons[a.name]}" for a in found.angles if a.name in found.reasons]
         plot = traces.angles(self.recovery, found, self.truth)
@@ -149,7 +146,7 @@ class _ArmReport:
         recovery, estimates = self.recovery, self.estimates
         is_trusted = recovery.estimates.trusted is not False
         if len(recovery) and is_trusted:
-            yield PageSection("For the next recording", sentences=advice(recovery, estimates))
+            yield PageSection("For the next recording", sentences=advice(recovery))
         errors = () if self.validation is None else self.validation.gaps
         true = {gap.start_s: figures.position_p95_m for gap, figures in errors}
         yield rendered(gap_table("Gaps", gap_summaries(recovery), true), nothing="There is no gap.")

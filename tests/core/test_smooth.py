@@ -225,7 +225,7 @@ def test_a_pause_within_a_gap_has_its_caution() -> None:
         (said,) = (text for text in cautions if "paused while the arm was hidden" in text)
         assert any(word in said for word in words)
         of_imu = f"The IMU paused (1 x) for {end_s - start_s:.1f} s"
-        assert any(of_imu in sentence for sentence in advice(recovery, None))
+        assert any(of_imu in sentence for sentence in advice(recovery))
 
 
 @pytest.mark.slow

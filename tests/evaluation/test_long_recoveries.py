@@ -10,7 +10,6 @@ import pytest
 from arms import make_recording, make_recovery
 from private_memory import program_output
 
-from calib.motion import found_in
 from smoother.evaluation.advice import advice, rejected
 from smoother.evaluation.summary import gap_summaries, recovery_figures
 from smoother.measurements.visibility import REASONS, Gap, Reason
@@ -103,10 +102,10 @@ def test_advice_does_not_depend_on_the_blocks(
     state[recovery.arm.t_s > 2.0, 0] = 0
     recovery = replace(recovery, arm=replace(recovery.arm, state=state))
     recovery = recovery if kept else replace(recovery, residuals=None)
-    said = advice(recovery, found_in(recovery))
+    said = advice(recovery)
     assert any("shoulder in view while" in sentence for sentence in said)
     monkeypatch.setattr("smoother.result.recovery.BATCH_ROWS", 10**6)
-    assert advice(recovery, found_in(recovery)) == said
+    assert advice(recovery) == said
 
 
 def occluded_recovery():

@@ -22,7 +22,6 @@ from results import made
 
 from smoother.angles import JOINT_ANGLES
 from smoother.errors import UnoccludeError
-from smoother.evaluation.advice import advice
 from smoother.evaluation.progress import PersonProgress
 from smoother.evaluation.validate import validate
 from smoother.evaluation.words import measure_words
@@ -417,8 +416,6 @@ def test_an_untrusted_page_is_red_and_withdraws_its_figures(tmp_path: Path) -> N
     rows = re.findall("<tr>(.*?)</tr>", text[text.index(">Gaps</h2>") :], re.DOTALL)[1:3]
     assert all(row.count("<td>–</td>") == 3 and "not to be trusted" in row for row in rows)
     assert text.count("withdrawn: the result is not to be trusted") == 3
-    told = text[text.index(">What to do</h2>") :]
-    assert re.findall("<li>(.*?)</li>", told)[0] == f"Correct the set-up first: {CAUSE}."
     for word in ("even light", "sleeves", "20 s of lively motion"):
         assert word not in text
 
@@ -481,23 +478,6 @@ def test_several_arms_begin_with_the_one_that_is_wrong(tmp_path: Path) -> None:
     assert '<div class="summary alarm">' in text
     assert first_sentences(text)[0].startswith("✕ Right arm: not to be trusted")
     assert '<span class="word wrong">' in text
-
-
-def test_advice_of_a_partly_untrusted_result_names_what_to_avoid() -> None:
-    sentences = advice(replace(made(), estimates=PARTLY), None)
-    assert (
-        sentences[0] == "Avoid the causes of the parts that are not to be trusted: another <person's> joints."
-    )
-    assert not any("record the next one in the same way" in each for each in sentences)
-
-
-def test_advice_of_an_untrusted_result_is_about_its_set_up_alone() -> None:
-    assert advice(replace(made(), estimates=WRONG), None) == [f"Correct the set-up first: {CAUSE}."]
-    open_ended = Estimates(trusted=False, reasons=("a", "b"), remedies=("--swap left,right",))
-    assert advice(replace(made(), estimates=open_ended), None) == [
-        "Correct the set-up first: a; b.",
-        "Run `unocclude smooth` again with --swap left,right.",
-    ]
 
 
 def unpacked(track: dict) -> np.ndarray:
