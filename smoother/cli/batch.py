@@ -21,6 +21,7 @@ from .output import (
     say_more,
     say_written,
     show,
+    write_csv,
     write_json,
 )
 
@@ -141,7 +142,11 @@ def batch(
 
         names = ["recording", "status", "recorded_day", "measures"]
         plain = rows.select(names).to_pylist()
-        write_study(rows, page, folder.path, persons=persons_of(plain), long=long_rows(plain), force=True)
+        table = page.with_name(f"{page.stem}_measures.csv")
+        if long := long_rows(plain):
+            write_csv(table, [list(long[0]), *(list(row.values()) for row in long)], True)
+        of_persons = persons_of(plain)
+        write_study(rows, page, folder.path, persons=of_persons, table=table.name if long else "", force=True)
     figures = study_figures(rows, tally)
     figures |= {"folder": folder.path.name, "rows": rows.slice(0, MOST_JSON).to_pylist()}
     write_json(json_file, figures, True)

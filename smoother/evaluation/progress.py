@@ -1,4 +1,4 @@
-"""Changes of a person's measures over sessions, their reliability, and the means of a group."""
+"""Changes of a person's measures over sessions, and their reliability."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import numpy as np
 from ..measures.definitions import FEWEST_DRAWS
 from ..table import Table, percent, tabulated
 from .statistics import detectable_change, icc_a1, limits_of_agreement, sem_agreement
-from .words import FIRST, first_of, interval, is_main, limits_words, quantity, said, with_interval, worded
+from .words import FIRST, interval, is_main, limits_words, quantity, said, with_interval, worded
 
 #: What may be said of a change.
 Word = Literal["clearly more", "clearly less", "no clear change", "cannot be assessed"]
@@ -380,44 +380,3 @@ def reliability_table(found: Sequence[Mapping[str, Any]]) -> Table:
             "limits": limits_words,
         },
     )
-
-
-#: Measures of a group's table.
-MOST_MEASURES = 12
-
-
-def group_measures(rows: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
-    """The main measures over the persons of a study's long rows, without what is not to be trusted.
-
-    Count, mean and standard deviation of the persons' `first` sessions and of the `last` of those who have
-    several; mean change between them with its interval by Student's t over the persons.
-    """
-    from scipy.stats import t
-
-    values: dict[tuple[str, str, str], dict[str, dict[int, float]]] = {}
-    about: dict[str, tuple[str, str]] = {}
-    for row in rows:
-        if row["trusted"] and row["value"] is not None:
-            about[row["measure"]] = row["name"], row["unit"] or ""
-            persons = values.setdefault((row["side"], row["task"], row["measure"]), {})
-            persons.setdefault(row["person"], {})[row["session_number"]] = float(row["value"])
-    keys = first_of(list(about), MOST_MEASURES)
-    chosen = sorted((key for key in values if key[2] in keys), key=lambda key: (*key[:2], keys.index(key[2])))
-    found = []
-    for key in chosen:
-        sessions = [[each[number] for number in sorted(each)] for each in values[key].values()]
-        several = [each for each in sessions if len(each) > 1]
-        count, mean, sd = _spread([each[-1] - each[0] for each in several])
-        half = float(t.ppf(0.975, count - 1)) * sd / math.sqrt(count) if count > 1 else math.nan
-        row = dict(zip(("side", "task", "key", "name", "unit"), (*key, *about[key[2]]), strict=True))
-        row |= {"first": _spread([each[0] for each in sessions])}
-        row |= {"last": _spread([each[-1] for each in several])}
-        found.append(row | {"change": mean, "low": mean - half, "high": mean + half})
-    return found
-
-
-def _spread(values: Sequence[float]) -> tuple[int, float, float]:
-    """Count, mean (nan without any) and standard deviation (nan without two)."""
-    count = len(values)
-    mean = float(np.mean(values)) if count else math.nan
-    return count, mean, float(np.std(values, ddof=1)) if count > 1 else math.nan

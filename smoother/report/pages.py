@@ -25,7 +25,6 @@ from ..evaluation.progress import (
     PersonProgress,
     Series,
     SessionValue,
-    group_measures,
 )
 from ..evaluation.summary import worst_of
 from ..evaluation.words import (
@@ -42,8 +41,6 @@ from ..linalg import robust_sigma
 from ..measurements.visibility import Gap
 from ..measures import BothArms, Measure, Measures
 from ..recording import Recording
-from ..runtime.csv_rows import write_rows
-from ..runtime.outputs import writing
 from ..table import Table, tabulated
 from .sheet import (
     ALARM,
@@ -58,6 +55,7 @@ from .sheet import (
     label,
     limits,
     notes,
+    phrase,
     rendered,
     trust_badge,
 )
@@ -549,10 +547,10 @@ def write_study(
     folder: str | os.PathLike[str],
     *,
     persons: Mapping[str, str] | None = None,
-    long: Sequence[Mapping[str, Any]] = (),
+    table: str = "",
     force: bool = False,
 ) -> None:
-    """Write the page of a study."""
+    """Write the page of a study; `table` is the file beside it with all measures."""
     import pyarrow.compute as pc
 
     recovered = rows.filter(pc.equal(rows["status"], "done"))
@@ -561,15 +559,7 @@ def write_study(
     sections = [rendered(Table("Failed", ("recording", "why"), failures))]
     if len(recovered):
         shown = worst_of(recovered, MOST_RECORDINGS).to_pylist()
-        sections.append(_recordings(shown, len(recovered), persons or {}, Path(path), Path(folder)))
-        if long:
-            file = Path(path).with_name(f"{Path(path).stem}_measures.csv")
-            with (
-                writing(file, force=True) as temporary,
-                open(temporary, "w", newline="", encoding="utf-8") as to,
-            ):
-                write_rows(to, [list(long[0]), *(row.values() for row in long)])
-            sections.append(_group(group_measures(long), file.name))
+        sections.append(_recordings(shown, len(recovered), persons or {}, Path(path), Path(folder), table))
         texts = pc.list_flatten(recovered["note_texts"].combine_chunks()).value_counts().to_pylist()
         counted = sorted(texts, key=lambda note: (-note["counts"], note["values"]))
         sentences = [f"{note['counts']} x: {note['values']}" for note in counted[:MOST_NOTES]]
@@ -619,7 +609,12 @@ def _duration(seconds: float) -> str:
 
 
 def _recordings(
-    rows: Sequence[dict[str, Any]], count: int, persons: Mapping[str, str], path: Path, folder: Path
+    rows: Sequence[dict[str, Any]],
+    count: int,
+    persons: Mapping[str, str],
+    path: Path,
+    folder: Path,
+    table: str,
 ) -> PageSection:
     """The recordings, each with a link to its report, or to its result where it has none."""
     measured = [each for row in rows for each in row["measures"] or ()]
@@ -639,7 +634,9 @@ def _recordings(
         columns[_with_unit(shown[key])] = partial(_measured, key)
     rest = count - len(rows)
     others = f" The other {rest} are among the results." if rest else ""
-    return rendered(tabulated("Recordings", rows, columns), caption("Recordings", rest=others))
+    all_measures = table and phrase("all_measures", link=quote(table), file=table)
+    about = caption("Recordings", rest=others, measures=all_measures)
+    return rendered(tabulated("Recordings", rows, columns), about)
 
 
 def _with_unit(measure: Mapping[str, Any]) -> str:
@@ -683,12 +680,10 @@ def _measured(key: str, row: dict[str, Any]) -> str | None:
     return "; ".join(f"{side}{value}" for side, value in zip(sides, values, strict=True)) or None
 
 
-def _between(value: float | None, low: float | None, high: float | None, sign: str = "") -> str | None:
+def _between(value: float, low: float | None, high: float | None) -> str:
     """A value with its interval in brackets, as far as they are known."""
-    if value is None or not math.isfinite(value):
-        return None
     known = low is not None and high is not None and math.isfinite(low)
-    return f"{value:{sign}.3g}" + (f" ({low:{sign}.3g} to {high:{sign}.3g})" if known else "")
+    return f"{value:.3g}" + (f" ({low:.3g} to {high:.3g})" if known else "")
 
 
 def _trust(row: dict[str, Any]) -> str:
@@ -701,27 +696,3 @@ def _trust(row: dict[str, Any]) -> str:
 
 def _scaled(value: float | None, factor: float = 1.0) -> str | None:
     return None if value is None or not np.isfinite(value) else f"{factor * value:.3g}"
-
-
-def _group(measures: list[dict[str, Any]], file: str) -> PageSection:
-    """Mean, spread and change of each measure over the persons."""
-
-    def spread(which: str) -> Callable[[dict[str, Any]], object]:
-        return lambda each: (
-            f"{each[which][1]:.3g}" + (f" ({each[which][2]:.2g})" if math.isfinite(each[which][2]) else "")
-            if each[which][0]
-            else None
-        )
-
-    columns: dict[str, Callable[[dict[str, Any]], object]] = {
-        "arm": lambda each: each["side"] or None,
-        "task": lambda each: each["task"] or None,
-        "measure": _with_unit,
-        "persons": lambda each: each["first"][0],
-        "mean (SD)": spread("first"),
-        "last session, mean (SD)": spread("last"),
-        "persons with both": lambda each: each["last"][0],
-        "change (95 % interval)": lambda each: _between(each["change"], each["low"], each["high"], "+"),
-    }
-    about = caption("The group", link=quote(file), file=file)
-    return rendered(tabulated("The group", measures, columns), about)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import json
 import math
 import re
@@ -18,7 +17,7 @@ from made_measures import made_measure, made_measures, study_row, write_study
 
 from smoother.cli.run import NOT_TRUSTED, run
 from smoother.errors import UnoccludeError
-from smoother.evaluation.progress import LESS, MORE, UNCLEAR, UNKNOWN, PersonProgress, group_measures
+from smoother.evaluation.progress import LESS, MORE, UNCLEAR, UNKNOWN, PersonProgress
 from smoother.report.pages import write_study as write_page
 from smoother.study.folder import COLUMNS, schema
 from smoother.study.inputs import SessionEntry, by_folders, in_order
@@ -288,21 +287,13 @@ def persons_rows() -> list[dict]:
     return rows
 
 
-def test_a_groups_means_and_changes_are_those_of_what_is_to_be_trusted():
-    (found,) = group_measures(long_rows(persons_rows()))
-    assert found["first"] == (3, pytest.approx(90.0), pytest.approx(10.0))
-    assert (*found["last"][:2], found["change"]) == (2, pytest.approx(107.0), pytest.approx(12.0))
-    # Student's t of one degree of freedom at 0.975 is 12.706; 10 and 14 have a standard error of 2
-    assert (found["low"], found["high"]) == pytest.approx((12 - 25.41, 12 + 25.41), abs=0.01)
-
-
-def test_the_page_of_persons_has_the_group_links_and_a_file_for_statistics(tmp_path):
+def test_the_page_of_persons_has_links_and_the_long_table_every_measure(tmp_path):
     (tmp_path / "p1").mkdir()
     (tmp_path / "p1" / "s1.html").write_text("a report")
     rows = persons_rows()
     table = pa.Table.from_pylist(rows, schema=schema())
-    own = {"persons": persons_of(rows), "long": long_rows(rows)}
-    write_page(table, tmp_path / "study.html", tmp_path, **own)
+    long = long_rows(rows)
+    write_page(table, tmp_path / "study.html", tmp_path, persons=persons_of(rows), table="m.csv")
     text = (tmp_path / "study.html").read_text(encoding="utf-8")
     table = text[text.index(">Recordings</h2>") : text.index("</tbody>")]
     rows = table.split("<tr>")[2:]
@@ -310,24 +301,14 @@ def test_the_page_of_persons_has_the_group_links_and_a_file_for_statistics(tmp_p
     assert 'href="p1/s1.html"' in table and 'href="p1/s2.mcap"' in table
     for words in ('title="Hidden 8 times.">3.1 cm (stated: 4.2)', "100 (98 to 102)", "<td>p2</td>"):
         assert words in table
-    group = text[text.index(">The group</h2>") :]
-    assert "<td>90 (10)</td>" in group and "<td>+12 (-13.4 to +37.4)</td>" in group
-    assert 'href="study_measures.csv"' in group
-    with open(tmp_path / "study_measures.csv", newline="", encoding="utf-8") as file:
-        long = list(csv.DictReader(file))
+    assert 'href="m.csv"' in text
     assert len(long) == 6
     assert ",".join(long[0]) == (
         "person,session,session_number,day,task,recording,side,trusted,"
         "measure,name,unit,value,low,high,sigma,recovered_share"
     )
-    assert [line["trusted"] for line in long] == ["1", "1", "1", "1", "1", "0"]
-    assert long[3]["person"] == "p2" and long[3]["session_number"] == "2" and float(long[3]["value"]) == 104.0
-
-
-def test_recordings_without_folders_are_a_person_each_and_have_no_change():
-    rows = [row(f"{name}.mcap", measures=measured(value)) for name, value in (("a", 1.0), ("b", 3.0))]
-    (found,) = group_measures(long_rows(rows))
-    assert found["first"][0] == 2 and found["last"][0] == 0 and np.isnan(found["change"])
+    assert [line["trusted"] for line in long] == [1, 1, 1, 1, 1, 0]
+    assert long[3]["person"] == "p2" and long[3]["session_number"] == 2 and long[3]["value"] == 104.0
 
 
 TEXT = (Path(__file__).parents[2] / "docs" / "scale.md").read_text(encoding="utf-8")
