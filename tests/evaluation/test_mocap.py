@@ -15,7 +15,6 @@ from scipy.spatial.transform import Rotation
 from smoother.errors import CalibrationError, RecordingError, UnoccludeError
 from smoother.evaluation.mocap.alignment import stated_frame
 from smoother.evaluation.mocap.motion import (
-    fill_on_plate,
     find_markers,
     find_shape,
     fit_poses,
@@ -309,27 +308,6 @@ def test_smoothing_takes_noise_away_and_leaves_the_motion():
     assert np.sqrt(np.mean((position - p) ** 2)) < 1e-4
     exact, _ = smoothed(t, R.as_matrix(), p)
     assert (Rotation.from_matrix(exact) * R.inv()).magnitude().max() < np.radians(0.01)
-
-
-def test_short_holes_of_markers_on_the_forearm_are_filled():
-    rng = np.random.default_rng(8)
-    t = np.arange(0, 12, 1 / 120)
-    R, p = turn(2 * t), path(2 * t)
-    # a marker beyond the elbow: it moves against the forearm
-    swing = np.column_stack([0.03 * np.sin(2 * t), -0.2 + 0.01 * np.cos(3 * t), 0.03 * np.cos(2 * t)])
-    true = p + R.apply(swing)
-    seen = true + rng.normal(size=true.shape) * 2e-4
-    holes = [(100, 140), (400, 480), (700, 900), (1400, 1440)]
-    for begin, end in holes:
-        seen[begin:end] = np.nan
-    filled, count = fill_on_plate(t, seen, R.as_matrix(), p)
-    assert count == 120  # neither the long hole nor the one at the end
-    assert np.isnan(filled[700:900]).all()
-    assert np.isnan(filled[1400:]).all()
-    for begin, end in holes[:2]:
-        assert np.linalg.norm((filled - true)[begin:end], axis=1).max() < 0.002  # 0.67 s, 0.2 mm
-    kept = np.isfinite(seen)
-    np.testing.assert_array_equal(filled[kept], seen[kept])
 
 
 @pytest.fixture(scope="module")

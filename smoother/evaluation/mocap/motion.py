@@ -40,10 +40,10 @@ from calib.file import toml_document
 from ...array_types import BoolArray, FloatArray, IntArray
 from ...errors import RecordingError
 from ...io.tables.markers import Markers
-from ...linalg import nearest_rotation, runs
+from ...linalg import nearest_rotation
 from ...measures.motion import one_sign
 from ...recording import Truth
-from ..metrics import BRIDGED_S, STAMP_S
+from ..metrics import BRIDGED_S
 from ..words import said
 
 #: Joints that a map may name.
@@ -310,43 +310,7 @@ def plate_axes(shape: FloatArray) -> tuple[FloatArray, FloatArray]:
     return np.column_stack([x, np.cross(z, x), z]), known.mean(axis=0)
 
 
-#: What is hidden for longer stays unknown, s.
-LONGEST_S = 0.75
-#: Visible time on each side that is fitted, s, and how much of it must be there.
-SIDE_S, LEAST_SIDE_S = 0.25, 0.1
-
-
-def fill_on_plate(
-    t_s: FloatArray, position: FloatArray, R_E_P: FloatArray, p_E_P: FloatArray
-) -> tuple[FloatArray, int]:  # path (n, 3) m, count
-    """A marker's path, filled where it was hidden for a moment."""
-    on_plate = np.einsum("nji,nj->ni", R_E_P, position - p_E_P)
-    seen, known, has_plate = (
-        np.asarray(np.isfinite(each).all(axis=1)) for each in (position, on_plate, p_E_P)
-    )
-    filled, count = position.copy(), 0
-    for missing in runs(~seen):
-        first, stop = missing.start, missing.stop
-        if first == 0 or stop == len(t_s) or t_s[stop] - t_s[first - 1] > LONGEST_S:
-            continue
-        begin, end = t_s[first - 1], t_s[stop]
-        before = known & (t_s >= begin - SIDE_S) & (t_s <= begin + STAMP_S)
-        after = known & (t_s >= end - STAMP_S) & (t_s <= end + SIDE_S)
-        if not all(side.any() and np.ptp(t_s[side]) >= LEAST_SIDE_S for side in (before, after)):
-            continue
-        middle = 0.5 * (begin + end)
-        beside = np.flatnonzero(before | after)
-        fit = np.polynomial.polynomial.polyfit(t_s[beside] - middle, on_plate[beside], 3)
-        rows = np.arange(first, stop)[has_plate[first:stop]]
-        there = np.polynomial.polynomial.polyval(t_s[rows] - middle, fit).T
-        filled[rows] = np.einsum("nij,nj->ni", R_E_P[rows], there) + p_E_P[rows]
-        count += len(rows)
-    return filled, count
-
-
 _said = partial(said, "reference")
-#: Joints whose markers are filled in the axes of the plate.
-ON_FOREARM = ("elbow", "wrist", "hand")
 #: Windows tried for smoothing the plate's pose, s; 0.16 s is a low-pass at about 10 Hz, as labs use it.
 SMOOTH_S = (0.06, 0.08, 0.12, 0.16, 0.2, 0.24, 0.32, 0.4)
 #: A map whose plate differs from the one that was seen by more than this is of another plate, m (rms).
@@ -396,16 +360,9 @@ def motion_of_markers(markers: Markers, marker_map: MarkerMap) -> MocapMotion:
     _check_unit(positions, markers)
     if marker_map.plate:
         plate = _with_plate(plate, places(marker_map.plate), marker_map)
-    filled = []
-    for joint in [each for each in positions if each in ON_FOREARM and plate.R_E_P is not None]:
-        positions[joint], count = _filled(plate, positions[joint])
-        if count:
-            filled.append(f"{joint} {100 * count / positions[joint][..., 0].size:.1f} %")
     joints = {joint: each.mean(axis=1) for joint, each in positions.items()}
     landmarks = {name: places([marker])[:, 0] for name, marker in marker_map.landmarks.items()}
     notes = list(plate.notes)
-    if filled:
-        notes.append(_said("filled", longest_s=LONGEST_S, joints=", ".join(filled)))
     for joint, centre in joints.items():
         if not np.isfinite(centre).any():
             raise RecordingError(
@@ -460,16 +417,6 @@ def _exchanged(joints: dict[str, FloatArray]) -> list[str]:
                     f" {100 * own:.0f} cm"
                 )
     return [_said("exchanged", signs="; ".join(signs))] if signs else []
-
-
-def _filled(plate: MocapMotion, positions: FloatArray) -> tuple[FloatArray, int]:
-    """Markers (N, M, 3) of a joint, filled where hidden for a moment, and how many samples were."""
-    assert plate.R_E_P is not None and plate.p_E_P is not None
-    parts = [
-        fill_on_plate(plate.t_s, positions[:, marker], plate.R_E_P, plate.p_E_P)
-        for marker in range(positions.shape[1])
-    ]
-    return np.stack([path for path, _ in parts], axis=1), sum(count for _, count in parts)
 
 
 def motion_of_truth(truth: Truth, source: str) -> MocapMotion:
