@@ -48,7 +48,6 @@ if TYPE_CHECKING:
     from ..evaluation.progress import PersonProgress
     from ..evaluation.validate import Validation
     from ..measures import BothArms, Measures
-    from ..result import Recovery
     from ..runtime.pool import Progress
     from .load import Arm
 
@@ -197,7 +196,7 @@ def compare(
             " `unocclude gaps`"
         )
 
-    def compare_arm(place: int, progress: Progress) -> tuple[Recovery, Comparison]:
+    def compare_arm(place: int, progress: Progress) -> Comparison:
         recording, given = arms[place]
         blind, clock = replace(recording, truth=None), source.clock(recording)
         first, second = (part_of(progress, half, 2) for half in (0, 1))
@@ -211,29 +210,27 @@ def compare(
             )
         assert own is not None
         chosen = {name: running[name] for name in names}
-        return graph, compare(blind, graph, own, chosen, alignment, second, config.windows.processes)
+        return compare(blind, graph, own, chosen, alignment, second, config.windows.processes)
 
     answers, left_out = each_arm("comparing", recordings, compare_arm)
+    graphs = [one.graph for _, one in answers]
     if report is not None:
-        from ..report.pages import comparison_page
+        from ..report import write_report
 
-        pages = [(recording, comparison) for recording, (_, comparison) in answers]
-        comparison_page(pages).write(report, out.force)
-    noted = [list(dict.fromkeys([*one.notes, *left_out, *each.notes])) for one, (_, each) in answers]
+        tables = [replace(one.table, title=f"{one.table.title}, {each.arm_label}") for each, one in answers]
+        pages = [(recording, one.graph, one.of_graph, one.truth) for recording, one in answers]
+        write_report(pages, report, methods=tables, force=out.force)
+    noted = [list(dict.fromkeys([*one.notes, *left_out, *each.notes])) for one, each in answers]
     figures = [
         {"recording": recording.name, "side": recording.side, **comparison.to_dict()}
         | {"trusted": graph.estimates.trusted, "verdict": graph.estimates.verdict, "notes": notes}
-        for (recording, (graph, comparison)), notes in zip(answers, noted, strict=True)
+        for (recording, comparison), graph, notes in zip(answers, graphs, noted, strict=True)
     ]
-    warn([graph for _, (graph, _) in answers])
+    warn(graphs)
 
     def tell(place: int) -> None:
-        comparison = answers[place][1][1]
-        errors, joints, lags = comparison.tables
-        show(errors)
-        show(joints)
-        say(comparison.camera_words)
-        show(lags)
+        show(answers[place][1].table)
+        say(answers[place][1].camera_words)
         print_notes(noted[place])
 
     out.arms([recording for recording, _ in answers], figures, tell)

@@ -2,21 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import math
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
 import numpy as np
 
-from ..array_types import FloatArray
 from ..errors import RecordingError, UnoccludeError
 from ..recording import Recording, Truth
 from ..result import Recovery
 from ..runtime.pool import Pool, Progress
-from ..table import Table, tabulated
+from ..table import Table, fixed, tabulated
 from .gaps import Method
-from .metrics import lag_s, truth_at
+from .metrics import lag_s
 from .reference import ReferenceAlignment, truth_notes
 from .validate import PARTS, SENSOR, Validation, validate
 
@@ -28,67 +28,40 @@ class Comparison:
     # By method, the best first (by the rms of the compared point in gaps, else over all samples), those
     # without an answer last: its figures, or why there are none
     methods: dict[str, Validation | str]
-    point: str  # What is compared: "sensor" (the forearm IMU), or a joint where the truth has no IMU
     graph: Recovery  # Its clock, its times and its gaps were given to all
+    of_graph: Validation  # What it is worth; its point is what is compared of all
     camera_lag_s: dict[str, float]  # By joint: the camera's own samples behind the truth, stamps as they came
     truth: Truth  # What all were held against
-    alignment: ReferenceAlignment  # How it was brought there
     notes: tuple[str, ...] = ()  # What a reader must know, one sentence each
 
     @property
-    def validated(self) -> dict[str, Validation]:
-        """The methods that have an answer."""
-        return {name: each for name, each in self.methods.items() if isinstance(each, Validation)}
+    def point(self) -> str:
+        """What is compared: "sensor" (the forearm IMU), or a joint where the truth has no IMU."""
+        return self.of_graph.point
 
     @property
-    def reference(self) -> FloatArray:
-        """The truth of the compared point (N, 3) at the IMU's times; nan where there is none."""
-        at = truth_at(self.truth, self.graph.t_s)
-        position = at.position if self.point == SENSOR else at.joints[self.point]
-        return np.where(at.score[:, None], position, np.nan)
-
-    @property
-    def part(self) -> str:
-        """What the methods are ranked by: "occluded", or "all" in a recording without gaps."""
-        return "occluded" if self.graph.gaps else "all"
-
-    @property
-    def where(self) -> str:
-        """The same in words."""
-        return "in gaps" if self.graph.gaps else "over the whole recording, which has no gap"
-
-    @property
-    def rms_m(self) -> dict[str, float]:
-        """By method the rms of the compared point there; of those that have one."""
-        found = {name: _rms_m(each, self.point, self.part) for name, each in self.validated.items()}
-        return {name: value for name, value in found.items() if value is not None}
-
-    @property
-    def tables(self) -> tuple[Table, Table, Table]:
-        """Errors, joints and lag by method."""
+    def table(self) -> Table:
+        """The errors in gaps (else over the whole recording), and the lag left, by method."""
+        part, where = "occluded", "in gaps"
+        if not self.graph.gaps:
+            part, where = "all", "over the whole recording, which has no gap"
         rows: list[dict[str, Any]] = []
         for name, each in self.methods.items():
             row: dict[str, Any] = {"method": name}
-            if isinstance(each, Validation) and (found := each.figures_of(self.point, self.part)) is not None:
+            if isinstance(each, Validation) and (found := each.figures_of(self.point, part)) is not None:
                 seen = each.figures_of(self.point, "visible")
-                row |= {"visible_m": seen and seen.position_rms_m, "deg": seen and seen.orientation_rms_deg}
-                row |= {"lag_s": each.lag_s, "gap_lag_s": each.lag_occluded_s, **vars(found)}
-                row |= {f"{joint}_m": parts[self.part].position_rms_m for joint, parts in each.points.items()}
+                row |= vars(found) | {"visible_m": seen and seen.position_rms_m, "lag_s": each.lag_s}
+                row |= {f"{joint}_m": parts[part].position_rms_m for joint, parts in each.points.items()}
             rows.append(row)
-        joints = dict.fromkeys(joint for each in self.validated.values() for joint in each.points)
-        answered = [row for row in rows if len(row) > 1 and joints]
-        columns = {"method": "method", "rms, cm": "position_rms_m", "95 %": "position_p95_m"}
-        columns |= {"max": "position_max_m", "rms, deg": "orientation_rms_deg", "NEES": "nees"}
-        columns |= {"inside 95 %": "coverage_95", "visible rms, cm": "visible_m", "deg": "deg"}
-        by_joint = {"method": "method", **{joint: f"{joint}_m" for joint in joints}}
-        of_lag = {"all samples": lambda row: _ms(row, "lag_s"), "in gaps": lambda row: _ms(row, "gap_lag_s")}
-        titled, what = self.alignment.titled, "forearm IMU" if self.point == SENSOR else self.point
-        title = titled(f"Error of the {what} {self.where}, the best method first")
-        return (
-            tabulated(title, rows, columns),
-            tabulated(titled(f"Joints {self.where}, rms, cm"), answered, by_joint),
-            tabulated(titled("Lag left behind the truth, ms"), rows, {"method": "method", **of_lag}),
-        )
+        joints = [joint for joint in self.of_graph.points if joint != self.point]
+        columns: dict[str, str | Callable[[Any], object]] = {"method": "method", "rms, cm": "position_rms_m"}
+        columns |= {"95 %": "position_p95_m", "max": "position_max_m", "rms, deg": "orientation_rms_deg"}
+        columns |= {"NEES": "nees", "inside 95 %": "coverage_95", "visible": "visible_m"}
+        columns |= {joint: f"{joint}_m" for joint in joints}
+        columns["lag, ms"] = lambda row: fixed(row.get("lag_s") and 1e3 * row["lag_s"], 1)
+        what = "forearm IMU" if self.point == SENSOR else self.point
+        title = f"Error of the {what} {where}, the best method first"
+        return tabulated(self.of_graph.alignment.titled(title), rows, columns)
 
     @property
     def camera_words(self) -> str:
@@ -106,9 +79,8 @@ class Comparison:
         def plain(each: Validation | str) -> dict[str, Any]:
             if isinstance(each, str):
                 return {"failure": each}
-            whole = each.to_dict()
-            own = {"failure": "", "lag_s": each.lag_s, "lag_occluded_s": each.lag_occluded_s}
-            return own | {key: whole[key] for key in (*PARTS, "points", "gaps")}
+            whole, keys = each.to_dict(), (*PARTS, "points", "gaps", "lag_s", "lag_occluded_s")
+            return {"failure": ""} | {key: whole[key] for key in keys}
 
         return {
             "point": self.point,
@@ -120,19 +92,18 @@ class Comparison:
                 "latency_s": -self.graph.clock_offset_s,
                 "lag_before_s": self.camera_lag_s,
             },
-            **self.alignment.to_dict(),
+            **self.of_graph.alignment.to_dict(),
             "notes": list(self.notes),
         }
 
 
-def _ms(row: Mapping[str, Any], key: str) -> str | None:
-    return None if row.get(key) is None else f"{1e3 * row[key]:+.1f}"
-
-
-def _rms_m(found: Validation | str, point: str, part: str) -> float | None:
-    """Rms of a point's errors over a part; None where there is none."""
-    figures = found.figures_of(point, part) if isinstance(found, Validation) else None
-    return None if figures is None else figures.position_rms_m
+def _rms_m(found: Validation | str, point: str) -> float:
+    """By what methods are ranked: the rms in gaps, else over all samples; infinite without an answer."""
+    for part in ("occluded", "all"):
+        figures = found.figures_of(point, part) if isinstance(found, Validation) else None
+        if figures is not None and figures.position_rms_m is not None:
+            return figures.position_rms_m
+    return math.inf
 
 
 def compare(
@@ -146,8 +117,8 @@ def compare(
 ) -> Comparison:
     """Run every method on one recording and hold each answer against the same truth."""
     alignment = alignment or ReferenceAlignment()
-    point = validate(graph, truth, alignment, pooled=None).point
-    if not point:
+    of_graph = validate(graph, truth, alignment, pooled=None)
+    if not of_graph.point:
         raise RecordingError(
             f"{graph.name}: the truth has no position that the methods answer (the IMU's, wrist, hand or"
             " elbow), so there is nothing to compare"
@@ -162,15 +133,9 @@ def compare(
             found[name] = next(answers)
     report(1.0, "done")
 
-    def rank(name: str) -> tuple[bool, float]:
-        """The error in gaps, else over all samples; without an answer last."""
-        both = (_rms_m(found[name], point, part) for part in ("occluded", "all"))
-        known = [rms_m for rms_m in both if rms_m is not None]
-        return not known, known[0] if known else 0.0
-
+    ranked = dict(sorted(found.items(), key=lambda each: _rms_m(each[1], of_graph.point)))
     lags, notes = _camera_lag(recording, truth), _notes(found, alignment, graph, truth)
-    ranked = {name: found[name] for name in sorted(found, key=rank)}
-    return Comparison(ranked, point, graph, lags, truth, alignment, notes)
+    return Comparison(ranked, graph, of_graph, lags, truth, notes)
 
 
 def _validated(

@@ -100,7 +100,6 @@ class Validation:
     angles: dict[str, dict[str, Agreement]]  # Agreement of the joint angles that both have, by part
     carrying_truth_deg: float | None  # Median of the truth's; None without markers on the epicondyles
     point: str  # The first of `POINTS` that truth and answer share; "" without one
-    path: FloatArray  # (n, 3) m: of that point in the answer, in {K}
     lag_s: float | None  # How late it is against the truth's, over all samples
     lag_occluded_s: float | None  # The same over those in gaps
     alignment: ReferenceAlignment  # How the truth was brought to the result
@@ -127,6 +126,7 @@ class Validation:
             "angles_deg": self.angles,
             "carrying_truth_deg": self.carrying_truth_deg,
             "lag_s": self.lag_s,
+            "lag_occluded_s": self.lag_occluded_s,
             "measures": None if self.measures is None else self.measures.to_dict(),
             "notes": list(self.notes),
         }
@@ -276,7 +276,6 @@ def validate(
         },
         carrying_truth_deg=carrying,
         point=point,
-        path=path,
         lag_s=lags[0],
         lag_occluded_s=lags[1],
         alignment=alignment,

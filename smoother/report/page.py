@@ -47,9 +47,13 @@ def write_report(
     path: str | os.PathLike[str],
     *,
     camera_frame: CameraFrame | None = None,
+    methods: Sequence[Table] = (),
     force: bool = False,
 ) -> None:
-    """Write results as one HTML page that needs no network and no other file: first all, then arm by arm."""
+    """Write results as one HTML page that needs no network and no other file: first all, then arm by arm.
+
+    `methods` are tables in which the results are compared with those of other methods.
+    """
     reports = [_ArmReport(arm, camera_frame, len(arms) > 1) for arm in arms]
     worst_first = sorted(reports, key=lambda each: each.recovery.estimates.trusted is not False)
     first, start = reports[0], "the recording's own zero"
@@ -73,6 +77,7 @@ def write_report(
         for each, tag in zip(reports, tags, strict=True):
             words = f"Details: {each.name}"
             sections.append(Fold(each.details(), words, f"arm-{tag}", has_contents=each is first))
+    sections[:0] = [rendered(each, caption("Methods compared")) for each in methods]
     Page(
         f"Recovered arm motion: {first.recovery.name}",
         f"Times are relative to {start}.",

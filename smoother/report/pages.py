@@ -1,11 +1,10 @@
-"""Pages of tables: of a calibration, of measures and their progress, of methods compared, of a study."""
+"""Pages of tables: of a calibration, of measures and their progress, of hidden gaps, of a study."""
 
 from __future__ import annotations
 
 import math
 import os
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -16,8 +15,6 @@ import plotly.graph_objects as go
 
 from calib.protocol import Answer
 
-from ..array_types import FloatArray
-from ..evaluation.compare import Comparison
 from ..evaluation.gaps import GapTable
 from ..evaluation.progress import (
     MOSTLY_RECOVERED,
@@ -38,9 +35,7 @@ from ..evaluation.words import (
     shown_unit,
 )
 from ..linalg import robust_sigma
-from ..measurements.visibility import Gap
 from ..measures import BothArms, Measure, Measures
-from ..recording import Recording
 from ..table import Table, tabulated
 from .sheet import (
     ALARM,
@@ -61,15 +56,9 @@ from .sheet import (
 )
 from .traces import (
     BAND,
-    CAMERA,
-    TRUTH,
     VISIBLE,
-    axis_names,
-    curve,
-    dots,
     dress,
     interval_bars,
-    over_time,
     values_with_intervals,
 )
 
@@ -372,92 +361,6 @@ def line_of(method: str) -> dict[str, object]:
     """Plotly's line for a method."""
     colour, dash = STYLES.get(method, PLAIN)
     return {"color": colour, "dash": dash, "width": 3.2 if method == "graph" else 1.5}
-
-
-#: Gaps drawn at most.
-MOST_GAPS = 6
-#: Time shown on both sides of a gap, s.
-AROUND_S = 0.6
-
-
-def comparison_page(compared: Sequence[tuple[Recording, Comparison]]) -> Page:
-    """The comparisons of a recording's arms on one page, arm by arm."""
-    recording, first = compared[0]
-    names = [f"{capitalised(one.arm_label)}: " if len(compared) > 1 else "" for one, _ in compared]
-    arms = f", {len(compared)} arms" if len(compared) > 1 else f", {len(first.graph.gaps)} gaps"
-    return Page(
-        first.alignment.titled(f"Methods compared: {recording.name}"),
-        f"{len(first.methods)} methods{arms}; the {_point(first)} compared with the truth.",
-        [f"{name}{text}" for name, (_, one) in zip(names, compared, strict=True) for text in _compared(one)],
-        [
-            replace(section, heading=f"{name}{section.heading}")
-            for name, (recording, one) in zip(names, compared, strict=True)
-            for section in _of_arm(one, recording)
-        ],
-    )
-
-
-def _compared(comparison: Comparison) -> list[str]:
-    """What the comparison says, in sentences."""
-    errors = comparison.rms_m
-    if not errors:
-        return ["No method has a result that can be compared with the truth."]
-    ranked = ", ".join(f"{name} {100 * error:.1f}" for name, error in errors.items())
-    sentences = [f"Error of the {_point(comparison)} {comparison.where}, rms, cm: {ranked}."]
-    others = {name: error for name, error in errors.items() if name != "graph"}
-    if "graph" in errors and others:
-        nearest = min(others, key=lambda name: others[name])
-        sentences.append(
-            f"The error of {nearest}, the best other method, is {others[nearest] / errors['graph']:.2f} times"
-            " that of the graph. All methods are given the calibration and the clock that the graph found."
-        )
-    return [*sentences, f"{comparison.camera_words}."]
-
-
-def _of_arm(comparison: Comparison, recording: Recording) -> Iterator[PageSection]:
-    """The sections about one arm."""
-    for what, table in zip(("errors", "joints", "lag"), comparison.tables, strict=True):
-        yield rendered(table, caption(f"Methods: {what}"))
-    longest = sorted(comparison.graph.gaps, key=lambda gap: -gap.length_s)[:MOST_GAPS]
-    for gap in sorted(longest, key=lambda gap: gap.start_s):
-        heading = f"Gap at {gap.start_s:.2f} s, {gap.length_s:.2f} s long"
-        yield PageSection(heading, caption("Methods: one gap"), in_gap(comparison, recording, gap))
-    not_drawn = len(comparison.graph.gaps) - len(longest)
-    more = [f"{not_drawn} gaps more are not drawn: the longest are"] if not_drawn else []
-    yield notes([*more, *recording.notes, *comparison.notes])
-
-
-def in_gap(comparison: Comparison, recording: Recording, gap: Gap) -> go.Figure:
-    """Coordinates of the compared point and every method's error, in one gap and a little around it."""
-    shown = (comparison.graph.t_s >= gap.start_s - AROUND_S) & (comparison.graph.t_s <= gap.end_s + AROUND_S)
-    t, true = comparison.graph.t_s[shown], comparison.reference[shown]
-    joint = "strap" if comparison.point == "sensor" else comparison.point
-    offset = comparison.graph.clock_offset_s if np.isfinite(comparison.graph.clock_offset_s) else 0.0
-    at = recording.arm.t_s + offset
-    tracked = recording.arm.tracked(joint) & (at >= gap.start_s - AROUND_S) & (at <= gap.end_s + AROUND_S)
-    camera = recording.arm.joint(joint)[tracked]
-    answered = reversed(comparison.validated.items())
-    paths = {name: each.path[shown] for name, each in answered if each.point == comparison.point}
-
-    def lines(values: dict[str, FloatArray]) -> list[go.Scatter]:  # the best on top of the others
-        drawn = {name: {"name": name, "mode": "lines", "line": line_of(name)} for name in values}
-        return [go.Scatter(x=t, y=value, **drawn[name]) for name, value in values.items()]
-
-    rows = []
-    for axis, title in enumerate(axis_names(recording.camera_frame)):
-        seen = dots(at[tracked], camera[:, axis], "camera", CAMERA, 4)
-        known = curve(t, true[:, axis], "truth", TRUTH, 1.6, "dash")
-        answers = lines({name: path[:, axis] for name, path in paths.items()})
-        rows.append((f"{title}, m", [seen, *answers, known]))
-    errors = {name: 100 * np.linalg.norm(path - true, axis=1) for name, path in paths.items()}
-    rows.append(("error, cm", lines(errors)))
-    plot = over_time(replace(comparison.graph, gaps=(gap,)), rows, 170, head=90)
-    plot.update_yaxes(rangemode="tozero", row=4, col=1)
-    return plot.update_layout(legend={"traceorder": "reversed"}, modebar={"orientation": "v"})
-
-
-def _point(comparison: Comparison) -> str:
-    return "forearm sensor" if comparison.point == "sensor" else comparison.point
 
 
 #: By length of gap (s), rising, and method: `GapGroup.spread`.

@@ -281,7 +281,7 @@ def test_methods_compared_side_by_side(monkeypatch: pytest.MonkeyPatch) -> None:
         compare(blind, graph, made.recording.truth, others, processes=processes) for processes in (1, 2)
     )
     assert alone.to_dict() == both.to_dict()
-    assert sorted(both.validated) == sorted(names)
+    assert sorted(both.methods) == sorted(names)
     restored, given = pickle.loads(pickle.dumps((methods["graph"], blind)))
     with monkeypatch.context() as patch:
         patch.setattr(smoothing, "smooth", lambda *_: pytest.fail("the graph was solved again"))
