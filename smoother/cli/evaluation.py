@@ -52,8 +52,8 @@ if TYPE_CHECKING:
     from .load import Arm
 
 
-#: More gaps than this are not printed, `--json` has them all; without --verbose this many notes and measures.
-_MOST_GAPS, FEW_NOTES, FEW_MEASURES = 40, 2, 4
+#: Without --verbose this many notes and measures are printed.
+FEW_NOTES, FEW_MEASURES = 2, 4
 
 
 def validate(
@@ -131,7 +131,6 @@ def print_validation(validation: Validation, verbose: bool = False) -> None:
     angles = validation.angle_errors
     show(angles if verbose else replace(angles, rows=[row for row in angles.rows if row[1] != "visible"]))
     if verbose:
-        show(validation.gap_errors, _MOST_GAPS)
         if (bias := validation.all.position_bias_m) is not None:
             say(f"bias of the position, x y z of the camera, cm: {' '.join(f'{100 * x:+.2f}' for x in bias)}")
         if (lag_s := validation.lag_s) is not None:
@@ -148,7 +147,7 @@ def print_validation(validation: Validation, verbose: bool = False) -> None:
             show(agreement_table(validation.alignment.titled(title), comparison, chosen))
     print_notes(validation.notes if verbose else validation.notes[:FEW_NOTES])
     if not verbose:
-        say("--verbose prints every gap, part, measure and note; --json has them all")
+        say("--verbose prints every part, measure and note; --json has every gap too")
 
 
 def compare(

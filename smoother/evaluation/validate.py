@@ -157,19 +157,6 @@ class Validation:
         return tabulated(self.alignment.titled("Joints, position rms, cm"), rows, columns)
 
     @property
-    def gap_errors(self) -> Table:
-        """The errors of the sensor gap by gap."""
-        rows = [
-            {"start": f"{gap.start_s:.2f}", "length": f"{gap.length_s:.2f}", **vars(figures)}
-            for gap, figures in self.gaps
-            if figures.position_rms_m is not None or figures.orientation_rms_deg is not None
-        ]
-        columns = {"gap at, s": "start", "length, s": "length", "rms, cm": "position_rms_m"}
-        columns |= {"95 % within, cm": "position_p95_m", "max, cm": "position_max_m"}
-        columns |= {"rms, deg": "orientation_rms_deg", "max, deg": "orientation_max_deg", "NEES": "nees"}
-        return tabulated(self.alignment.titled("Error gap by gap"), rows, columns)
-
-    @property
     def angle_errors(self) -> Table:
         """The agreement of the joint angles by part."""
         rows = [

@@ -177,7 +177,7 @@ class _ArmReport:
         own = [found.errors] if of_sensor or not found.joint_errors.rows else []
         heading, said = "Errors against the reference", "" if own else "The reference has joints only."
         yield PageSection(titled(heading), caption(heading), tables=own, below=said, sentences=found.notes)
-        yield from map(rendered, (found.joint_errors, found.gap_errors))
+        yield rendered(found.joint_errors)
         for heading, table in (
             ("Measures against the reference", pair_table),
             ("How well the measures agree", agreement_table),

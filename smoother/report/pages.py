@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from urllib.parse import quote
@@ -36,7 +35,7 @@ from ..evaluation.words import (
 )
 from ..linalg import robust_sigma
 from ..measures import BothArms, Measure, Measures
-from ..table import Table, tabulated
+from ..table import Table, centimetres, tabulated
 from .sheet import (
     ALARM,
     NO_DIAGNOSIS,
@@ -120,10 +119,6 @@ REACHED = {
     "hand_to_head_reached": "hand to head",
     "hand_behind_back_reached": "hand behind the back",
 }
-#: What is drawn of each movement, and under which heading.
-BY_MOVEMENT = {"hand_peak_speed_m_s": "How fast the hand was", "sparc": "How smoothly the hand moved"}
-#: More movements are not drawn one by one.
-MOST_MOVEMENTS = 24
 
 
 def measures_page(measures_by_arm: Sequence[Measures], pairs: Sequence[BothArms] = ()) -> Page:
@@ -168,8 +163,6 @@ def _measures_sections(arms: Sequence[Measures], pairs: Sequence[BothArms]) -> I
     symmetry = pairs[0].rows if len(arms) == 2 and len(pairs) == 1 and trusted else ()
     yield _ranges(arms)
     yield _reach(arms)
-    for key, heading in BY_MOVEMENT.items():
-        yield _by_movement(arms, key, heading)
     known = [row.key for arm in arms for row in arm.session if row.is_known and row.key not in REACHED]
     for arm in arms:
         main = filter(None, map(arm.by_key.get, first_of(list(dict.fromkeys(known)), MOST_MAIN)))
@@ -233,23 +226,6 @@ def _reach(arms: Sequence[Measures]) -> PageSection:
         rows.append(["reach volume", *(measure_words(arm.by_key.get(volume)) for arm in arms)])
     columns = ["goal", *(arm.arm_label for arm in arms)]
     return rendered(Table("Where the hand reached", columns, rows))
-
-
-def _by_movement(arms: Sequence[Measures], key: str, heading: str) -> PageSection:
-    """A measure over the movements of each arm, with its intervals."""
-    panels, most = [], max((len(arm.movements) for arm in arms), default=0)
-    for arm in arms:
-        found = [arm.of("movement", place).get(key) for place in range(len(arm.movements))]
-        rows = [row for row in found if row is not None][:MOST_MOVEMENTS]
-        if not any(row.is_known for row in rows):
-            continue
-        values = ([getattr(row, part) for row in rows] for part in ("value", "low", "high"))
-        figure = go.Figure(values_with_intervals((1 + (row.movement or 0) for row in rows), *values))
-        figure.update_xaxes(title_text="movement", dtick=max(1, len(rows) // 12))
-        title = Html("<h3>{}</h3>").format(capitalised(arm.arm_label)) if len(arms) > 1 else Html("")
-        panels.append((title, dress(figure, 170, head=8, showlegend=False)))
-    more = f" The first {MOST_MOVEMENTS} of {most} movements are drawn." if most > MOST_MOVEMENTS else ""
-    return PageSection(heading, caption(heading, more=more), panels=panels)
 
 
 def _limits(arm: Measures, mark: str) -> Iterator[str]:
@@ -440,8 +416,8 @@ def curves(spreads: Spreads) -> go.Figure:
     return plot.update_layout(legend={"traceorder": "reversed"}, showlegend=True)
 
 
-#: Rows of the table of recordings, and of failures; measures in it; notes of the results.
-MOST_RECORDINGS, MOST_SHOWN, MOST_NOTES = 200, 4, 20
+#: Rows of the table of recordings, and of failures; notes of the results.
+MOST_RECORDINGS, MOST_NOTES = 200, 20
 
 
 def write_study(
@@ -520,30 +496,24 @@ def _recordings(
     table: str,
 ) -> PageSection:
     """The recordings, each with a link to its report, or to its result where it has none."""
-    measured = [each for row in rows for each in row["measures"] or ()]
-    shown = {each["key"]: each for each in measured}
-    columns: dict[str, Callable[[dict[str, Any]], object]] = {
+    columns: dict[str, str | Callable[[Any], object]] = {
         "recording": lambda row: _named(row, path, folder),
         "person": lambda row: persons.get(row["recording"]),
         "verdict": _trust,
         "self-check: recovered to within": _self_check,
-        "within, cm (95 %)": lambda row: None if row["trusted"] is False else _scaled(row["error_95_m"], 100),
-        "longest gap, s": lambda row: _scaled(row["gap_longest_s"]),
-        "gaps": lambda row: row["gaps"],
-        "occluded, s": lambda row: _scaled(row["occluded_s"]),
-        "length, s": lambda row: _scaled(row["duration_s"]),
+        "within, cm (95 %)": lambda row: centimetres(
+            row["error_95_m"] if row["trusted"] is not False else None
+        ),
+        "longest gap, s": "gap_longest_s",
+        "gaps": "gaps",
+        "occluded, s": "occluded_s",
+        "length, s": "duration_s",
     }
-    for key in first_of([each["key"] for each in measured], MOST_SHOWN):
-        columns[_with_unit(shown[key])] = partial(_measured, key)
     rest = count - len(rows)
     others = f" The other {rest} are among the results." if rest else ""
     all_measures = table and phrase("all_measures", link=quote(table), file=table)
     about = caption("Recordings", rest=others, measures=all_measures)
     return rendered(tabulated("Recordings", rows, columns), about)
-
-
-def _with_unit(measure: Mapping[str, Any]) -> str:
-    return f"{measure['name']}, {measure['unit']}".removesuffix(", ")
 
 
 def _named(row: dict[str, Any], path: Path, folder: Path) -> Html:
@@ -571,31 +541,9 @@ def report_of(output: str) -> str:
     return Path(output).with_suffix(".html").as_posix()
 
 
-def _measured(key: str, row: dict[str, Any]) -> str | None:
-    """A measure of each arm, with its interval."""
-    known = [
-        each
-        for each in row["measures"] or ()
-        if each["key"] == key and each["value"] is not None and each["trusted"] is not False
-    ]
-    sides = ("" if (row["arms"] or 1) < 2 else f"{each['side']} " for each in known)
-    values = (_between(each["value"], each["low"], each["high"]) for each in known)
-    return "; ".join(f"{side}{value}" for side, value in zip(sides, values, strict=True)) or None
-
-
-def _between(value: float, low: float | None, high: float | None) -> str:
-    """A value with its interval in brackets, as far as they are known."""
-    known = low is not None and high is not None and math.isfinite(low)
-    return f"{value:.3g}" + (f" ({low:.3g} to {high:.3g})" if known else "")
-
-
 def _trust(row: dict[str, Any]) -> str:
     """Whether a recording's result is to be trusted, as a word in its colour, and why it is not."""
     word = trust_badge(row["trusted"], row["gaps"], row["gaps_untrusted"])
     if row["trusted"] is False:
         return word + f" {str(row['verdict'] or '').removeprefix('Not to be trusted: ')}"
     return word if row["gaps_untrusted"] else row["verdict"] or word
-
-
-def _scaled(value: float | None, factor: float = 1.0) -> str | None:
-    return None if value is None or not np.isfinite(value) else f"{factor * value:.3g}"

@@ -106,7 +106,6 @@ def test_whole_page(tmp_path):
         "For the next recording",
         "Gaps",
         "Errors against the reference",
-        "Error gap by gap",
         "Coordinates over time",
         "How certain the answer is",
         "Camera residuals",
