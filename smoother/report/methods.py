@@ -4,23 +4,28 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
 
+from calib.motion import found_in
+from calib.protocol import tables_of
+
 from ..baselines.registry import BASELINES
 from ..config import Config
-from ..error_radius import in_cm, within_words
+from ..error_radius import within_words
 from ..evaluation.summary import gap_summaries
 from ..linalg import median_rate_hz
-from ..recording import JOINTS
 from ..result import Recovery
+from ..table import Table, cell_text
 from .sheet import web_file, words
 
 #: What sentences cite as "[@key]", and how they name the orientation filters.
 REFERENCES: dict[str, str] = words()["sources"]
 ORIENTATION_WORDS: dict[str, str] = words()["filters"]
+#: Figures of the tables.
+_ESTIMATED = ("camera_sigma_m", "lever_arms", "lengths")
 CITATION = re.compile(r"\[@([a-z]+\d*)\]")
 
 
@@ -33,7 +38,7 @@ def methods_section(
     environment = Environment()  # Markdown, not HTML
     environment.filters |= {"cell": _cell, "flat": lambda text: " ".join(text.split())}
     template = environment.from_string(web_file("methods.md"))
-    arms = [_figures(one, version) for one in recoveries]
+    arms = [_figures(one) for one in recoveries]
     untrusted = sum(arm["untrusted"] for arm in arms)
     text = template.render(arms=arms, version=version, simulation=simulation, untrusted=untrusted)
     cited = dict.fromkeys(CITATION.findall(text))
@@ -49,7 +54,7 @@ def methods_section(
     return text, {"references": references, "text": text}
 
 
-def _figures(one: Recovery, version: str) -> dict[str, Any]:
+def _figures(one: Recovery) -> dict[str, Any]:
     """What the template is given of an arm."""
     found, gaps, entry = one.estimates, gap_summaries(one), BASELINES.get(one.method)
     lengths_s = [gap.length_s for gap in one.gaps]
@@ -72,49 +77,31 @@ def _figures(one: Recovery, version: str) -> dict[str, Any]:
         "within": "" if worst_m is None else within_words(worst_m),
         "factors": [factor for factor in found.sigma_factors if factor != 1.0],
         "untrusted": sum(gap.trusted is False for gap in gaps),
-        "rows": list(_rows(one, version, worst_m)),
+        "tables": list(_tables(one)),
     }
 
 
-def _rows(one: Recovery, version: str, worst_m: float | None) -> Iterator[tuple[str, str]]:
-    """The table: noise, places and lengths with sigma, biases, clock, settings that are not the defaults."""
-    found, arm = one.estimates, one.calibration
-
-    def lengths(metres: Iterable[float], sigmas: Iterable[float], given: bool) -> str:
-        both = (f"{1e3 * value:.1f} ± {1e3 * each:.1f}" for value, each in zip(metres, sigmas, strict=False))
-        return f"{', '.join(both)} ({'given beforehand, adjusted' if given else 'estimated'})"
-
-    yield "Program, method", f"unocclude {version or '(version not stated)'}, {one.method}"
-    for joint in JOINTS:
-        if joint in (found.camera_sigma_m or {}):
-            yield f"Camera noise: {joint}, mm per axis", f"{1e3 * (found.camera_sigma_m or {})[joint]:.1f}"
-    for joint, lever in () if arm is None else arm.lever_arms.items():
-        sigmas = np.broadcast_to(lever.sigma_m, 3)
-        yield (
-            f"Place of the {joint} in the IMU's axes, mm",
-            lengths(lever.position_m, sigmas, joint in found.given),
-        )
-    if arm is not None and (upper := arm.upper_arm) is not None:
-        yield "Upper arm's length, mm", lengths([upper.value_m], [upper.sigma_m], "upper_arm" in found.given)
-    if found.gyroscope_bias is not None:
-        degrees = ", ".join(f"{math.degrees(v):+.3f}" for v in found.gyroscope_bias)
-        yield "Gyroscope's bias, degrees/s", degrees
-    if found.accelerometer_bias is not None:
-        yield "Accelerometer's bias, m/s^2", ", ".join(f"{v:+.3f}" for v in found.accelerometer_bias)
-    if math.isfinite(one.clock_offset_s):
-        clock_ms = (1e3 * one.clock_offset_s, 1e3 * one.clock_offset_sigma_s)
-        yield "Clock of IMU minus camera", "{:+.1f} ± {:.1f} ms".format(*clock_ms)
-    if worst_m is not None:
-        yield "95 of 100 position errors in gaps, at worst", in_cm(worst_m)
+def _tables(one: Recovery) -> Iterator[Table]:
+    """What was estimated with sigma, and the settings that are not the defaults."""
+    found, stated = found_in(one), one.estimates
+    known = {} if found is None else found.figures
+    figures = {key: known[key] for key in _ESTIMATED if key in known}
+    if stated.gyroscope_bias is not None:
+        figures["gyroscope_bias_deg_s"] = np.degrees(stated.gyroscope_bias)
+    if stated.accelerometer_bias is not None:
+        figures["accelerometer_bias, m/s^2"] = stated.accelerometer_bias
+    yield from tables_of(figures)
     usual = Config().model_dump(mode="json", exclude_none=True)
-    for section, settings in one.config.items():
-        for key, value in settings.items() if isinstance(settings, dict) else ():
-            default = usual.get(section, {}).get(key, value)
-            if value != default:
-                set_or = f"{value} (default {default}; set, or adapted to the recording)"
-                yield f"Setting {section}.{key}", set_or
+    changed = [
+        (f"{section}.{key}", value, default)
+        for section, settings in one.config.items()
+        for key, value in (settings.items() if isinstance(settings, dict) else ())
+        if value != (default := usual.get(section, {}).get(key, value))
+    ]
+    if changed:
+        yield Table("Settings set, or adapted to the recording", ("setting", "value", "default"), changed)
 
 
-def _cell(text: str) -> str:
-    """Text in which Markdown finds no markup."""
-    return re.sub(r"([\\|*_`<\[])", r"\\\1", text)
+def _cell(value: object) -> str:
+    """A value as text in which Markdown finds no markup."""
+    return re.sub(r"([\\|*_`<\[])", r"\\\1", cell_text(value))
