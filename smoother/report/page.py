@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import datetime
-import json
 import os
 import re
 from collections.abc import Iterator, Mapping, Sequence
@@ -29,8 +28,8 @@ from ..evaluation.summary import (
 )
 from ..evaluation.validate import Validation, sample_errors
 from ..recording import CameraFrame, Recording, Truth
-from ..result import Estimates, Recovery, arm_tags
-from ..result.untrusted import certain, untrusted_gaps
+from ..result import Recovery, arm_tags
+from ..result.untrusted import untrusted_gaps
 from ..table import Table, centimetres, tabulated
 from . import traces
 from .player import player, points
@@ -205,68 +204,39 @@ class _ArmReport:
             yield PageSection(heading, said, plot)
 
 
-#: Figures of a recovery that another section of the page shows.
-_ELSEWHERE = (
-    *("camera_sigma_m", "joint_bias_sigma_m", "given", "max_sigma_m"),
-    *("untrusted", "cameras"),
-)
 WITHDRAWN = "withdrawn: the result is not to be trusted"
 
 
 def overview(recovery: Recovery) -> Table:
     """What was recovered, in numbers."""
-    return Table("Figures", ("what", "value"), list(_overview(recovery, recovery.estimates)))
+    return Table("Figures", ("what", "value"), list(_overview(recovery)))
 
 
-def _overview(recovery: Recovery, estimates: Estimates) -> Iterator[tuple[str, object]]:
-    answered, error = recovery.answered, certainty_figures(recovery, recovery.trusted)["error_95_m"]
+def _overview(recovery: Recovery) -> Iterator[tuple[str, object]]:
+    error = certainty_figures(recovery, recovery.trusted)["error_95_m"]
     yield "method", recovery.method
     yield "arm", recovery.side or "not stated"
     yield "samples of the forearm sensor", len(recovery)
     yield "sample rate, Hz", recovery_figures(recovery)["rate_hz"]
     yield "samples without the camera", recovery.occluded.sum()
-    yield "samples without an answer", int((~answered).sum())
+    yield "samples without an answer", int((~recovery.answered).sum())
     for words, within_m in (
         ("while seen", error["visible"]["all"]),
         ("in gaps", error["occluded"]["all"]),
         ("at the least certain moment of a gap", error["occluded"]["max"]),
     ):
-        stated = WITHDRAWN if estimates.trusted is False else centimetres(within_m)
+        stated = WITHDRAWN if recovery.estimates.trusted is False else centimetres(within_m)
         yield f"position, 95 of 100 errors below, {words}, cm", stated
     yield "samples that are not to be trusted", int(np.count_nonzero(~recovery.trusted))
-    offset = None
-    if np.isfinite(recovery.clock_offset_s):
-        offset = f"{1000 * recovery.clock_offset_s:.1f} ms"
-        if np.isfinite(recovery.clock_offset_sigma_s):
-            offset += f" ± {1960 * recovery.clock_offset_sigma_s:.1f} ms (95 of 100 cases)"
-    yield "sensor's clock minus camera's clock", offset
-    if (limit_m := estimates.max_sigma_m) is not None:
-        unsure = int(answered.sum() - certain(recovery).sum())
-        yield "samples marked as too uncertain to use", f"{unsure} (above {100 * limit_m:g} cm)"
-    further = {name: value for name, value in estimates.plain().items() if name not in _ELSEWHERE}
-    for name, value in _leaves(further, ", "):
-        if value not in ("", "null"):
-            yield name.replace("_", " "), value
+    if (pairing := recovery.estimates.pairing) is not None:
+        yield "camera and sensor proved to show one motion", "yes" if pairing.proved else "no"
 
 
-def settings(config: dict[str, object]) -> Table:
+def settings(config: Mapping[str, Any]) -> Table:
     """The effective configuration, a setting a row."""
-    return Table("Settings", ("setting", "value"), list(_leaves(config, ".")))
-
-
-def _leaves(values: Mapping[Any, Any], between: str) -> Iterator[tuple[str, str]]:
-    """Values under their whole names as cells show them; numbers short, what is no text as JSON writes it."""
-    for name, value in values.items():
-        if isinstance(value, np.ndarray | np.generic):
-            value = value.tolist()
-        if isinstance(value, Mapping) and value:
-            yield from ((f"{name}{between}{rest}", each) for rest, each in _leaves(value, between))
-        elif isinstance(value, list | tuple):
-            yield name, ", ".join(each for _, each in _leaves(dict(enumerate(value)), between))
-        elif isinstance(value, float):
-            yield name, f"{value:.6g}"
-        else:
-            yield name, value if isinstance(value, str) else json.dumps(value, default=str)
+    parts = [(name, part if isinstance(part, Mapping) else {"": part}) for name, part in config.items()]
+    rows = [(f"{name}.{key}".rstrip("."), str(value)) for name, part in parts for key, value in part.items()]
+    return Table("Settings", ("setting", "value"), rows)
 
 
 def consistent(recovery: Recovery, truth: Truth | None) -> Table:

@@ -396,7 +396,7 @@ def test_a_sound_page_is_calm_and_has_the_self_check(tmp_path: Path) -> None:
     assert text.index("The arm in motion") < text.index("The recording lasts"), "all else is below"
     assert "not to be trusted" not in text.replace("samples that are not to be trusted", "")
     assert "How certain the answer is" in text and "For the next recording" in text
-    assert "<td>pairing, proved</td><td>true</td>" in text
+    assert "proved to show one motion</td><td>yes</td>" in text
     assert "<td>self check, inside 95</td><td>0.96</td>" in text
 
 
