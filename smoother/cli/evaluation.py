@@ -136,15 +136,11 @@ def print_validation(validation: Validation, verbose: bool = False) -> None:
         if (lag_s := validation.lag_s) is not None:
             say(f"lag of the answer behind the truth: {1000 * lag_s:+.1f} ms (peak of cross-correlation)")
     if (comparison := validation.measures) is not None:
-        found = [one for by_key in comparison.agreements.values() for one in by_key.values()]
-        several = any(one["recordings"] > 1 for one in found)
-        session = [pair.key for pair in comparison.pairs if pair.scope == "session"]
-        chosen = None if verbose else first_of(session, FEW_MEASURES)
-        if verbose or not several:
+        chosen = None if verbose else first_of([pair.key for pair in comparison.pairs], FEW_MEASURES)
+        if verbose or not comparison.pooled:
             show(pair_table(validation.alignment.titled("Measures of the session"), comparison, chosen))
-        if verbose or several:  # agreement is that of several recordings
-            title = "Agreement of the measures (answer minus truth) over recordings and movements"
-            show(agreement_table(validation.alignment.titled(title), comparison, chosen))
+        title = "Agreement of the measures (answer minus truth) over recordings"
+        show(agreement_table(validation.alignment.titled(title), comparison, chosen))
     print_notes(validation.notes if verbose else validation.notes[:FEW_NOTES])
     if not verbose:
         say("--verbose prints every part, measure and note; --json has every gap too")

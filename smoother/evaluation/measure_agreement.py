@@ -17,7 +17,6 @@ from pydantic import TypeAdapter
 from calib.file import toml_document
 
 from ..errors import UnoccludeError
-from ..measures import Movement, Scope
 from ..measures.definitions import definitions, is_measure
 from ..recording import Truth
 from ..result import Recovery
@@ -26,18 +25,13 @@ from ..table import Table, tabulated
 from .statistics import pair_agreement
 from .words import interval, is_main, limits_words, quantity, with_interval
 
-#: A movement of the answer and one of the reference are the same where they share more of their time.
-SAME_SHARE = 0.5
-
 
 @dataclass(frozen=True)
 class MeasurePair:
-    """A measure of the answer and of the reference."""
+    """A measure of a session, of the answer and of the reference."""
 
     recording: str  # What it was measured on
     side: str  # The arm
-    scope: Scope
-    movement: int | None  # Of the answer; None for the session
     key: str  # As a `Measure` has them
     name: str
     unit: str
@@ -63,7 +57,7 @@ class MeasurePair:
     def identity(self) -> tuple[object, ...]:
         """The same for a pair that was written and read again."""
         numbers = (f"{self.value:.9g}", f"{self.reference:.9g}")
-        return (self.recording, self.side, self.scope, self.movement, self.key, *numbers)
+        return (self.recording, self.side, self.key, *numbers)
 
     def to_dict(self) -> dict[str, object]:
         """Plain values by name, as `--json` writes them."""
@@ -105,22 +99,11 @@ def same_samples(recovery: Recovery, reference: Truth) -> tuple[Recovery, Recove
     return answer, motion
 
 
-def same_movements(ours: Sequence[Movement], others: Sequence[Movement]) -> list[tuple[int, int]]:
-    """Movements of two lists that share more than half of the time that either takes, by their numbers."""
-    return [
-        (here, there)
-        for here, mine in enumerate(ours)
-        for there, other in enumerate(others)
-        if min(mine.end_s, other.end_s) - max(mine.start_s, other.start_s)
-        > SAME_SHARE * (max(mine.end_s, other.end_s) - min(mine.start_s, other.start_s))
-    ]
-
-
 @dataclass(frozen=True)
 class MeasureComparison:
     """The measures of a recording beside those of its reference."""
 
-    pairs: tuple[MeasurePair, ...]  # Those that both have; the session's first
+    pairs: tuple[MeasurePair, ...]  # Those that both have
     pooled: tuple[MeasurePair, ...] = ()  # Of earlier validations
     notes: tuple[str, ...] = ()  # What a reader must know, one sentence each
 
@@ -130,21 +113,17 @@ class MeasureComparison:
         return unique_pairs((*self.pooled, *self.pairs))
 
     @cached_property
-    def agreements(self) -> dict[str, dict[str, dict[str, Any]]]:
-        """Figures by scope and measure, over these pairs and the pooled ones."""
-        groups: dict[str, dict[str, list[MeasurePair]]] = {"session": {}, "movement": {}, "repetition": {}}
+    def agreements(self) -> dict[str, dict[str, Any]]:
+        """Figures by measure, over these pairs and the pooled ones."""
+        groups: dict[str, list[MeasurePair]] = {}
         for pair in self.together:
-            groups[pair.scope].setdefault(pair.key, []).append(pair)
-        return {
-            scope: {key: _agreement(pairs) for key, pairs in by_key.items()}
-            for scope, by_key in groups.items()
-            if by_key
-        }
+            groups.setdefault(pair.key, []).append(pair)
+        return {key: _agreement(pairs) for key, pairs in groups.items()}
 
     def to_dict(self) -> dict[str, Any]:
         """Plain values by name, as `--json` writes them; another `validate` may pool them."""
         pairs = [pair.to_dict() for pair in self.together]
-        return {"agreement": self.agreements, "pairs": pairs, "notes": list(self.notes)}
+        return {"agreement": {"session": self.agreements}, "pairs": pairs, "notes": list(self.notes)}
 
 
 def _agreement(pairs: Sequence[MeasurePair]) -> dict[str, Any]:
@@ -175,44 +154,24 @@ def compare_measures(
     if not any(np.isfinite(place).all(axis=1).sum() > 1 for place in motion.joints.values()):
         return None
     mine, theirs = measure(answer, processes=processes, progress=progress), measure(motion)
-    rows, notes = [(mine.by_key, theirs.by_key)], []
-    kinds: list[tuple[Scope, Sequence[Movement], Sequence[Movement]]] = [
-        ("movement", mine.movements, theirs.movements),
-        ("repetition", mine.repetitions, theirs.repetitions),
-    ]
-    for scope, ours, others in kinds:
-        same = same_movements(ours, others)
-        rows += [(mine.of(scope, here), theirs.of(scope, there)) for here, there in same]
-        if len(same) < max(len(ours), len(others)):
-            notes.append(
-                f"{scope.capitalize()}s: the answer has {len(ours)}, the reference {len(others)}; the"
-                f" {len(same)} that share more than half of their time are compared."
-            )
+    others = theirs.by_key
     pairs = tuple(
         MeasurePair(
-            *(recovery.name, mine.side, row.scope, row.movement, key, row.name, row.unit),
+            *(recovery.name, mine.side, key, row.name, row.unit),
             *(row.value, row.low, row.high, others[key].value, row.recovered_share),
         )
-        for own, others in rows
-        for key, row in own.items()
+        for key, row in mine.by_key.items()
         if key in others and row.is_known and others[key].is_known
     )
-    if not mine.n_draws:
-        notes.append("The result has no draws: the measures have no intervals (smooth with --draws 64).")
-    recordings = {pair.recording for pair in (*pairs, *pooled)}
-    if len(recordings) < 3 and any(pair.scope != "session" for pair in pairs):
-        notes.append(
-            "Movements of one person are alike: over few recordings the intervals of ICC and of the minimal"
-            " detectable change are too narrow."
-        )
-    return MeasureComparison(pairs, tuple(pooled), tuple(notes))
+    without = "The result has no draws: the measures have no intervals (smooth with --draws 64)."
+    return MeasureComparison(pairs, tuple(pooled), () if mine.n_draws else (without,))
 
 
 def pair_table(title: str, comparison: MeasureComparison, keys: Collection[str] | None = None) -> Table:
     """The session's main measures, or those with these keys."""
     return tabulated(
         title,
-        [pair for pair in comparison.pairs if pair.scope == "session" and _is_shown(pair.key, keys)],
+        [pair for pair in comparison.pairs if _is_shown(pair.key, keys)],
         {
             "measure": "name",
             "answer": lambda pair: quantity(pair.value, pair.unit),
@@ -230,15 +189,13 @@ def agreement_table(title: str, comparison: MeasureComparison, keys: Collection[
     return tabulated(
         title,
         [
-            {"scope": scope, **one}
-            for scope, by_key in comparison.agreements.items()
-            for key, one in by_key.items()
+            one
+            for key, one in comparison.agreements.items()
             if _is_shown(key, keys) and one["limits_low"] is not None
         ],
         {
             "measure": "name",
-            "of": "scope",
-            "pairs of arms": lambda one: f"{one['pairs']} of {one['recordings']}",
+            "recordings": "recordings",
             "bias": lambda one: quantity(one["bias"], one["unit"], signed=True),
             "limits of agreement": limits_words,
             "ICC(2,1), 95 % interval": with_interval,
@@ -257,8 +214,9 @@ def read_pairs(path: Path) -> list[MeasurePair]:
     pairs = [pair for arm in _arms(path, _json(path)) for pair in arm["measures"].get("pairs", [])]
     try:
         finite = [
-            {key: math.nan if value is None and key != "movement" else value for key, value in pair.items()}
+            {key: math.nan if value is None else value for key, value in pair.items()}
             for pair in pairs
+            if pair.get("scope", "session") == "session"  # earlier versions also wrote those of movements
         ]
         read = TypeAdapter(list[MeasurePair]).validate_python(finite)
     except (AttributeError, ValueError) as error:

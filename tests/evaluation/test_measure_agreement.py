@@ -19,12 +19,10 @@ from smoother.evaluation.measure_agreement import (
     MeasurePair,
     read_detectable,
     read_pairs,
-    same_movements,
     unique_pairs,
 )
 from smoother.evaluation.statistics import detectable_change
 from smoother.evaluation.validate import validate
-from smoother.measures import Movement
 from smoother.measures.definitions import zone_key
 from smoother.result import Draws
 from smoother.runtime.printable import plain
@@ -33,8 +31,7 @@ FLEXION = "elbow_flexion_range_deg"
 
 
 def pair(recording: str, value: float, reference: float, **more: object) -> MeasurePair:
-    about = {"side": "right", "scope": "session", "movement": None}
-    about |= {"key": FLEXION, "name": "elbow", "unit": "deg"}
+    about = {"side": "right", "key": FLEXION, "name": "elbow", "unit": "deg"}
     numbers = {"low": value - 4, "high": value + 4, "recovered_share": 0.1}
     return MeasurePair(recording=recording, value=value, reference=reference, **(about | numbers | more))
 
@@ -80,15 +77,6 @@ class TestOneRecording:
         assert found.measures is None and found.to_dict()["measures"] is None
 
 
-def test_movements_are_the_same_where_they_share_most_of_their_time():
-    def movements(*times: tuple[float, float]) -> list[Movement]:
-        return [Movement(start, end, "movement") for start, end in times]
-
-    ours = movements((0, 2), (3, 4), (5, 9), (12, 13))
-    others = movements((0.2, 2.1), (5, 6.5), (7, 9), (12.0, 13.0))
-    assert same_movements(ours, others) == [(0, 0), (3, 3)]
-
-
 class TestManyRecordings:
     @pytest.fixture
     def comparison(self) -> MeasureComparison:
@@ -98,7 +86,7 @@ class TestManyRecordings:
         return MeasureComparison(tuple(pairs[8:]), tuple(pairs[:8]))
 
     def test_agreement_over_all_of_them(self, comparison: MeasureComparison):
-        found = comparison.agreements["session"][FLEXION]
+        found = comparison.agreements[FLEXION]
         differences = np.array([one.difference for one in comparison.together])
         assert (found["pairs"], found["recordings"], found["intervals"]) == (12, 12, 12)
         assert found["bias"] == pytest.approx(differences.mean())
@@ -110,7 +98,7 @@ class TestManyRecordings:
         file = tmp_path / "v.json"
         file.write_text(json.dumps(plain({"measures": comparison.to_dict()})))
         assert unique_pairs([*read_pairs(file), *comparison.together]) == comparison.together
-        found = comparison.agreements["session"][FLEXION]
+        found = comparison.agreements[FLEXION]
         assert read_detectable(file) == {FLEXION: pytest.approx(found["mdc95"])}
 
     def test_the_arm_with_the_most_pairs_states_the_detectable_change(self, tmp_path: Path):
