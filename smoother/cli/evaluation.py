@@ -137,8 +137,7 @@ def print_validation(validation: Validation, verbose: bool = False) -> None:
             say(f"lag of the answer behind the truth: {1000 * lag_s:+.1f} ms (peak of cross-correlation)")
     if (comparison := validation.measures) is not None:
         chosen = None if verbose else first_of([pair.key for pair in comparison.pairs], FEW_MEASURES)
-        if verbose or not comparison.pooled:
-            show(pair_table(validation.alignment.titled("Measures of the session"), comparison, chosen))
+        show(pair_table(validation.alignment.titled("Measures of the session"), comparison, chosen))
         title = "Agreement of the measures (answer minus truth) over recordings"
         show(agreement_table(validation.alignment.titled(title), comparison, chosen))
     print_notes(validation.notes if verbose else validation.notes[:FEW_NOTES])
