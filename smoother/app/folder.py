@@ -17,7 +17,6 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-import queue
 import re
 import secrets
 import shutil
@@ -27,6 +26,7 @@ import sys
 import threading
 import time
 import unicodedata
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -321,7 +321,7 @@ class JobDesk:
 
     def __init__(self, folder: AppFolder) -> None:
         self._lock = threading.Lock()
-        self._queue: queue.SimpleQueue[Path | None] = queue.SimpleQueue()
+        self._worker = ThreadPoolExecutor(1, "jobs")
         self._running: Path | None = None
         self._cancelled: set[Path] = set()
         self._closing = threading.Event()
@@ -331,8 +331,6 @@ class JobDesk:
             if state_of(job)["state"] in OPEN:
                 with suppress(OSError, UnoccludeError):
                     write_json(job / "job.json", read_json(job / "job.json") | {"state": "stopped"})
-        self._thread = threading.Thread(target=self._work, name="jobs", daemon=True)
-        self._thread.start()
 
     def add(self, place: Path, kind: str, steps: list[dict[str, Any]], stamp: str = "") -> int:
         """Put a job at the end of the queue; its number."""
@@ -348,7 +346,7 @@ class JobDesk:
             except BaseException:
                 shutil.rmtree(job, ignore_errors=True)
                 raise
-            self._queue.put(job)
+            self._worker.submit(self._do, job)
         return number
 
     def cancel(self, place: Path) -> None:
@@ -360,11 +358,10 @@ class JobDesk:
             elif job is not None and state_of(job)["state"] == "waiting":
                 write_json(job / "job.json", read_json(job / "job.json") | {"state": "cancelled"})
 
-    def close(self, patience_s: float = 15.0) -> None:
+    def close(self) -> None:
         """Stop what runs, and what waits."""
         self._closing.set()
-        self._queue.put(None)
-        self._thread.join(patience_s)
+        self._worker.shutdown(cancel_futures=True)
 
     def _note(self, job: Path, **changes: Any) -> None:
         """Change what is kept of a job; while the disk is full, it is tried again."""
@@ -375,19 +372,18 @@ class JobDesk:
             if self._closing.wait(_LOOK_S):
                 return
 
-    def _work(self) -> None:
-        while (job := self._queue.get()) is not None and not self._closing.is_set():
-            with self._lock:
-                if state_of(job)["state"] != "waiting":
-                    continue
-                self._running = job
-            self._note(job, state="running")
-            try:
-                state, sentence = self._run(job)
-            except OSError as error:
-                state, sentence = "failed", f"{error.strerror or error}; make room and run again."
-            self._note(job, state=state, sentence=sentence)
-            self._running = None
+    def _do(self, job: Path) -> None:
+        with self._lock:
+            if state_of(job)["state"] != "waiting":
+                return
+            self._running = job
+        self._note(job, state="running")
+        try:
+            state, sentence = self._run(job)
+        except OSError as error:
+            state, sentence = "failed", f"{error.strerror or error}; make room and run again."
+        self._note(job, state=state, sentence=sentence)
+        self._running = None
 
     def _run(self, job: Path) -> tuple[str, str]:
         """Do a job; its end, and why it failed."""
