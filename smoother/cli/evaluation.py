@@ -127,7 +127,6 @@ def print_validation(validation: Validation, verbose: bool = False) -> None:
     from ..evaluation.words import first_of
 
     show(validation.errors)
-    show(validation.joint_errors)
     angles = validation.angle_errors
     show(angles if verbose else replace(angles, rows=[row for row in angles.rows if row[1] != "visible"]))
     if verbose:

@@ -133,28 +133,21 @@ class Validation:
 
     @property
     def errors(self) -> Table:
-        """The errors of the sensor by part, with what was stated of them."""
+        """The errors of the sensor and of the joints by part, with what was stated of the sensor's."""
+        sensor = {part: getattr(self, part) for part in PARTS}
         rows = [
-            {"part": part, "stated_m": self.stated_m[part], **vars(getattr(self, part))} for part in PARTS
+            {"point": point, "part": part, "stated_m": self.stated_m[part] if point == SENSOR else None}
+            | vars(figures)
+            for point, parts in ({SENSOR: sensor} | self.points).items()
+            for part, figures in parts.items()
+            if figures.samples or figures.orientation_rms_deg is not None
         ]
         title = "Error against the truth, with the measured and the stated 95 % bound"
         columns = {"95 % within, cm": "position_p95_m", "stated, cm": "stated_m", "rms, cm": "position_rms_m"}
         columns |= {"max, cm": "position_max_m", "rms, deg": "orientation_rms_deg"}
         columns |= {"95 %, deg": "orientation_p95_deg", "max, deg": "orientation_max_deg"}
         columns |= {"NEES": "nees", "inside 95 %": "coverage_95", "samples": "samples"}
-        return tabulated(self.alignment.titled(title), rows, {"part": "part", **columns})
-
-    @property
-    def joint_errors(self) -> Table:
-        """The errors of the joints by part."""
-        rows = [
-            {"joint": name, **vars(parts["all"])}
-            | {f"{part}_m": parts[part].position_rms_m for part in PARTS}
-            for name, parts in self.points.items()
-        ]
-        columns = {"joint": "joint", **{part: f"{part}_m" for part in PARTS}}
-        columns |= {"95 %": "position_p95_m", "max": "position_max_m", "NEES": "nees"}
-        return tabulated(self.alignment.titled("Joints, position rms, cm"), rows, columns)
+        return tabulated(self.alignment.titled(title), rows, {"of": "point", "part": "part", **columns})
 
     @property
     def angle_errors(self) -> Table:

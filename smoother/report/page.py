@@ -173,10 +173,10 @@ class _ArmReport:
     def _against_reference(self, found: Validation) -> Iterator[PageSection]:
         titled = found.alignment.titled
         of_sensor = found.all.position_rms_m is not None or found.all.orientation_rms_deg is not None
-        own = [found.errors] if of_sensor or not found.joint_errors.rows else []
-        heading, said = "Errors against the reference", "" if own else "The reference has joints only."
-        yield PageSection(titled(heading), caption(heading), tables=own, below=said, sentences=found.notes)
-        yield rendered(found.joint_errors)
+        heading, said = "Errors against the reference", "" if of_sensor else "The reference has joints only."
+        yield PageSection(
+            titled(heading), caption(heading), tables=[found.errors], below=said, sentences=found.notes
+        )
         for heading, table in (
             ("Measures against the reference", pair_table),
             ("How well the measures agree", agreement_table),
