@@ -124,11 +124,12 @@ def validate(
 def print_validation(validation: Validation, verbose: bool = False) -> None:
     """Print the figures of a validation: what matters in 40 lines, or all of them."""
     from ..evaluation.measure_agreement import agreement_table, pair_table
+    from ..evaluation.validate import SENSOR
     from ..evaluation.words import first_of
 
-    show(validation.errors)
-    angles = validation.angle_errors
-    show(angles if verbose else replace(angles, rows=[row for row in angles.rows if row[1] != "visible"]))
+    for table in (validation.errors, validation.angle_errors):
+        few = [row for row in table.rows if row[1] != "visible" or row[0] == SENSOR]
+        show(table if verbose else replace(table, rows=few))
     if verbose:
         if (bias := validation.all.position_bias_m) is not None:
             say(f"bias of the position, x y z of the camera, cm: {' '.join(f'{100 * x:+.2f}' for x in bias)}")
