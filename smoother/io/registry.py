@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from functools import cache
 from pathlib import Path
@@ -47,6 +48,10 @@ def recognise(head: FileHead, kinds: tuple[str, ...] = ()) -> Format | None:
     return next((each for each in ordered if each.recognises(head)), None)
 
 
+#: A list of numbers in a cell.
+_LIST = re.compile(r"[\[(]\s*-?[\d.]+\s*,\s*-?[\d.]+\s*,\s*-?[\d.]+\s*[\])]")
+
+
 def unknown_file(head: FileHead) -> RecordingError:
     """The sentence about a file that no format recognises."""
     from .tables.video import is_video
@@ -64,6 +69,8 @@ def unknown_file(head: FileHead) -> RecordingError:
     why = f" (none of its columns {shown(', '.join(names), 120)} is recognised)" if names else ""
     if missing := missing_axes(names):
         why = f" (it has {missing_axes_words(missing)})"
+    if _LIST.search(head.text) and head.text[0] not in "{[":
+        why = " (several numbers in a cell; give each a column: wrist_right_x, wrist_right_y, ..)"
     return RecordingError(
         f"{head.path} has an unknown format{why}; it begins with: {first_rows(head)}. Known are"
         f" {keys()} (`unocclude import formats`); for any other table `unocclude import describe {head.path}`"

@@ -33,8 +33,8 @@ class TableKeys(BaseModel):
     model_config = ConfigDict(extra="forbid")
     separator: str | None = None  # ",", ";", a tab or a blank (any number of them)
     skip_rows: int | None = Field(None, ge=0)  # Lines above the header, or above the rows where there is none
-    # "s", "ms", "us", "ns", "ticks of 100 ns", "iso" (dates), "counter" (samples, with `rate_hz`)
-    time_unit: Literal["s", "ms", "us", "ns", "ticks of 100 ns", "iso", "counter"] = "s"
+    # "s", "ms", "us", "ns", "ticks of 100 ns", "days", "iso" (dates), "counter" (samples, with `rate_hz`)
+    time_unit: Literal["s", "ms", "us", "ns", "ticks of 100 ns", "days", "iso", "counter"] = "s"
     rate_hz: float | None = Field(None, gt=0)  # Of a table without times, or of a counter
 
 

@@ -23,15 +23,27 @@ from .joints import (
 )
 from .skeletons import unit_by_arm
 from .table import DeviceTable, shown
-from .units import ACCELERATION, SECONDS, SENSOR_RATES, gravity_unit, in_seconds, split_unit, time_unit
+from .units import (
+    ACCELERATION,
+    SECONDS,
+    SENSOR_RATES,
+    TIME,
+    gravity_unit,
+    in_seconds,
+    plain_unit,
+    split_unit,
+    time_unit,
+)
 
 #: How a reason begins that is made up.
 UNKNOWN = "NOT KNOWN"
+#: What an accelerometer reads beyond this are counts.
+_COUNTS = 1500.0
 _NO_SENSOR = (
     "No three columns look like an accelerometer's or a gyroscope's (linear acceleration is without gravity,"
     " and is not read)."
 )
-_NO_GYRO_UNIT = "The gyroscope's unit is guessed by its size alone: check it in the device's manual."
+NO_GYRO_UNIT = "The gyroscope's unit is guessed by its size alone: check it in the device's manual."
 
 
 @dataclass
@@ -48,7 +60,8 @@ class Guess:
     def settled(self) -> bool:
         """Whether times and units of an IMU are known."""
         made_up = any(reason.startswith(UNKNOWN) for reason in self.reasons.values())
-        return bool({"ax", "gx"} & self.columns.keys()) and "t" in self.columns and not made_up
+        timed = "t" in self.columns or "rate_hz" in self.keys
+        return bool({"ax", "gx"} & self.columns.keys()) and timed and not made_up
 
     def set(self, key: str, value: object, reason: str, unsure: str = "") -> None:
         """Set a key, with its reason."""
@@ -92,15 +105,15 @@ def _named(table: DeviceTable, column: int) -> str | int:
     return name if name and table.names.count(name) == 1 else column + 1
 
 
-def guess_sensor(table: DeviceTable, usual_gyro: str = "") -> Guess:
-    """Guess at an inertial sensor's table; `usual_gyro` counts where the gyroscope states no unit."""
+def guess_sensor(table: DeviceTable, usual_gyro: str = "", sensor: dict[str, Columns] | None = None) -> Guess:
+    """Guess at a table's (first) sensor; `usual_gyro` counts where the gyroscope states no unit."""
     guess = Guess("imu")
-    axes = _sensor_axes(table, guess)
+    axes = sensor or _sensor_axes(table, guess)
     if not axes:
         return Guess(unsure=[_NO_SENSOR])
     for kind, columns in axes.items():
         guess.columns |= {kind[0] + axis: _named(table, at) for axis, at in zip("xyz", columns, strict=True)}
-    t_s, rate = _guess_times(table, guess, {at for columns in axes.values() for at in columns})
+    t_s, rate = _guess_times(table, guess, axes)
     force = None
     if "acc" in axes:
         values = table.vectors(axes["acc"])
@@ -109,17 +122,19 @@ def guess_sensor(table: DeviceTable, usual_gyro: str = "") -> Guess:
             guess.set("accelerometer_unit", unit, why)
             force = values * ACCELERATION[unit]
         else:
-            size = f"{usual_size(values):.3g}"
+            size = usual_size(values)
+            counts = " (counts of a converter? export calibrated values)" if size > _COUNTS else ""
             said = (
                 "The acceleration is without gravity, or its unit is not known: record the raw accelerometer,"
-                f" which reads 9.81 m/s^2 or 1 g at rest, and not {size}."
+                f" which reads 9.81 m/s^2 or 1 g at rest, and not {size:.3g}{counts}."
             )
-            guess.set("accelerometer_unit", unit or "m/s^2", f"{UNKNOWN}: it reads {size} as a rule", said)
+            made_up = f"{UNKNOWN}: it reads {size:.3g} as a rule"
+            guess.set("accelerometer_unit", unit or "m/s^2", made_up, said)
     if "gyro" in axes:
         values = table.vectors(axes["gyro"])
         unit, why = unit_of("gyro", values, table.units[axes["gyro"][0]], usual_gyro, force, t_s, rate)
-        size = why or f"it reads up to {np.nanpercentile(np.abs(values), 99):.3g}"
-        guess.set("gyroscope_unit", unit, size, "" if why else _NO_GYRO_UNIT)
+        how = why or f"it reads up to {np.nanpercentile(np.abs(values), 99):.3g}"
+        guess.set("gyroscope_unit", unit, how, "" if why else NO_GYRO_UNIT)
     for kind, missing in (("acc", "accelerometer"), ("gyro", "gyroscope")):
         if kind not in axes:
             guess.unsure.append(
@@ -250,15 +265,27 @@ _COUNTER = re.compile(
 )
 
 
-def _guess_times(table: DeviceTable, guess: Guess, used: set[int]) -> tuple[FloatArray | None, float | None]:
+def _guess_times(
+    table: DeviceTable, guess: Guess, axes: dict[str, Columns]
+) -> tuple[FloatArray | None, float | None]:
     """Set the column of times or counts and its unit; the times in s, or the rate."""
     plain = [label.replace("_", " ") for label in table.labels] or [""] * table.width
+    used = {at for columns in axes.values() for at in columns}
     free = [column for column in range(table.width) if column not in used]
     best = time_column(table)
-    by_word = (at for at in free if _TIME_WORD.search(plain[at]))
+    by_word = (at for at in free if _TIME_WORD.search(plain[at]) or plain_unit(table.units[at]) in TIME)
     timed = [at for at in dict.fromkeys((best, *by_word)) if at is not None and at in free]
     counted = [at for at in free if _COUNTER.search(plain[at])]
-    units = ((at, *_time_unit(table, at, 0.3 if table.labels else 0.95)) for at in timed)
+    own = [at - 1 for kind, columns in axes.items() if kind != "mag" for at in columns]
+    if {*own} <= {*timed}:  # each channel behind times of its own (Delsys)
+        timed = own[:1]
+        first = table.numbers(own[0])
+        if not all(np.array_equal(first, table.numbers(at), equal_nan=True) for at in own):
+            guess.unsure.append("Its channels have different times; export each sensor at one rate.")
+            return None, None
+    rises = 0.3 if table.labels else 0.95
+    # packets of many samples have one stamp
+    units = ((at, *_time_unit(table, at, 0.001 if at == best else rises)) for at in timed)
     found = next(((at, unit, why) for at, unit, why in units if unit), None)
     if found is None:
         others = [at for at in free if at not in (*timed, *counted)]
@@ -274,23 +301,25 @@ def _guess_times(table: DeviceTable, guess: Guess, used: set[int]) -> tuple[Floa
         if table.is_numeric(at) and np.median(np.diff(table.numbers(at))) >= 1:
             guess.set_time(table, at, "counter", "a counter, and no column of times")
             break
-    lines = (line for line in table.preamble if re.search(r"rate|freq|hz", line, re.IGNORECASE))
-    rates = (float(number[1]) for line in lines if (number := re.search(r"(\d+(?:\.\d+)?)", line)))
-    if rate := next((each for each in rates if SENSOR_RATES[0] <= each <= SENSOR_RATES[1]), None):
+    rate = table.above_rate_hz()
+    if rate and SENSOR_RATES[0] <= rate <= SENSOR_RATES[1]:
         guess.set("rate_hz", rate, "stated above the table")
         return None, rate
-    if best is not None:
-        guess.unsure.append(
+    said = (
+        f"There is no column of times among {shown(', '.join(table.names), 150)}, and no stated rate: rate_hz"
+        " is a guess, write the rate that the sensor was set to."
+    )
+    if best is not None and table.labels and table.is_numeric(best):
+        said = (
             f"The times in {table.name(best)} are not for certain s, ms, us, ns or ticks of 100 ns of a"
             " sensor at 3 to 2,500 Hz; call the column time_s, time_ms, time_us, time_ns or time_ticks."
         )
-    guess.set(
-        "rate_hz",
-        100.0,
-        f"{UNKNOWN}: the file has no times and states no rate",
-        f"There is no column of times among {shown(', '.join(table.names), 150)}, and no stated rate: rate_hz"
-        " is a guess, write the rate that the sensor was set to.",
-    )
+    elif best is not None and table.labels:
+        said = (
+            f"The times in {table.name(best)} ('{shown(table.texts(best)[0], 40)}') are neither numbers nor"
+            " dates that are read; write them in s, or as 2026-01-31 10:11:12.5."
+        )
+    guess.set("rate_hz", 100.0, f"{UNKNOWN}: the file has no times and states no rate", said)
     return None, None
 
 
@@ -304,7 +333,7 @@ def _time_unit(table: DeviceTable, column: int, least: float) -> tuple[str, str]
         return "iso", "dates"
     step = np.diff(values[np.isfinite(values)])
     step = step[step > 0]
-    if not len(step) or len(step) < least * (len(values) - 1):
+    if not len(step) or len(step) < least * (np.isfinite(values).sum() - 1):
         return "", ""
     stated = stated_time_unit(table, column)
     unit = time_unit(stated, values) or ""

@@ -18,7 +18,7 @@ from ...runtime.store import batches, by_rows, sampled
 from ...units import STANDARD_GRAVITY
 from .joints import words_of
 from .table import shown
-from .units import ACCELERATION, ANGULAR_VELOCITY, gravity_unit, plain_unit, unit_of_rest
+from .units import ACCELERATION, ANGULAR_VELOCITY, TIME, gravity_unit, plain_unit, unit_of_rest
 
 Columns = tuple[int, int, int]
 #: Columns of x, y, z of `acc`, `gyro`, `mag` by what their labels call the sensor ("" where they do not).
@@ -79,8 +79,10 @@ _DERIVED = _words(
 )
 _NOISE = _words(
     "velocity rate field x y z channel ch cal calibrated raw wr ln data stream lsl ms s deg rad g imu sensor",
-    "total value values",
+    "total value values low noise wide range",
 )
+#: Of a Shimmer's two accelerometers the low-noise one, and names of raw ones in ROS and in Physics Toolbox.
+_LOW_NOISE, _RAW_ALL_THE_SAME = {"ln", "noise"}, re.compile(r"linear_acceleration|^gF(?=[xyz]$)")
 
 
 def kind_of(words: Sequence[str]) -> str:
@@ -106,10 +108,10 @@ def find_sensors(
     """Sensors among the channels of a stream, or the columns of a table."""
     groups: dict[str, dict[str, dict[str, int]]] = {}
     of_stream, count = kind_of(words_of(stream)), len(labels)
-    # of a Shimmer's two accelerometers the low-noise one (LN) clips at 2 g
-    for at, words in sorted(enumerate(map(words_of, labels)), key=lambda each: "ln" in each[1]):
+    # the low-noise one of two clips at 2 g
+    for at, words in sorted(enumerate(map(words_of, labels)), key=lambda each: bool(_LOW_NOISE & {*each[1]})):
         type_words = words_of(types[at]) if types else []
-        if {*words, *type_words} & _DERIVED:
+        if {*words, *type_words} & _DERIVED or (units and plain_unit(units[at]) in TIME):
             continue
         letters, by_unit = _of_letters(words), kind_of_unit(units[at]) if units else ""
         kind = kind_of(words) or letters or kind_of(type_words) or by_unit
@@ -132,6 +134,16 @@ def find_sensors(
                 axes[kind] = (by_axis[signs[0]], by_axis[signs[1]], by_axis[signs[2]])
         if axes.keys() & {"acc", "gyro"}:
             found[name] = axes
+    for name in [name for name, axes in found.items() if "acc" not in axes]:
+        # of a sensor's two vectors one may have more words (Noraxon)
+        near = [
+            k for k, axes in found.items() if k and "gyro" not in axes and {*k.split()} <= {*name.split()}
+        ]
+        if len(near) == 1:
+            found[near[0]] |= found.pop(name)
+    respelled = [_RAW_ALL_THE_SAME.sub("acc_", label) for label in labels]
+    if respelled != list(labels) and not any("acc" in axes for axes in found.values()):
+        return find_sensors(respelled, types, stream, units)  # whether it holds gravity is looked at later
     return found
 
 

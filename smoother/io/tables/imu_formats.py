@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from os.path import commonprefix
 from pathlib import Path
@@ -14,7 +14,7 @@ import numpy as np
 from ...array_types import FloatArray, IntArray
 from ...errors import RecordingError
 from .columns import ImuKeys, imu_by_columns
-from .guess import Guess, bare_vector, guess_sensor, sensors_named, sensors_of
+from .guess import NO_GYRO_UNIT, Guess, bare_vector, guess_sensor, sensors_named, sensors_of
 from .imu import UNUSED, Columns, ImuTable, unit_of, usual_size
 from .joints import seconds, time_column
 from .table import DeviceTable, FileHead, Format, plain_label, read_table, shown
@@ -241,7 +241,7 @@ def _shimmer_notes(table: DeviceTable, name: str) -> list[str]:
     return ["Its accelerometer is the low-noise one, which clips at 2 g; record the wide-range one."] * low
 
 
-_APDM = re.compile(r".+/(acceleration|angular velocity|magnetic field|orientation)/(x|y|z|scalar)")
+_APDM = re.compile(r".+/((acceleration|angular velocity|magnetic field)/[xyz]|orientation/scalar)")
 
 
 def _is_ximu(table: DeviceTable) -> bool:
@@ -265,8 +265,11 @@ def _is_nilspod(table: DeviceTable) -> bool:
 
 # ---------------------------------------------------------------------------- SensorLog (iPhone, Apple Watch)
 
-_RAW, _USER, _GRAVITY = "accelerometeracceleration{}", "motionuseracceleration{}", "motiongravity{}"
-_GYRO, _RATE = "gyrorotation{}", "motionrotationrate{}"
+#: Names of SensorLog, then of Core Motion as other apps write them (`acceleration` may be the user's alone).
+_RAW: tuple[str, ...] = ("accelerometeracceleration{}", "acceleration.{}", "acceleration{}")
+_USER: tuple[str, ...] = ("motionuseracceleration{}", "useracceleration.{}", "useracceleration{}", *_RAW[1:])
+_GRAVITY: tuple[str, ...] = ("motiongravity{}", "gravity.{}", "gravity{}")
+_GYRO, _RATE = ("gyrorotation{}",), ("motionrotationrate{}", "rotationrate.{}", "rotationrate{}")
 #: Vectors that make an IMU, the preferred ones first: of the raw sensors, of Core Motion, of both.
 _LOGGED = (((_RAW,), _GYRO), ((_USER, _GRAVITY), _RATE), ((_RAW,), _RATE), ((_USER, _GRAVITY), _GYRO))
 _LOGGED_TIMES = ("loggingtime", "timestamp", "time", "locationtimestamp_since1970")
@@ -281,32 +284,35 @@ def _read_sensorlog(table: DeviceTable, device: Device) -> list[ImuTable]:
     there = {
         stem: columns
         for stem in (_RAW, _USER, _GRAVITY, _GYRO, _RATE)
-        if (columns := table.axes(stem)) is not None
+        if (columns := table.axes(*stem)) is not None
         and any(text.lower() not in ("", "null", "nan") for text in table.texts(columns[0]))
     }  # sensors that were off leave theirs empty or null
-    forces, turning = next((each for each in _LOGGED if there.keys() >= {*each[0], each[1]}), ((), ""))
+    forces, turning = next((each for each in _LOGGED if there.keys() >= {*each[0], each[1]}), ((), ()))
     if not forces:
         raise RecordingError(
             f"{table.path} is a {device.title} without both accelerometer and gyroscope; log 'Accelerometer'"
             " and 'Gyroscope', or 'Device Motion' with user acceleration and gravity."
         )
+    written = np.sum([table.vectors(there[stem]) for stem in forces], axis=0)
+    unit = unit_of("acc", written, table.units[there[forces[0]][0]])[0] or "g"
+    # Sensor Logger's 'Standardise Units & Frames' writes Android's units and signs
+    is_turned = unit == "m/s^2" and table.find("seconds_elapsed") is not None
     notes = ["iOS writes gravity, which points down; the signs were turned to specific force."]
+    notes = [] if is_turned else notes
     if len(forces) > 1:
         notes.append("Acceleration is the sum of user acceleration and gravity of Core Motion.")
     if turning == _RATE:
         notes.append("Angular velocity is Core Motion's, which removes an estimate of the bias.")
-    parts = [_in_si(table, "acc", there[stem], "g") for stem in forces]
     gyro, gyro_unit = _in_si(table, "gyro", there[turning], "rad/s")
     stamp = f"{'motion' if len(forces) > 1 else 'accelerometer'}timestamp_sincereboot"
-    times = (seconds(table, table.find(label)) for label in (stamp, *_LOGGED_TIMES))
-    t_s = next((each for each in times if each is not None), None)
+    columns = (*(table.find(label) for label in (stamp, *_LOGGED_TIMES)), time_column(table))
+    t_s = next((each for at in columns if (each := seconds(table, at)) is not None), None)
     if t_s is None:
         raise RecordingError(
             f"{table.path} has no times; log them too (loggingTime, timestamp since reboot)."
         )
-    acc = -np.sum([values for values, _ in parts], axis=0)
-    units = f"{parts[0][1]}, {gyro_unit}"
-    return [ImuTable("", t_s, acc, gyro, units=units, notes=[*table.notes, *notes])]
+    acc = written * (ACCELERATION[unit] if is_turned else -ACCELERATION[unit])
+    return [ImuTable("", t_s, acc, gyro, units=f"{unit}, {gyro_unit}", notes=[*table.notes, *notes])]
 
 
 # ----------------------------------------------------------------- tables whose columns identify themselves
@@ -314,6 +320,12 @@ def _read_sensorlog(table: DeviceTable, device: Device) -> list[ImuTable]:
 #: Columns of a table without header that are looked at: six are MetaBase's, some exporters write more.
 _WIDEST = 20
 _EPOCH_CELL, _TIME_CELL = re.compile(r"1\d{12}(\.\d*)?"), re.compile(r"\d{4}-\d\d-\d\dT.*")
+#: Columns that name the device of a row, without signs, and devices of a recording at most.
+_DEVICE = (
+    *("device", "devicename", "deviceid", "imu", "imuid", "sensorid", "sensorname", "sensor", "node", "mac"),
+    *("macaddress", "address"),
+)
+_MOST_DEVICES = 30
 _KIND = ("sensor", "sensor_type", "sensortype", "sensorname", "sensor_name", "type", "name", "sensor id")
 #: Of the app Sensor Logger, whose columns are time, seconds_elapsed, z, y, x on both systems.
 _SENSOR_LOGGER = (
@@ -362,18 +374,35 @@ def _names_sensors(table: DeviceTable) -> bool:
 
 
 def _guess(table: DeviceTable, usual_gyro: str = "") -> Guess:
-    return guess_sensor(table, usual_gyro) if table.labels or table.width == 4 else Guess()
+    if not table.labels and table.width not in (4, 7):
+        return Guess()
+    guess = guess_sensor(table, usual_gyro)
+    # without names both sensors are known by their motion alone
+    unnamed = not table.labels and table.width == 7
+    known = {"ax", "gx"} <= guess.columns.keys() and NO_GYRO_UNIT not in guess.unsure
+    return Guess() if unnamed and not known else guess
 
 
 def _read_named(table: DeviceTable, device: Device) -> list[ImuTable]:
     """One sensor, or the half of one; `import describe` prints the same guess to be edited."""
-    if not table.names and table.width >= 6:  # MetaMotion's
+    if not table.names and _is_metamotion(table):
         table.labels = ("epoch", "", "", "x", "y", "z", *[""] * (table.width - 6))
     kinds = table.find(*_KIND)
     bare = bare_vector(table) if not sensors_named(table) else None
     if kinds is not None and bare is not None and (halves := _by_sensor(table, kinds, bare)):
         return halves
-    guess = _guess(table, device.gyro_unit)
+    whole = {name: axes for name, axes in sensors_of(table).items() if {"acc", "gyro"} <= axes.keys()}
+    if len(whole) < 2 or "" in whole:
+        return _by_device(table, _of_guess(table, device, _guess(table, device.gyro_unit), bare is not None))
+    guesses = {name: guess_sensor(table, device.gyro_unit, axes) for name, axes in whole.items()}
+    known = {name: guess for name, guess in guesses.items() if guess.settled} or guesses
+    return [
+        replace(_of_guess(table, device, guess), name=name.replace(" ", "_")) for name, guess in known.items()
+    ]
+
+
+def _of_guess(table: DeviceTable, device: Device, guess: Guess, is_bare: bool = False) -> ImuTable:
+    """The sensor, or half of one, of a guess that leaves nothing open."""
     if not guess.settled:
         raise RecordingError(
             f"{table.path} is a {device.title}, of which something is not known:"
@@ -382,7 +411,7 @@ def _read_named(table: DeviceTable, device: Device) -> list[ImuTable]:
         )
     keys = ImuKeys.model_validate({**guess.keys, "file": table.path.name})
     imu = imu_by_columns(table, guess.columns, keys)
-    imu.assumed = bare is not None and imu.acc is None
+    imu.assumed, imu.notes = is_bare and imu.acc is None, list(table.notes)
     said = [f"{name} = {column}" for name, column in guess.columns.items()]
     units = [f"{value} ({guess.reasons.get(key, '')})" for key, value in guess.keys.items() if value != "iso"]
     imu.notes.insert(0, f"Its columns were taken as {', '.join(said)}; units: {', '.join(units) or 'none'}.")
@@ -393,7 +422,18 @@ def _read_named(table: DeviceTable, device: Device) -> list[ImuTable]:
         imu.notes.append(f"{UNUSED} columns {shown(', '.join(unused), 120)}.")
     lacking = len({"ax", "gx"} - guess.columns.keys())  # the last sentences say so
     imu.notes += guess.unsure[: len(guess.unsure) - lacking]
-    return [imu]
+    return imu
+
+
+def _by_device(table: DeviceTable, imu: ImuTable) -> list[ImuTable]:
+    """The sensors of a table whose rows name the device that they are of."""
+    plain = [re.sub(r"[^a-z]", "", label) for label in table.labels]
+    at = next((plain.index(word) for word in _DEVICE if word in plain), None)
+    cells = [] if at is None else table.texts(at)
+    if not 1 < len(set(cells)) <= _MOST_DEVICES:
+        return [imu]
+    own = {name: np.array([cell == name for cell in cells]) for name in dict.fromkeys(cells)}
+    return [replace(imu.select(rows), name=name, notes=list(imu.notes)) for name, rows in own.items()]
 
 
 def _by_sensor(table: DeviceTable, kinds: int, columns: Columns) -> list[ImuTable]:
@@ -520,7 +560,7 @@ IMU_FORMATS = tuple(
             "sensorlog",
             "SensorLog CSV (iPhone, Apple Watch)",
             "columns such as accelerometerAccelerationX(G), gyroRotationX(rad/s), motionRotationRateX(rad/s)",
-            lambda table: any(table.axes(stem) is not None for stem in (_RAW, _USER, _GYRO, _RATE)),
+            lambda table: any(table.axes(*stem) is not None for stem in (_RAW[:1], _USER[:1], _GYRO, _RATE)),
             read=_read_sensorlog,
         ),
         Device(

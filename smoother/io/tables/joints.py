@@ -57,10 +57,22 @@ COCO_17 = _listed(
     "nose left_eye right_eye left_ear right_ear left_shoulder right_shoulder left_elbow right_elbow"
     " left_wrist right_wrist left_hip right_hip left_knee right_knee left_ankle right_ankle"
 )
+#: Joints of a ZED's BODY_34 and the first of BODY_38 (its BODY_18 is OpenPose's).
+ZED_34 = _listed(
+    "PELVIS NAVAL_SPINE CHEST_SPINE NECK LEFT_CLAVICLE LEFT_SHOULDER LEFT_ELBOW LEFT_WRIST LEFT_HAND"
+    " LEFT_HANDTIP LEFT_THUMB RIGHT_CLAVICLE RIGHT_SHOULDER RIGHT_ELBOW RIGHT_WRIST RIGHT_HAND RIGHT_HANDTIP"
+    " RIGHT_THUMB LEFT_HIP LEFT_KNEE LEFT_ANKLE LEFT_FOOT RIGHT_HIP RIGHT_KNEE RIGHT_ANKLE RIGHT_FOOT HEAD"
+    " NOSE LEFT_EYE LEFT_EAR RIGHT_EYE RIGHT_EAR LEFT_HEEL RIGHT_HEEL"
+)
+ZED_38 = _listed(
+    "PELVIS SPINE_1 SPINE_2 SPINE_3 NECK NOSE LEFT_EYE RIGHT_EYE LEFT_EAR RIGHT_EAR LEFT_CLAVICLE"
+    " RIGHT_CLAVICLE LEFT_SHOULDER RIGHT_SHOULDER LEFT_ELBOW RIGHT_ELBOW LEFT_WRIST RIGHT_WRIST LEFT_HIP"
+    " RIGHT_HIP LEFT_KNEE RIGHT_KNEE LEFT_ANKLE RIGHT_ANKLE"
+)
 #: Sets of points by how many there are; FreeMoCap's 553 (or 543) begin with BlazePose's.
 POINT_SETS = {
     17: COCO_17, 18: OPENPOSE_18, 25: BODY_25, 26: COCO_17, 32: AZURE, 33: BLAZEPOSE, 133: COCO_17,
-    75: BLAZEPOSE, 543: BLAZEPOSE, 553: BLAZEPOSE,
+    75: BLAZEPOSE, 543: BLAZEPOSE, 553: BLAZEPOSE, 34: ZED_34, 38: ZED_38,
 }  # fmt: skip
 
 
@@ -94,6 +106,8 @@ _TRANSLATED = _meanings(
     foot="fuss pied pie",
     knee="knie genou rodilla",
 )
+#: Chinese and Japanese words of sensors' tables.
+_SIGNS = {"加速度": "acc", "角速度": "gyro", "角度": "angle", "磁场": "mag", "时间": "time", "時間": "time"}
 _CENTRE_WORDS = {"center", "centre", "jc", "cj", "jcs", "cor"}
 #: Short names of joint centres (Visual3D, OpenSim; Vicon's Plug-in Gait calls origins of its segments so).
 _CENTRES = _meanings(shoulder="sjc shjc gh gjc ghjc clo", elbow="ejc huo", wrist="wjc rao")
@@ -137,8 +151,10 @@ class JointName:
 
 def words_of(name: str) -> list[str]:
     """Words of a name in small letters without accents: parted by signs and capitals (`JOINT_WristLeft`)."""
-    text = name.rsplit(":", 1)[-1]
+    text = name.rstrip(": ").rsplit(":", 1)[-1]
     if not text.isascii():
+        for sign, word in _SIGNS.items():
+            text = text.replace(sign, f" {word} ")
         parts = unicodedata.normalize("NFKD", text.replace("ß", "ss"))
         text = "".join(each for each in parts if not unicodedata.combining(each))
     return [word.lower() for word in _WORD.findall(text)]

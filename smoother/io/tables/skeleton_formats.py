@@ -47,7 +47,17 @@ from .skeletons import (
     gathered,
     unit_by_arm,
 )
-from .table import DeviceTable, FileHead, Format, begins, decode, read_bytes, read_table
+from .table import (
+    DeviceTable,
+    FileHead,
+    Format,
+    begins,
+    decode,
+    read_bytes,
+    read_table,
+    seconds_of_dates,
+    shown,
+)
 from .units import CAMERA_RATES, time_unit
 
 
@@ -63,9 +73,15 @@ def state_numbers(table: DeviceTable, column: int) -> FloatArray:
     return np.array([code[cell] for cell in cells])
 
 
+#: Numbers of bodies from here on are no exact floats: a Kinect v2's begin at 2^56.
+_EXACT = 2**53
+
+
 def body_numbers(table: DeviceTable, column: int) -> FloatArray:
     """A column of the bodies' numbers; names are numbered in their order, no body (-1, 2^32 - 1) is nan."""
     cells = table.texts(column)
+    if any(cell.isdigit() and int(cell) >= _EXACT for cell in cells[:50]):
+        return np.array([float(int(cell) % 2**32) if cell.isdigit() else np.nan for cell in cells])
     if any(character.isalpha() for cell in cells[:50] for character in cell if cell.lower() != "nan"):
         order = {cell: float(number) for number, cell in enumerate(dict.fromkeys(cells)) if cell}
         return np.array([order.get(cell, np.nan) for cell in cells])
@@ -101,6 +117,7 @@ def _read_wide(path: Path, conventions: Conventions | None) -> list[SkeletonTabl
             raw.frame, raw.time = raw.time, None
     elif columns.frame is not None:
         raw.frame = table.numbers(columns.frame)
+    raw.rate_hz = table.above_rate_hz()
     if columns.body is not None:
         raw.body = body_numbers(table, columns.body)
     if conventions is None:
@@ -419,6 +436,8 @@ def _first_number(value: Any, names: Iterable[str], default: float = NAN) -> flo
     return next((_number(there[name]) for name in names if name in there), default)
 
 
+_PLACES = ("position", "pos", "xyz", "location", "point", "real")
+_NAMES = ("name", "type", "joint", "JointType", "jointType", "joint_type", "joint_name")
 _SHARES = "visibility confidence confidence_level state trackingstate tracking_state score".split()  # noqa: SIM905
 
 
@@ -426,8 +445,9 @@ def _point_of(value: Any) -> Point:
     """A point as a list or a mapping; nan for what is missing."""
     if isinstance(value, Mapping):
         small = {str(key).lower(): entry for key, entry in value.items()}
-        inner = next((small[k] for k in ("position", "pos", "xyz", "location", "point") if k in small), None)
-        x, y, z = (_number(small.get(axis)) for axis in "xyz") if inner is None else _point_of(inner)[:3]
+        inner = next((small[k] for k in _PLACES if k in small), None)
+        axes = (small.get(axis, small.get(f"camera{axis}")) for axis in "xyz")
+        x, y, z = map(_number, axes) if inner is None else _point_of(inner)[:3]
         return x, y, z, _first_number(small, _SHARES)
     if isinstance(value, Sequence) and not isinstance(value, str) and len(value) >= 3:
         x, y, z, *rest = map(_number, value[:4])
@@ -444,7 +464,7 @@ def _points_by_name(value: Any, order: Sequence[str] | None = None) -> dict[str,
     if isinstance(value[0], int | float):  # x, y, z, c one after the other
         width = next((w for w in (4, 3) if len(value) % w == 0 and len(value) // w in POINT_SETS), 0)
         value = [value[at : at + width] for at in range(0, len(value), width)] if width else []
-    own = [str(p["name"]) for p in value if isinstance(p, Mapping) and isinstance(p.get("name"), str)]
+    own = [name for p in value if isinstance(p, Mapping) and isinstance(name := _first(p, _NAMES), str)]
     names = own if len(own) == len(value) else order or POINT_SETS.get(len(value), [])
     return {name: _point_of(point) for name, point in zip(names, value, strict=False)}
 
@@ -459,58 +479,86 @@ def _raw(path: Path, rows: list[_Row]) -> RawSkeleton:
     for frame, *_ in rows:
         names = [str(key) for key in frame] if isinstance(frame, Mapping) else []
         at = column_named(names, TIME_WORDS)
-        times.append(NAN if at is None else _number(frame[names[at]]))
+        times.append(None if at is None else frame[names[at]])
         raw.time_unit = raw.time_unit or ("" if at is None else time_unit_of(names[at]))
-    raw.time = np.array(times)
+    raw.time = np.array([_number(time) for time in times])
+    if not np.isfinite(raw.time).any():
+        raw.time, raw.time_unit = seconds_of_dates([str(time or "") for time in times]), "s"
+    if not np.isfinite(raw.time).any():
+        _take_rising(raw, [frame for frame, *_ in rows])
     raw.frame, raw.body = np.array([row[1:3] for row in rows], dtype=float).reshape(-1, 2).T
     for name in dict.fromkeys(name for row in rows for name in row[3]):
         raw.add(name, np.array([row[3].get(name, NOTHING) for row in rows], dtype=float))
     return raw
 
 
+def _take_rising(raw: RawSkeleton, frames: list[Any]) -> None:
+    """Take the number of every frame that rises as times do, where no key says that it is the time."""
+    if len(frames) < 3 or not all(isinstance(frame, Mapping) for frame in frames):
+        return
+    for name in frames[0]:
+        times = np.array([_number(frame.get(name)) for frame in frames])
+        step = np.diff(times)
+        if (step > 0).all() and (step != 1).any() and (unit := time_unit("", times, CAMERA_RATES)):
+            raw.time, raw.time_unit = times, unit
+            raw.notes.append(f"The key {shown(name, 40)} was taken for the time, in {unit}: it rises evenly.")
+            return
+
+
 # ------------------------------------------------------------------------------- body tracking of a Kinect
 
-_POSITIONS = ("joint_positions", "jointPositions", "joints", "positions", "skeleton")
-_BODY = ("body_id", "bodyId", "id", "body_idx", "tracking_id", "trackingId")
-_CONFIDENCES = ("confidence_levels", "joint_confidences", "joint_confidence", "confidences", "confidence")
+_POSITIONS = ("joint_positions", "jointPositions", "joints", "Joints", "positions", "skeleton", "keypoint")
+_BODY = ("body_id", "bodyId", "id", "body_idx", "tracking_id", "trackingId", "TrackingId", "user_id")
+_BODIES = ("bodies", "Bodies", "skeletons", "Skeletons", "body_list")
+_PERCENT = "keypoint_confidence"  # of a ZED
+_CONFIDENCES = (
+    *(_PERCENT, "confidence_levels", "joint_confidences", "joint_confidence", "confidences", "confidence"),
+)
 _KINECT_EXPECTED = "JSON of body tracking (frames with bodies and joint_positions)"
 
 
 def _is_kinect_json(head: FileHead) -> bool:
     """Whether the fields' names are in the first 64 kB."""
-    text = head.text.lstrip()
-    own = '"joint_positions"' in text or ('"bodies"' in text and '"timestamp' in text)
-    return text.startswith(("{", "[")) and (own or "k4abt" in text.lower())
+    text = head.text.lstrip().lower()
+    own = '"joint_positions"' in text or ('"bodies"' in text and ('"timestamp' in text or '"joints"' in text))
+    others = '"body_list"' in text or ('"skeletons"' in text and '"real"' in text)  # ZED, Nuitrack
+    return text.startswith(("{", "[")) and (own or others or "k4abt" in text)
 
 
 def _read_kinect_json(path: Path) -> list[SkeletonTable]:
     """`frames`, each with `timestamp_usec` and `bodies`, each with `body_id` and `joint_positions` in mm."""
     value = _read_json(path, _KINECT_EXPECTED)
-    about = value if isinstance(value, Mapping) else {"frames": value}
-    frames, names = about.get("frames"), about.get("joint_names")
-    if not isinstance(frames, list) or not frames:
+    names = value.get("joint_names") if isinstance(value, Mapping) else None
+    frames = [frame for _, frame in _frames_of(value)]
+    if not any(isinstance(frame, Mapping) and _first(frame, _BODIES) for frame in frames):
         raise RecordingError(
             f"{path} should be {_KINECT_EXPECTED}, and has no list of frames; export it again."
         )
-    order = [str(name) for name in names] if isinstance(names, list) and names else list(AZURE)
+    order = [str(name) for name in names] if isinstance(names, list) and names else None
     rows: list[_Row] = []
-    for count, frame in enumerate(frames):
+    count = 0
+    for at, frame in enumerate(frames):
         if not isinstance(frame, Mapping):
             continue
-        bodies = frame.get("bodies", frame.get("skeletons", []))
+        bodies = _first(frame, _BODIES)
         there = [body for body in bodies if isinstance(body, Mapping)] if isinstance(bodies, list) else []
-        of_frame = _first_number(frame, ("frame_id", "frame_number"), count)
+        of_frame = _first_number(frame, ("frame_id", "frame_number"), at)
         for body in there:
-            of_body = _first_number(body, _BODY, 0.0)
-            points = _points_by_name(next((body[name] for name in _POSITIONS if name in body), []), order)
-            levels = next((body[name] for name in _CONFIDENCES if isinstance(body.get(name), list)), None)
-            if levels is not None:
-                pairs = zip(points.items(), levels, strict=False)
-                points = {name: (*point[:3], _number(level)) for (name, point), level in pairs}
+            number = next((body[name] for name in _BODY if name in body), 0)
+            of_body = _number(number % 2**32 if isinstance(number, int) and number >= _EXACT else number)
+            value = next((body[name] for name in _POSITIONS if name in body), [])
+            count = len(value)
+            points = _points_by_name(value, order or (KINECT_V2 if count == len(KINECT_V2) else None))
+            key = next((name for name in _CONFIDENCES if isinstance(body.get(name), list)), None)
+            if key is not None:
+                part = 0.01 if key == _PERCENT else 1.0
+                pairs = zip(points.items(), body[key], strict=False)
+                points = {name: (*point[:3], part * _number(level)) for (name, point), level in pairs}
             rows.append((frame, of_frame, of_body if 0 <= of_body < 2**32 - 1 else NAN, points))
         if not there:
             rows.append((frame, of_frame, NAN, {}))
-    return _raw(path, rows).skeletons(AZURE_AXES)
+    usual = {len(AZURE): AZURE_AXES, len(KINECT_V2): KINECT_AXES}
+    return _raw(path, rows).skeletons(AZURE_AXES if order else usual.get(count, Conventions()))
 
 
 KINECT_JSON = Format(

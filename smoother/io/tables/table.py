@@ -41,6 +41,8 @@ SHOWN_CHARACTERS = 200
 SEPARATORS = (";", "\t", "|", ",", " ")
 #: This many lines at the beginning settle the layout.
 LAYOUT_LINES = 400
+#: How a line above a table states a rate.
+_RATE_LINES = (r"(\d+(?:\.\d+)?)\W*hz\b", r"(?:rate|freq|fps)\D*(\d+(?:\.\d+)?)", r"^(\d+(?:\.\d+)?)\W*$")
 #: Cells without a value, in lower case; Windows and spreadsheets have spellings of their own.
 _MISSING = r"^([-+]?(nan(\(.*\))?|inf(inity)?|1\.?#(ind|qnan|snan|inf).*)|#?n/?a|none|null|missing|-+|\*+)?$"
 #: More columns are no table of a sensor or a skeleton's; a longer line, characters, is no row of one.
@@ -192,7 +194,14 @@ class DeviceTable:
         import pyarrow as pa
         from pyarrow import csv as arrow_csv
 
-        rows, self._line_numbers, notes = _even_rows(list(self.lines), self)
+        lines = list(self.lines)
+        if (end := _second_table(lines, self)) is not None:
+            self.notes.append(
+                f"A second table begins in line {end + 1} ('{shown(lines[end], 40)}') and was not read; save"
+                " it in a file of its own to use it."
+            )
+            lines = [*lines[: end - 1], ""]
+        rows, self._line_numbers, notes = _even_rows(lines, self)
         self.notes += notes
         self.lines = ()
         if not rows:
@@ -237,6 +246,12 @@ class DeviceTable:
         """The number that the preamble states of a subject; None where it states none above zero."""
         number = re.match(r"\d+(?:[.,]\d+)?", self.stated(*subjects))
         return (float(number.group().replace(",", ".")) or None) if number else None
+
+    def above_rate_hz(self) -> float | None:
+        """The rate that a line above the table states, by its word or as a number alone (Vicon); or None."""
+        lines = [line.strip().lower() for line in self.preamble]
+        found = (re.search(form, line) for form, line in product(_RATE_LINES, lines))
+        return next((float(number[1]) or None for number in found if number), None)
 
     def name(self, column: int) -> str:
         """Name of a column for messages."""
@@ -395,6 +410,22 @@ _QUOTED = re.compile(r'"[^"]*"')
 _FEWEST, _FEWEST_STRICT, _ROWS_BEFORE = 3, 20, 50
 
 
+def _second_table(lines: list[str], table: DeviceTable) -> int | None:
+    """Index of the line at which another table begins, behind a blank line (Vicon); None where none does."""
+    header, at = lines[table.header] if table.header >= 0 else "", table.first_row
+    with suppress(ValueError):  # there is no blank line any more
+        for _ in range(_BLANK_LINES):
+            at = lines.index("", at) + 1
+            begin = [line for line in lines[at : at + _GROUP_ROWS] if line.strip()]
+            if not begin or begin[0] == header:
+                continue
+            counts = [_count(split_line(line, table.separator)) for line in begin]
+            names = next((words for numbers, words in counts if numbers + words > 2), 0)
+            if counts[0][0] == 0 and names > 2:
+                return at
+    return None
+
+
 def _even_rows(lines: list[str], table: DeviceTable) -> tuple[list[str], Sequence[int], list[str]]:
     """Rows with equally many cells, the lines they stand in, and what was done."""
     first, width, mark = table.first_row, table.width, table.separator
@@ -482,9 +513,12 @@ def split_line(line: str, separator: str) -> list[str]:
 
 _DATA = re.compile(
     r"[+-]?(\d+(\.\d*|,\d+)?|[.,]\d+)(e[+-]?\d+)?|[+-]?nan|[+-]?inf(inity)?|null"
-    r"|\d{4}[-/.]\d\d?[-/.]\d\d?\b.*|\d\d?[-/.]\d\d?[-/.]\d{4}\b.*|\d\d?:\d\d(:\d\d([.,:_]\d+)?)?",
+    r"|\d{4}[-/.]\d\d?[-/.]\d\d?\b.*|\d\d?[-/.]\d\d?[-/.]\d{4}\b.*|\d\d?:\d\d([.,]\d+|:\d\d([.,:_]\d+)?)?",
     re.IGNORECASE,
 )
+#: Rows above the names that name groups of columns, at most; so many names repeat then; this many blank
+#: lines are looked behind.
+_GROUP_ROWS, _REPEATED, _BLANK_LINES = 6, 3, 20
 #: This many lines may be between the names and the rows; cells of them that state no unit.
 _BELOW_NAMES, _NO_UNIT = 3, ("", "-", "--", "n/a", "none", "no_units", "nounits", "unitless")
 _SEP_LINE = re.compile(r'"?sep=.{0,3}"?', re.IGNORECASE)
@@ -525,6 +559,7 @@ def layout_of(
         written[0] = re.sub(r"^(#+|%+|//+)\s*", "", written[0])
         if separator == " " and not written[0]:  # "# t ax ay": the mark stood alone
             written = written[1:]
+        written = _told_apart(written, [rows[at] for at in _block_above(rows, header)])
     data_width = len(_stripped(rows[first], len(written)))
     width = max(len(written), min(width, data_width) if written else width)
     names = tuple(written + [""] * (width - len(written))) if written else ()
@@ -557,7 +592,8 @@ def _separator(sample: list[str]) -> str | None:
         width = widths.most_common(1)[0][0]
         shares = [data / max(data + text, 1) for data, text in (_count(r) for r in rows if len(r) == width)]
         score = sum(shares) / len(rows)
-        if score > best_score + 1e-9:
+        # blanks within a cell, as between a date and a time, part none
+        if score > best_score + (0.1 if separator == " " and best is not None else 1e-9):
             best, best_score = separator, score
     return best
 
@@ -605,11 +641,45 @@ def _header(rows: dict[int, list[str]], above: list[tuple[int, list[str]]], widt
         if _is_units_line(cells):
             is_blank = units >= 0 and all(cell.lower() in _NO_UNIT for cell in rows[units])
             units = at if units < 0 or is_blank else units
-        elif not (at in headers[:-1] and len(filled) >= 4 and 2 * len(set(filled)) <= len(filled)):
+        elif not (at in headers[:-1] and _says_nothing(filled, rows[headers[headers.index(at) + 1]])):
             return (at if at in headers else -1), units
     if units >= 0 or not above:
         return -1, units
     return (above[0][0] if _is_header(above[0][1], width) else -1), -1
+
+
+def _says_nothing(cells: list[str], above: list[str]) -> bool:
+    """Whether a line below the names repeats a word or two, or stands below names that all differ."""
+    different = len(set(cells))
+    below = different < 3 or len(set(filter(None, above))) > 0.8 * len(cells)
+    return len(cells) >= 4 and 2 * different <= len(cells) and below
+
+
+def _block_above(rows: dict[int, list[str]], header: int) -> list[int]:
+    """Indices of the lines directly above the header, from the top."""
+    first = next(at for at in range(header, -2, -1) if at - 1 not in rows)
+    return list(range(max(first, header - _GROUP_ROWS), header))
+
+
+def _told_apart(names: list[str], above: list[list[str]]) -> list[str]:
+    """Names that repeat (X, Y, Z) with what the rows above say of them: a marker, a sensor."""
+    count, first = Counter(filter(None, names)), names
+    if sum(count.values()) - len(count) < _REPEATED:
+        return names
+    for cells in above:
+        numbers, words = _count(cells)
+        if words < 2 or numbers > words or len(cells) < len(names) / 2:
+            continue
+        groups: list[str] = []
+        for cell in cells:
+            groups.append(cell or (groups[-1] if groups else ""))
+        groups += groups[-1:] * (len(names) - len(groups))
+        joined = [
+            name if count[once] == 1 else f"{group} {name}"
+            for group, name, once in zip(groups, names, first, strict=False)
+        ]
+        names = joined if len(set(joined)) > len(set(names)) else names
+    return names
 
 
 def _is_units_line(cells: list[str]) -> bool:
@@ -645,7 +715,10 @@ def seconds_of_dates(cells: Sequence[str]) -> FloatArray:  # -> (n,) s
     import pyarrow as pa
     import pyarrow.compute as pc
 
-    found = pc.extract_regex(pa.array(cells, pa.string()), _DATE)
+    # spreadsheets show times of day as 12:34.5, without the hour
+    texts = pa.array(cells, pa.string())
+    whole = pc.replace_substring_regex(texts, r"^\s*(\d\d?:\d\d[.,]\d+)\s*$", r"0:\1")
+    found = pc.extract_regex(whole, _DATE)
 
     def text(name: str) -> Any:
         return pc.fill_null(pc.struct_field(found, name), "")
@@ -656,7 +729,8 @@ def seconds_of_dates(cells: Sequence[str]) -> FloatArray:  # -> (n,) s
     def has(name: str, *what: str) -> BoolArray:
         return np.asarray(pc.is_in(text(name), pa.array(what)))
 
-    is_american = has("mark", "/")  # 01/31/2026, and 31.01.2026 elsewhere
+    # 01/31/2026, unless some first number is no month; 31.01.2026 elsewhere
+    is_american = has("mark", "/") & ~(number("a") > 12).any()
     month = number("m") + np.where(is_american, number("a"), number("b"))
     day = number("d") + np.where(is_american, number("b"), number("a"))
     hour = np.where(
@@ -672,9 +746,9 @@ def seconds_of_dates(cells: Sequence[str]) -> FloatArray:  # -> (n,) s
     seconds += np.where(is_dated, date.astype(np.int64) * _DAY_S - zone, 0.0)
     seconds += number("part") / 10.0 ** np.asarray(pc.utf8_length(text("part")))
     seconds[~(is_time & np.where(is_dated, is_date, has("colon", ":") & ~has("second", "")))] = np.nan
-    if np.nanmax(seconds, initial=0.0) < 2 * _DAY_S:  # times of day: midnight passes
-        steps = np.diff(seconds, prepend=seconds[:1])
-        seconds = seconds + _DAY_S * np.cumsum(np.nan_to_num(steps) < -_DAY_S / 2)
+    if np.nanmax(seconds, initial=0.0) < 2 * _DAY_S:  # times of day: midnight passes, or an hour
+        steps, wrap_s = np.diff(seconds, prepend=seconds[:1]), _DAY_S if whole.equals(texts) else 3600.0
+        seconds = seconds + wrap_s * np.cumsum(np.nan_to_num(steps) < -wrap_s / 2)
     return seconds
 
 

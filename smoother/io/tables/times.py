@@ -53,6 +53,9 @@ def repaired_imu(table: ImuTable, source: str) -> ImuTable:
     table = _kept(table, np.maximum.accumulate(sends), "Rows of zeros at the start")
     finite = np.logical_and.reduce([np.isfinite(values).all(axis=1) for values in vectors()])
     table = _kept(table, finite, "Samples that are not numbers")
+    if table.t_s is not None and (lacks := ~np.isfinite(table.t_s)).sum() > _LOST * len(table):
+        table.t_s = table.t_s[np.maximum.accumulate(np.where(lacks, 0, np.arange(len(lacks))))]
+        table.notes.append(f"Samples without a stamp, taken with the stamp before them: {int(lacks.sum())}.")
     table = _kept(table, _timed(table), "Samples without a time")
     if len(table) < 2:
         raise RecordingError(

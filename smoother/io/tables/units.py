@@ -32,7 +32,7 @@ ANGULAR_VELOCITY = _factors(
     ),
     milli=(math.pi / 180_000, "mdps mdeg/s"),
 )
-TICKS = "ticks of 100 ns"
+TICKS, DAYS = "ticks of 100 ns", "days"
 #: Words for units of time, by the unit in sentences.
 _TIME_WORDS = {
     "s": "s sec secs second seconds",
@@ -40,11 +40,12 @@ _TIME_WORDS = {
     "us": "us usec usecs micro micros microsecond microseconds",
     "ns": "ns nsec nsecs nano nanos nanosecond nanoseconds",
     TICKS: "100ns ticks ticksof100ns",
+    DAYS: "days datenum",
 }
 #: Unit of time by the words that files use for it.
 TIME = {word: unit for unit, words in _TIME_WORDS.items() for word in words.split()}
 #: s in one unit, by the unit in sentences, in the order in which they are tried.
-SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, TICKS: 1e-7}
+SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, TICKS: 1e-7, DAYS: 86_400.0}
 #: Metres in a unit, by the names that files use.
 METRES = _factors(
     m=(1.0, "m meter meters metre metres"),
@@ -65,7 +66,7 @@ _BRACKETED = re.compile(r"\s*[\(\[]([^()\[\]]*(?:\([^()]*\))?[^()\[\]]*)[\)\]]\s
 #: Units that are spelled behind a name: acc_x_mps2, gyro_x_dps, time_ms.
 _SPELLED = re.compile(
     r"(.*[xyz])_(mps2|ms2|m_s2|ms-2|g|mg|dps|rads|rad_s|radps|deg_s|degs)"
-    r"|(timestamp|(?:\w+_)?time(?:_in)?|t|elapsed|epoch|unix)_(s|ms|us|ns|100ns|ticks)",
+    r"|(timestamp|(?:\w+_)?time(?:_in)?|t|elapsed|epoch|unix)_(s|ms|us|ns|100ns|ticks|days)",
     re.IGNORECASE,
 )
 #: What is in brackets behind a name and belongs to it: dv[1], Acc (x).
@@ -100,8 +101,9 @@ SENSOR_RATES = (3.0, 2500.0)
 CAMERA_RATES = (4.0, 260.0)
 #: The years 1990 and 2100 since 1970, s.
 DATED_S = (631_152_000.0, 4_102_444_800.0)
-#: 1970 as ticks count it, s: since the year 1 (.NET), since 1601 (FILETIME).
-_TICKS_SINCE_S = (62_135_596_800.0, 11_644_473_600.0)
+#: 1970 as ticks count it, s: since the year 1 (.NET), since 1601 (FILETIME); as days: since 1899-12-30
+#: (spreadsheets), since the year 0 (MATLAB).
+_SINCE_S = {TICKS: (62_135_596_800.0, 11_644_473_600.0), DAYS: (2_209_161_600.0, 62_167_305_600.0)}
 #: Where two units fit and no date decides, the first is believed at such rates of a sensor, of a camera, Hz.
 _USUAL, _USUAL_CAMERA = (20.0, 1250.0), (7.0, 130.0)
 
@@ -109,10 +111,12 @@ _USUAL, _USUAL_CAMERA = (20.0, 1250.0), (7.0, 130.0)
 def time_unit(stated: str, times: FloatArray, rates_hz: tuple[float, float] = SENSOR_RATES) -> str | None:
     """Unit in which times (n,) give a rate within bounds, the stated one first; None if it is not clear."""
     dt = np.diff(times[np.isfinite(times)])
-    dt = dt[dt > 0]
-    if not len(dt):
+    rises = dt[dt > 0]
+    if not len(rises):
         return None
-    step, at = float(np.minimum(dt, 20 * np.median(dt)).mean()), float(np.nanmedian(times))
+    # samples of a packet that share its stamp count; rows of a skeleton may be joints of one frame
+    dt = rises if rates_hz == CAMERA_RATES else dt[dt >= 0]
+    step, at = float(np.minimum(dt, 20 * np.median(rises)).mean()), float(np.nanmedian(times))
     rates = {unit: 1 / (step * seconds) for unit, seconds in SECONDS.items()}
     fitting = [
         unit
@@ -132,7 +136,7 @@ def time_unit(stated: str, times: FloatArray, rates_hz: tuple[float, float] = SE
 def _epoch(at: float, unit: str) -> float | None:
     """Where times count from, s before 1970, if they are dates of 1990 to 2100 then; None where not."""
     # Ticks since 1970 are rare, and look like the ns that a phone counts since it was started.
-    starts = _TICKS_SINCE_S if unit == TICKS else (0.0,)
+    starts = _SINCE_S.get(unit, (0.0,))
     fitting = (start for start in starts if DATED_S[0] <= at * SECONDS[unit] - start <= DATED_S[1])
     return next(fitting, None)
 

@@ -43,9 +43,17 @@ def shimmer(*forms: str) -> str:
     return ",".join(["S_Timestamp_RAW", *(f"S_{form.format(axis)}" for form in forms for axis in "XYZ")])
 
 
+#: Of ROS: names of axes behind a prefix, of the raw acceleration too; a device's name; others' columns.
+ROS, LINEAR = (
+    "{0}x,{0}y,{0}z",
+    "{0}linear_acceleration{1}x,{0}linear_acceleration{1}y,{0}linear_acceleration{1}z",
+)
+NAMED, ONE, EVERY = np.array(["WT901"] * COUNT), TWO[:, 0], np.ones((COUNT, 3)) / 2
+WATCH = [*xyz("gravity", "{}{}"), *xyz("acceleration", "{}{}")]
 DOT = ",".join([*xyz("Gyr"), "SampleTimeFine", *xyz("Acc")])
 DATES = np.array([f"1970-01-01 00:00:{4 + k * 0.01:09.6f}" for k in range(COUNT)])
 WHEN = np.array([f"2026-03-12 09:30:{t:09.6f}" for t in TIME])
+WHEN_S = (1_773_307_800 + TIME, 1)
 #: Of each layout key and header, its columns; what they are read as; what is said.
 PLAIN = [
     ("nilspod", f"t,{G3},{A3},baro,analog_0", [TIME, DEG, ACC, TWO], {"gyro": (1, D), "acc": (2, 1)}, ""),
@@ -113,6 +121,75 @@ PLAIN = [
         *("android", f"time,seconds_elapsed,gyro_z,gyro_y,gyro_x,mag_x,mag_y,mag_z,{A3}"),
         *([NANOS, TIME, GYRO[:, ::-1], 30 + ACC, ACC], NS | {"acc": (4, 1), "mag": (3, 1)}, ""),
     ),
+    # Physics Toolbox, ROS (rostopic echo, PlotJuggler), WitMotion, Movesense, an AX6 without header
+    (
+        "android",
+        "time,gFx,gFy,gFz,wx,wy,wz,TgF",
+        [TIME, ACC / G, GYRO, ONE],
+        {"acc": (1, G), "gyro": (2, 1)},
+        "",
+    ),
+    (
+        *(
+            "android",
+            f"%time,field.header.seq,{ROS.format('field.angular_velocity.')},{LINEAR.format('field.', '.')}",
+        ),
+        *([NANOS, np.arange(COUNT), GYRO, ACC], NS | {"gyro": (2, 1), "acc": (3, 1)}, ""),
+    ),
+    (
+        "android",
+        ",".join(
+            [
+                "__time",
+                ROS.format("/a/angular_velocity/"),
+                LINEAR.format("/a/", "/"),
+                ROS.format("/a/orientation/"),
+            ]
+        ),
+        *([TIME, GYRO, ACC, EVERY], {"gyro": (1, 1), "acc": (2, 1)}, ""),
+    ),
+    *(
+        ("android", header, [WHEN, NAMED, ACC / G, DEG], {"acc": (2, G), "gyro": (3, D), "t_s": WHEN_S}, "")
+        for header in (
+            "time\tDeviceName\tAccX(g)\tAccY(g)\tAccZ(g)\tAsX(°/s)\tAsY(°/s)\tAsZ(°/s)",
+            "时间\t设备名称\t加速度X(g)\t加速度Y(g)\t加速度Z(g)\t角速度X(°/s)\t角速度Y(°/s)\t角速度Z(°/s)",
+        )
+    ),
+    ("android", "Timestamp (ms),X: (dps),Y: (dps),Z: (dps)", [1000 * TIME, DEG], MS | {"gyro": (1, D)}, ""),
+    (
+        "imu-table",
+        "",
+        [WHEN, ACC / G, DEG],
+        {"acc": (1, G), "gyro": (2, D), "t_s": WHEN_S},
+        "names no columns",
+    ),
+    # Core Motion by apps of one's own, Sensor Logger's on a watch, and that in Android's units
+    (
+        *(
+            "sensorlog",
+            "t,acceleration.x,acceleration.y,acceleration.z,rotationRate.x,rotationRate.y,rotationRate.z",
+        ),
+        *([TIME, -ACC / G, GYRO], {"acc": (1, -G), "gyro": (2, 1)}, "turned to specific force"),
+    ),
+    *(
+        (
+            *("sensorlog", "time,seconds_elapsed," + ",".join(xyz("rotationRate", "{}{}") + WATCH)),
+            *([NANOS, TIME, GYRO, -ACC / one, 0 * ACC], NS | {"gyro": (2, 1), "acc": (3, -one)}, said),
+        )
+        for one, said in ((G, "turned to specific force"), (-1, "m/s^2, rad/s"))
+    ),
+    # days of a spreadsheet and of MATLAB; minutes and seconds, as a spreadsheet shows them
+    *(
+        ("android", f"Time,{A3},{G3}", [times, ACC, GYRO], {"acc": (1, 1), "gyro": (2, 1), "t_s": found}, "")
+        for times, found in (
+            (np.array([f"{43367.5 + t / 86400:.12f}" for t in TIME]), (1_537_790_400 + TIME, 1)),
+            (np.array([f"{737327.5 + t / 86400:.12f}" for t in TIME]), (1_537_790_400 + TIME, 1)),
+            (
+                np.array([f"{(59 + (58 + t) // 60) % 60:02.0f}:{(58 + t) % 60:05.2f}" for t in TIME]),
+                (3598 + TIME, 1),
+            ),
+        )
+    ),
 ]
 
 
@@ -120,7 +197,7 @@ PLAIN = [
 def test_a_plain_layout(
     tmp_path: Path, key: str, header: str, columns: list[np.ndarray], found: dict[str, tuple], said: str
 ):
-    mark = ";" if ";" in header else ","
+    mark = next((mark for mark in ";\t" if mark in header), ",")
     parts = [each.tolist() if each.dtype.kind == "U" else rows(each, separator=mark) for each in columns]
     lines = [mark.join(cells) for cells in zip(*parts, strict=True)]
     (table,) = tables(written(tmp_path, *([header] if header else []), *lines), key)
@@ -257,6 +334,70 @@ def test_sensorlog_turns_gravity_to_specific_force(tmp_path: Path, units: bool, 
     np.testing.assert_allclose(table.gyro, printed(GYRO + 0.25 * (source == "motion")), atol=1e-12)
     assert table.t_s[0] == (9 if source == "motion" else 7)
     assert "gravity, which points down" in " ".join(table.notes)
+
+
+NEXUS = (
+    "Devices",
+    "100",
+    ",,Wrist - Acc,,,Wrist - Gyro,,",
+    "Frame,Sub Frame,X,Y,Z,X,Y,Z",
+    ",,g,g,g,rad/s,rad/s,rad/s",
+)
+ROW = np.arange(COUNT)
+DELSYS = [f"{name} {axis}{end}" for name, unit in (("ACC", "(G)"), ("GYRO", "(deg/s)")) for axis in "XYZ"
+          for end in (" Time Series (s)", f" {unit}")]  # fmt: skip
+OWN = [values for three in (ACC / G, DEG) for values in three.T]
+TIMED = [each for values in OWN for each in (TIME, values)]
+BY_ROWS = ("DeviceName,time_s," + A3 + "," + G3,)
+TWICE, LEFT = np.repeat(TIME, 2), np.tile(["wrist", "belt"], COUNT)
+#: Lines above the rows and columns of tables of several sensors, or with words above the names.
+ABOVE = {
+    "nexus": (NEXUS, [ROW, 0 * ROW, ACC / G, GYRO]),
+    "delsys": (("Application:,Trigno Discover", ",".join(DELSYS), ",100.0 Hz" * 6, ",0.01 s" * 6), TIMED),
+    "two of delsys": (
+        (",".join(["wrist", *[""] * 11, "belt", *[""] * 11]), ",".join(DELSYS * 2), ",100.0 Hz" * 12),
+        [*TIMED, *(values[::-1] if values is not TIME else TIME for values in TIMED)],
+    ),
+    "noraxon": (
+        (
+            "time,"
+            + ",".join(f"{one} Accel Sensor {axis} RT (mG)" for one in ("Belt", "Wrist") for axis in "XYZ")
+            + "".join(f",Noraxon MyoMotion-Segments-{place} RT-Gyroscope-{axis} (deg/s)"
+                      for place in ("Wrist", "Belt") for axis in "xyz"),
+        ),
+        [TIME, 1000 * ACC[::-1] / G, 1000 * ACC / G, DEG, DEG[::-1]],
+    ),
+    "rows by device": (BY_ROWS, [LEFT, TWICE, np.repeat(ACC / G, 2, axis=0), np.repeat(DEG, 2, axis=0)]),
+    "a rate in words": (("Made By GT9X firmware v1.7 at 100 Hz", "-----", f"{A3},{G3}"), [ACC / G, DEG]),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("case", ABOVE)
+def test_tables_of_several_sensors_and_words_above_the_names(tmp_path: Path, case: str):
+    above, columns = ABOVE[case]
+    parts = [each.tolist() if each.dtype.kind == "U" else rows(each) for each in columns]
+    path = written(tmp_path, *above, *(",".join(cells) for cells in zip(*parts, strict=True)))
+    file = None
+    if case in ("two of delsys", "noraxon", "rows by device"):
+        with pytest.raises(RecordingError, match=r"2 sensors.*choose one for forearm_right.*#(wrist|belt)"):
+            import_files([], [ImuFiles((path,), "forearm_right")])
+        name = "wrist_rt" if case == "noraxon" else "wrist"
+        file, _ = import_files([], [ImuFiles((path,), "forearm_right", name)])
+    (imu,) = (file or import_files([], [ImuFiles((path,), "forearm_right")])[0]).imus
+    np.testing.assert_allclose(imu.acc, ACC, atol=1e-4)
+    np.testing.assert_allclose(imu.gyro, GYRO, atol=1e-4)
+    np.testing.assert_allclose((imu.stamp_ns - imu.stamp_ns[0]) / 1e9, TIME, atol=1e-6)
+
+
+def test_channels_at_different_rates_and_a_second_table(tmp_path: Path):
+    columns = [*TIMED[:6], *(np.where(each is TIME, 2, 1) * each for each in TIMED[6:])]
+    with pytest.raises(RecordingError, match="channels have different times; export each sensor at one rate"):
+        tables(written(tmp_path, ",".join(DELSYS), *rows(*columns)), "imu-table")
+    path = written(
+        tmp_path, *NEXUS, *rows(ROW, 0 * ROW, ACC / G, GYRO), "", *NEXUS[:-1], *rows(ROW, ROW, DEG, DEG)
+    )
+    (imu,) = tables(path, "imu-table")
+    assert len(imu) == COUNT and f"second table begins in line {COUNT + 7} ('Devices')" in " ".join(imu.notes)
 
 
 def test_android_log_with_names_of_sensors(tmp_path: Path):
