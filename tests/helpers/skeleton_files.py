@@ -23,6 +23,7 @@ _PARTS = {
     "pinky": (0.27, 0.8, -0.1), "index": (0.24, 0.79, -0.11),
 }  # fmt: skip
 _ALIAS = {
+    "navalspine": "navel", "chestspine": "chest",
     "spine_naval": "navel", "spinenavel": "navel", "spinechest": "chest", "spinebase": "pelvis",
     "spinemid": "navel", "spineshoulder": "neck", "midhip": "pelvis", "bigtoe": "foot", "smalltoe": "foot",
     "footindex": "foot", "eyeinner": "eye", "eyeouter": "eye",

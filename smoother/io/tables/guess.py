@@ -331,9 +331,16 @@ def _time_unit(table: DeviceTable, column: int, least: float) -> tuple[str, str]
         return "", ""
     if dates:
         return "iso", "dates"
-    step = np.diff(values[np.isfinite(values)])
+    there = np.flatnonzero(np.isfinite(values))
+    # a packet's stamp may stand at its first sample alone
+    values = (
+        values[there[np.searchsorted(there, np.arange(*there[[0, -1]] + [0, 1]), "right") - 1]]
+        if len(there)
+        else there
+    )
+    step = np.diff(values)
     step = step[step > 0]
-    if not len(step) or len(step) < least * (np.isfinite(values).sum() - 1):
+    if not len(step) or len(step) < least * (len(values) - 1):
         return "", ""
     stated = stated_time_unit(table, column)
     unit = time_unit(stated, values) or ""

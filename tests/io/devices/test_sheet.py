@@ -130,6 +130,8 @@ def test_what_is_no_table_is_one_short_sentence(tmp_path: Path, text: str):
         (["2021-08-20_20:21:13_835 GMT+8"], 1629490873.835 - 8 * 3600),
         (["20.08.2021 20:21:13,835"], 1629490873.835),
         (["8/20/2021 8:21:13.835 PM"], 1629490873.835),
+        (["20/08/2021 20:21:13.835"], 1629490873.835),
+        (["20:21.5"], 1221.5),
         (["20:21:13.835"], 73273.835),
         (["2021-08-20 20:21"], 1629490860.0),
         (["8/20/2021 8:21:13.835 pM"], 1629490873.835),
@@ -148,6 +150,9 @@ def test_dates_of_which_too_many_are_none_and_times_past_midnight():
     with pytest.raises(RecordingError, match="line 6: 'soon' in column when is not a time"):
         read("\n".join(["when,x", *(f"{date},1" for date in dates), ""])).times(0)
     assert np.allclose(seconds_of_dates(["23:59:59.5", "00:00:00.5", "00:00:01.5"]), 86399.5 + np.arange(3))
+    assert np.allclose(seconds_of_dates(["59:59.5", "00:00.5", "00:01.5"]), 3599.5 + np.arange(3))
+    first_of_month = seconds_of_dates(["03/12/2021 10:00:00", "13/12/2021 10:00:00"])
+    assert np.ptp(first_of_month) == 10 * 86_400  # one of them has no 13th month
 
 
 def test_units():

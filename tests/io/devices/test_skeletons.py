@@ -15,7 +15,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from smoother.errors import RecordingError
 from smoother.io.registry import format_named, recognise
-from smoother.io.tables.joints import AZURE, BLAZEPOSE, BODY_25, KINECT_V2, JointName, joint_name
+from smoother.io.tables.joints import AZURE, BLAZEPOSE, BODY_25, KINECT_V2, ZED_34, JointName, joint_name
 from smoother.io.tables.table import read_head
 from smoother.io.tables.times import repaired_skeleton
 from smoother.recording import CameraFrame, JointState
@@ -332,6 +332,112 @@ def test_offline_processor(tmp_path: Path) -> None:
     path.write_text(path.read_text()[:20_000])
     with pytest.raises(RecordingError, match=r"a\.json should be JSON of body tracking.*is cut off"):
         tables(path, "azure-kinect-json")
+
+
+STARTS = 1_700_000_000
+PLACES = made.parts(ZED_34, FRAMES) - [0.0, 1.0, 2.5]
+
+
+def points_of(places: np.ndarray, names: list[str], form: Callable[[str, dict[str, float]], Any]) -> Any:
+    return [
+        [form(name, dict(zip("xyz", place, strict=True))) for name, place in zip(names, frame, strict=True)]
+        for frame in places.tolist()
+    ]
+
+
+def kinect_node(name: str, place: dict[str, float]) -> dict[str, float]:
+    return {f"camera{axis.upper()}": value for axis, value in place.items()} | {
+        "trackingState": 2,
+        "colorX": 0.4,
+    }
+
+
+def kinect_net(name: str, place: dict[str, float]) -> tuple[str, dict[str, Any]]:
+    return name, {"Position": {axis.upper(): value for axis, value in place.items()}, "TrackingState": 2}
+
+
+def nuitrack(name: str, place: dict[str, float]) -> dict[str, Any]:
+    real = {axis: 1000 * value for axis, value in place.items()}
+    return {"type": f"JOINT_{name}", "confidence": 0.9, "real": real, "proj": {"x": 0.1, "y": 0.2, "z": 3}}
+
+
+#: JSON of trackers: what a frame is, of its number and its points.
+TRACKERS: dict[str, Callable[[], Any]] = {
+    "zed": lambda: {
+        str(1000 * STARTS + 40 * at): {
+            "timestamp": 1_000_000 * (1000 * STARTS + 40 * at),
+            "body_list": [{"id": 3, "keypoint": points, "keypoint_confidence": [80] * 34, "confidence": 90}],
+        }
+        for at, points in enumerate(PLACES.tolist())
+    },
+    "nuitrack": lambda: [
+        {"Timestamp": str(40_000 * at), "skeletons": [{"user_id": 3, "joints": points}]}
+        for at, points in enumerate(points_of(PLACES, ZED_34, nuitrack))
+    ],
+    "kinect of node": lambda: [
+        {"time": 0.04 * at, "bodies": [{"trackingId": 2**56 + 3, "tracked": True, "joints": points}]}
+        for at, points in enumerate(points_of(made.kinect_v2(FRAMES), KINECT_V2, kinect_node))
+    ],
+    "kinect of .NET": lambda: [
+        {"RelativeTime": f"00:00:{0.04 * at:010.7f}", "Bodies": [{"TrackingId": 3, "Joints": dict(points)}]}
+        for at, points in enumerate(points_of(made.kinect_v2(FRAMES), KINECT_V2, kinect_net))
+    ],
+}
+
+
+@pytest.mark.parametrize("tracker", TRACKERS)
+def test_json_of_other_trackers(tmp_path: Path, tracker: str) -> None:
+    table = one(tmp_path / "a.json", "azure-kinect-json", TRACKERS[tracker]())
+    assert table.body == 3 and (table.state["wrist_right"] == JointState.TRACKED).all()
+    by_name = dict(zip(KINECT_V2, np.moveaxis(made.kinect_v2(FRAMES), 1, 0), strict=True))
+    wanted = by_name["WristRight"] if "kinect" in tracker else PLACES[:, ZED_34.index("RIGHT_WRIST")]
+    assert_allclose(table.position["wrist_right"], wanted, atol=1e-9)
+    assert_allclose(np.diff(table.t_s), 0.04, atol=1e-6)
+    assert table.frame is (CameraFrame.KINECT if "kinect" in tracker else None)
+
+
+@pytest.mark.parametrize("key", ["timestamp", "captured"])
+def test_times_of_json_are_dates_or_rise(tmp_path: Path, key: str) -> None:
+    stamp: Callable[[int], Any] = lambda at: f"2026-03-12T10:00:{0.04 * at:06.3f}Z"  # noqa: E731
+    stamp = stamp if key == "timestamp" else lambda at: 500.0 + 40 * at
+    joints = {name: made.part(name, FRAMES).tolist() for name in ("RShoulder", "RElbow", "RWrist")}
+    frames = [{"frame": at, key: stamp(at), **{n: p[at] for n, p in joints.items()}} for at in range(FRAMES)]
+    table = one(tmp_path / "a.json", "pose-json", frames)
+    assert_allclose(np.diff(table.t_s), 0.04, atol=1e-6)
+    assert key == "timestamp" or any("key captured was taken for the time, in ms" in n for n in table.notes)
+
+
+MARKERS = ["RShoulder", "RElbow", "RWrist", "Head", "RHip"]
+FILLED = ",".join(name + ",," for name in MARKERS)
+THREE = ",".join("X,Y,Z" for _ in MARKERS)
+#: Lines above markers of Nexus and of Motive, and whether the time is a column.
+ABOVE = {
+    "nexus": (["Trajectories", "100", f",,{FILLED}", f"Frame,Sub Frame,{THREE}", "," + ",mm" * 15], False),
+    "motive": (
+        [
+            "Format Version,1.23,Take Name,a,Capture Frame Rate,120.0,Length Units,Meters",
+            "",
+            ",Type" + ",Marker" * 15,
+            ",Name," + ",".join(f"S:{name}" for name in MARKERS for _ in range(3)),
+            ",ID," + ",".join(f"F{at}" for at in range(5) for _ in range(3)),
+            "," + ",Position" * 15,
+            f"Frame,Time (Seconds),{THREE}",
+        ],
+        True,
+    ),
+}
+
+
+@pytest.mark.parametrize("program", ABOVE)
+def test_markers_named_above_their_axes(tmp_path: Path, program: str) -> None:
+    lines, is_timed = ABOVE[program]
+    places = made.parts(MARKERS, FRAMES)
+    for at, frame in enumerate(places.reshape(FRAMES, -1).tolist()):
+        lines = [*lines, ",".join(map(str, [at + 1, 0.01 * at if is_timed else 0, *frame]))]
+    (tmp_path / "a.csv").write_text("\n".join(lines) + "\n")
+    table = one(tmp_path / "a.csv", "joint-table")
+    assert_allclose(table.position["wrist_right"], places[:, 2], atol=1e-9)
+    assert_allclose(np.diff(repaired_skeleton(table, "a.csv").t_s), 0.01, atol=1e-9)
 
 
 def test_openpose_in_space_and_in_the_image(tmp_path: Path) -> None:

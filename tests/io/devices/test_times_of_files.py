@@ -91,6 +91,21 @@ def test_what_is_not_certain_is_refused_by_name(
     assert np.diff(read(tmp_path / "a.csv", stamps, "time_ticks").t_s).mean() < 0.02
 
 
+@pytest.mark.parametrize("many", [8, 80])
+@pytest.mark.parametrize("repeated", [True, False])
+def test_a_stamp_a_packet(tmp_path: Path, many: int, repeated: bool) -> None:
+    packet = np.arange(ROWS) // many * many
+    stamps = [str(10 * at) if repeated or at == row else "" for row, at in enumerate(packet.tolist())]
+    found = imu(tmp_path / "a.csv", stamps, "timestamp")
+    assert len(found) == ROWS
+    np.testing.assert_allclose(np.diff(found.t_s), 0.01, atol=2e-4)
+
+
+def test_words_of_times_that_are_not_read_are_shown(tmp_path: Path) -> None:
+    with pytest.raises(RecordingError, match=r"column time \('Sep 24 1'\) are neither numbers nor dates"):
+        imu(tmp_path / "a.csv", [f"Sep 24 {at + 1}" for at in range(ROWS)], "time")
+
+
 def test_a_counter_is_no_time(tmp_path: Path) -> None:
     found = skeleton(tmp_path / "a.csv", [str(at) for at in range(ROWS)], "packet_no")
     assert "packet_no counts rows" in " ".join(found.notes) and "assumed 30 frames" in " ".join(found.notes)
