@@ -48,10 +48,6 @@ def recognise(head: FileHead, kinds: tuple[str, ...] = ()) -> Format | None:
     return next((each for each in ordered if each.recognises(head)), None)
 
 
-#: A list of numbers in a cell.
-_LIST = re.compile(r"[\[(]\s*-?[\d.]+\s*,\s*-?[\d.]+\s*,\s*-?[\d.]+\s*[\])]")
-
-
 def unknown_file(head: FileHead) -> RecordingError:
     """The sentence about a file that no format recognises."""
     from .tables.video import is_video
@@ -69,7 +65,10 @@ def unknown_file(head: FileHead) -> RecordingError:
     why = f" (none of its columns {shown(', '.join(names), 120)} is recognised)" if names else ""
     if missing := missing_axes(names):
         why = f" (it has {missing_axes_words(missing)})"
-    if _LIST.search(head.text) and head.text[0] not in "{[":
+    if (
+        re.search(r"[\[(]\s*-?[\d.]+\s*,\s*-?[\d.]+\s*,\s*-?[\d.]+\s*[\])]", head.text)
+        and head.text[0] not in "{["
+    ):
         why = " (several numbers in a cell; give each a column: wrist_right_x, wrist_right_y, ..)"
     return RecordingError(
         f"{head.path} has an unknown format{why}; it begins with: {first_rows(head)}. Known are"

@@ -176,10 +176,10 @@ def even_times(t_s: FloatArray, number: IntArray | None = None) -> EvenTimes | N
     if len(t_s) < FEWEST:
         return None
     tick, is_counted = _tick(t_s, number), number is not None
-    if number is None and ((step := np.diff(t_s)) == 0).mean() > IN_PACKETS:  # one stamp a packet
-        first = np.flatnonzero(np.append(True, step != 0))
-        tick, size = _tick(t_s[first], first), np.diff(first, append=len(t_s))
-        middle = first + 0.5 * (np.median(size) - 1)
+    if number is None and ((dt := np.diff(t_s)) == 0).mean() > IN_PACKETS:  # one stamp a packet
+        starts = np.flatnonzero(np.append(True, dt != 0))
+        tick, size = _tick(t_s[starts], starts), np.diff(starts, append=len(t_s))
+        middle = starts + 0.5 * (np.median(size) - 1)
         t_s = t_s + tick * (np.arange(len(t_s)) - np.repeat(middle, size))
     if not tick > 0:
         return None

@@ -23,22 +23,10 @@ from .joints import (
 )
 from .skeletons import unit_by_arm
 from .table import DeviceTable, shown
-from .units import (
-    ACCELERATION,
-    SECONDS,
-    SENSOR_RATES,
-    TIME,
-    gravity_unit,
-    in_seconds,
-    plain_unit,
-    split_unit,
-    time_unit,
-)
+from .units import ACCELERATION, SECONDS, SENSOR_RATES, gravity_unit, in_seconds, split_unit, time_unit
 
 #: How a reason begins that is made up.
 UNKNOWN = "NOT KNOWN"
-#: What an accelerometer reads beyond this are counts.
-_COUNTS = 1500.0
 _NO_SENSOR = (
     "No three columns look like an accelerometer's or a gyroscope's (linear acceleration is without gravity,"
     " and is not read)."
@@ -122,19 +110,17 @@ def guess_sensor(table: DeviceTable, usual_gyro: str = "", sensor: dict[str, Col
             guess.set("accelerometer_unit", unit, why)
             force = values * ACCELERATION[unit]
         else:
-            size = usual_size(values)
-            counts = " (counts of a converter? export calibrated values)" if size > _COUNTS else ""
+            size = f"{usual_size(values):.3g}"
             said = (
                 "The acceleration is without gravity, or its unit is not known: record the raw accelerometer,"
-                f" which reads 9.81 m/s^2 or 1 g at rest, and not {size:.3g}{counts}."
+                f" calibrated, which reads 9.81 m/s^2 or 1 g at rest, and not {size}."
             )
-            made_up = f"{UNKNOWN}: it reads {size:.3g} as a rule"
-            guess.set("accelerometer_unit", unit or "m/s^2", made_up, said)
+            guess.set("accelerometer_unit", unit or "m/s^2", f"{UNKNOWN}: it reads {size} as a rule", said)
     if "gyro" in axes:
         values = table.vectors(axes["gyro"])
         unit, why = unit_of("gyro", values, table.units[axes["gyro"][0]], usual_gyro, force, t_s, rate)
-        how = why or f"it reads up to {np.nanpercentile(np.abs(values), 99):.3g}"
-        guess.set("gyroscope_unit", unit, how, "" if why else NO_GYRO_UNIT)
+        size = why or f"it reads up to {np.nanpercentile(np.abs(values), 99):.3g}"
+        guess.set("gyroscope_unit", unit, size, "" if why else NO_GYRO_UNIT)
     for kind, missing in (("acc", "accelerometer"), ("gyro", "gyroscope")):
         if kind not in axes:
             guess.unsure.append(
@@ -273,7 +259,7 @@ def _guess_times(
     used = {at for columns in axes.values() for at in columns}
     free = [column for column in range(table.width) if column not in used]
     best = time_column(table)
-    by_word = (at for at in free if _TIME_WORD.search(plain[at]) or plain_unit(table.units[at]) in TIME)
+    by_word = (at for at in free if _TIME_WORD.search(plain[at]) or stated_time_unit(table, at))
     timed = [at for at in dict.fromkeys((best, *by_word)) if at is not None and at in free]
     counted = [at for at in free if _COUNTER.search(plain[at])]
     own = [at - 1 for kind, columns in axes.items() if kind != "mag" for at in columns]
@@ -309,15 +295,11 @@ def _guess_times(
         f"There is no column of times among {shown(', '.join(table.names), 150)}, and no stated rate: rate_hz"
         " is a guess, write the rate that the sensor was set to."
     )
-    if best is not None and table.labels and table.is_numeric(best):
+    if best is not None and table.labels:
         said = (
-            f"The times in {table.name(best)} are not for certain s, ms, us, ns or ticks of 100 ns of a"
-            " sensor at 3 to 2,500 Hz; call the column time_s, time_ms, time_us, time_ns or time_ticks."
-        )
-    elif best is not None and table.labels:
-        said = (
-            f"The times in {table.name(best)} ('{shown(table.texts(best)[0], 40)}') are neither numbers nor"
-            " dates that are read; write them in s, or as 2026-01-31 10:11:12.5."
+            f"The times in {table.name(best)} ('{shown(table.texts(best)[0], 40)}') are not for certain s,"
+            " ms, us, ns or ticks of 100 ns of a sensor at 3 to 2,500 Hz, nor dates; call the column time_s,"
+            " time_ms, time_us, time_ns or time_ticks, or write dates as 2026-01-31 10:11:12.5."
         )
     guess.set("rate_hz", 100.0, f"{UNKNOWN}: the file has no times and states no rate", said)
     return None, None
@@ -331,13 +313,11 @@ def _time_unit(table: DeviceTable, column: int, least: float) -> tuple[str, str]
         return "", ""
     if dates:
         return "iso", "dates"
-    there = np.flatnonzero(np.isfinite(values))
+    if not (finite := np.isfinite(values)).any():
+        return "", ""
     # a packet's stamp may stand at its first sample alone
-    values = (
-        values[there[np.searchsorted(there, np.arange(*there[[0, -1]] + [0, 1]), "right") - 1]]
-        if len(there)
-        else there
-    )
+    rows = np.maximum.accumulate(np.where(finite, np.arange(len(values)), 0))
+    values = values[rows[: np.flatnonzero(finite)[-1] + 1]]
     step = np.diff(values)
     step = step[step > 0]
     if not len(step) or len(step) < least * (len(values) - 1):

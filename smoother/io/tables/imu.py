@@ -108,8 +108,9 @@ def find_sensors(
     """Sensors among the channels of a stream, or the columns of a table."""
     groups: dict[str, dict[str, dict[str, int]]] = {}
     of_stream, count = kind_of(words_of(stream)), len(labels)
-    # the low-noise one of two clips at 2 g
-    for at, words in sorted(enumerate(map(words_of, labels)), key=lambda each: bool(_LOW_NOISE & {*each[1]})):
+    # the low-noise one of two clips at 2 g; beside the total acceleration others are without gravity
+    order = [("total" not in words, bool(_LOW_NOISE & {*words})) for words in map(words_of, labels)]
+    for at, words in sorted(enumerate(map(words_of, labels)), key=lambda each: order[each[0]]):
         type_words = words_of(types[at]) if types else []
         if {*words, *type_words} & _DERIVED or (units and plain_unit(units[at]) in TIME):
             continue

@@ -36,8 +36,7 @@ class Device:
     time_unit: str = "s"
     # Finds the times (n,), s, by the sensor's name and the stated rate, where `time` does not do
     times: Callable[[DeviceTable, str, float | None], FloatArray | None] | None = None
-    name: tuple[str, ...] = ()  # Lines of the preamble that state the sensor's name and rate
-    rate: tuple[str, ...] = ()
+    name: tuple[str, ...] = ()  # Lines of the preamble that state the sensor's name
     counter: tuple[str, ...] = ()  # Labels of a packet counter, which starts anew at `counter_wraps`
     counter_wraps: int = 0
     notes: Callable[[DeviceTable, str], list[str]] | None = None  # Sentences on what was chosen
@@ -96,7 +95,7 @@ def _sensor(table: DeviceTable, device: Device, axes: dict[str, Columns]) -> Imu
 
 def _empty(table: DeviceTable, device: Device, name: str) -> ImuTable:
     """What a table states of a sensor beside its vectors."""
-    rate = table.stated_number(*device.rate)
+    rate = table.above_rate_hz()
     if device.times is not None:
         t_s = device.times(table, name, rate)
     else:
@@ -297,16 +296,16 @@ def _read_sensorlog(table: DeviceTable, device: Device) -> list[ImuTable]:
     unit = unit_of("acc", written, table.units[there[forces[0]][0]])[0] or "g"
     # Sensor Logger's 'Standardise Units & Frames' writes Android's units and signs
     is_turned = unit == "m/s^2" and table.find("seconds_elapsed") is not None
-    notes = ["iOS writes gravity, which points down; the signs were turned to specific force."]
-    notes = [] if is_turned else notes
+    said = "iOS writes gravity, which points down; the signs were turned to specific force."
+    notes = [] if is_turned else [said]
     if len(forces) > 1:
         notes.append("Acceleration is the sum of user acceleration and gravity of Core Motion.")
     if turning == _RATE:
         notes.append("Angular velocity is Core Motion's, which removes an estimate of the bias.")
     gyro, gyro_unit = _in_si(table, "gyro", there[turning], "rad/s")
     stamp = f"{'motion' if len(forces) > 1 else 'accelerometer'}timestamp_sincereboot"
-    columns = (*(table.find(label) for label in (stamp, *_LOGGED_TIMES)), time_column(table))
-    t_s = next((each for at in columns if (each := seconds(table, at)) is not None), None)
+    timed = (*(table.find(label) for label in (stamp, *_LOGGED_TIMES)), time_column(table))
+    t_s = next((each for at in timed if (each := seconds(table, at)) is not None), None)
     if t_s is None:
         raise RecordingError(
             f"{table.path} has no times; log them too (loggingTime, timestamp since reboot)."
@@ -321,10 +320,7 @@ def _read_sensorlog(table: DeviceTable, device: Device) -> list[ImuTable]:
 _WIDEST = 20
 _EPOCH_CELL, _TIME_CELL = re.compile(r"1\d{12}(\.\d*)?"), re.compile(r"\d{4}-\d\d-\d\dT.*")
 #: Columns that name the device of a row, without signs, and devices of a recording at most.
-_DEVICE = (
-    *("device", "devicename", "deviceid", "imu", "imuid", "sensorid", "sensorname", "sensor", "node", "mac"),
-    *("macaddress", "address"),
-)
+_DEVICE = ("device", "devicename", "deviceid", "imu", "sensorid", "sensorname", "sensor", "mac", "node")
 _MOST_DEVICES = 30
 _KIND = ("sensor", "sensor_type", "sensortype", "sensorname", "sensor_name", "type", "name", "sensor id")
 #: Of the app Sensor Logger, whose columns are time, seconds_elapsed, z, y, x on both systems.
@@ -374,13 +370,10 @@ def _names_sensors(table: DeviceTable) -> bool:
 
 
 def _guess(table: DeviceTable, usual_gyro: str = "") -> Guess:
-    if not table.labels and table.width not in (4, 7):
-        return Guess()
-    guess = guess_sensor(table, usual_gyro)
+    guess = guess_sensor(table, usual_gyro) if table.labels or table.width in (4, 7) else Guess()
     # without names both sensors are known by their motion alone
-    unnamed = not table.labels and table.width == 7
-    known = {"ax", "gx"} <= guess.columns.keys() and NO_GYRO_UNIT not in guess.unsure
-    return Guess() if unnamed and not known else guess
+    by_motion = {"ax", "gx"} <= guess.columns.keys() and NO_GYRO_UNIT not in guess.unsure
+    return guess if table.labels or table.width == 4 or by_motion else Guess()
 
 
 def _read_named(table: DeviceTable, device: Device) -> list[ImuTable]:
@@ -441,10 +434,11 @@ def _by_sensor(table: DeviceTable, kinds: int, columns: Columns) -> list[ImuTabl
     names, values = [text.lower() for text in table.texts(kinds)], table.vectors(columns)
     t_s, halves = seconds(table, time_column(table)), []
     for kind, part, known in (("acc", "acc", ACCELERATION), ("gyro", "gyr", ANGULAR_VELOCITY)):
-        rows = np.array([part in name and "lin" not in name and "uncal" not in name for name in names], bool)
-        if not rows.any():
+        mine = [n for n in dict.fromkeys(names) if part in n and "lin" not in n and "uncal" not in n]
+        if not mine:
             continue
-        written = names[int(rows.argmax())]
+        written = max(mine, key=lambda name: "total" in name)  # else acceleration may be the user's alone
+        rows = np.array([name == written for name in names])
         unit, _ = unit_of(kind, values[rows], written.rpartition("_")[2])
         if not unit:
             raise RecordingError(
@@ -483,7 +477,6 @@ IMU_FORMATS = tuple(
             " Acc_X .., Gyr_X ..).",
             times=_mt_times,
             name=("deviceid", "device id"),
-            rate=("update rate", "sample rate", "samplerate", "updaterate"),
             counter=("counter", "packetcounter"),
             counter_wraps=2**16,
             increments=(("velinc_{}",), ("oriinc_{axis}", "oriinc_q{at}")),
@@ -499,7 +492,6 @@ IMU_FORMATS = tuple(
             time=("sampletimefine",),
             time_unit="us",
             name=("devicetag", "device tag"),
-            rate=("outputrate", "output rate"),
             counter=("packetcounter",),
             counter_wraps=2**32,
             increments=(("dv[{}]", "dv_{}"), ("dq_{axis}", "dq[{at}]")),
@@ -523,7 +515,6 @@ IMU_FORMATS = tuple(
             "without both acceleration and angular velocity of a sensor; export the raw data (CSV with"
             " Acceleration and Angular Velocity).",
             time=("time", "time (s)", "timestamp"),
-            rate=("sample rate",),
         ),
         Device(
             "x-imu",
@@ -547,7 +538,6 @@ IMU_FORMATS = tuple(
             acc_unit="",  # m/s^2, as NilsPodLib calibrates, or g, as some versions did
             gyro_unit="deg/s",
             time=(*_NILSPOD_TIMES, "time"),
-            rate=("sampling rate", "sampling_rate_hz"),
         ),
         Device(
             "metamotion",

@@ -57,17 +57,16 @@ COCO_17 = _listed(
     "nose left_eye right_eye left_ear right_ear left_shoulder right_shoulder left_elbow right_elbow"
     " left_wrist right_wrist left_hip right_hip left_knee right_knee left_ankle right_ankle"
 )
-#: Joints of a ZED's BODY_34 and the first of BODY_38 (its BODY_18 is OpenPose's).
+#: Joints of a ZED's BODY_34 and BODY_38 down to the hips (its BODY_18 is OpenPose's).
 ZED_34 = _listed(
     "PELVIS NAVAL_SPINE CHEST_SPINE NECK LEFT_CLAVICLE LEFT_SHOULDER LEFT_ELBOW LEFT_WRIST LEFT_HAND"
     " LEFT_HANDTIP LEFT_THUMB RIGHT_CLAVICLE RIGHT_SHOULDER RIGHT_ELBOW RIGHT_WRIST RIGHT_HAND RIGHT_HANDTIP"
-    " RIGHT_THUMB LEFT_HIP LEFT_KNEE LEFT_ANKLE LEFT_FOOT RIGHT_HIP RIGHT_KNEE RIGHT_ANKLE RIGHT_FOOT HEAD"
-    " NOSE LEFT_EYE LEFT_EAR RIGHT_EYE RIGHT_EAR LEFT_HEEL RIGHT_HEEL"
+    " RIGHT_THUMB LEFT_HIP LEFT_KNEE LEFT_ANKLE LEFT_FOOT RIGHT_HIP"
 )
 ZED_38 = _listed(
     "PELVIS SPINE_1 SPINE_2 SPINE_3 NECK NOSE LEFT_EYE RIGHT_EYE LEFT_EAR RIGHT_EAR LEFT_CLAVICLE"
     " RIGHT_CLAVICLE LEFT_SHOULDER RIGHT_SHOULDER LEFT_ELBOW RIGHT_ELBOW LEFT_WRIST RIGHT_WRIST LEFT_HIP"
-    " RIGHT_HIP LEFT_KNEE RIGHT_KNEE LEFT_ANKLE RIGHT_ANKLE"
+    " RIGHT_HIP"
 )
 #: Sets of points by how many there are; FreeMoCap's 553 (or 543) begin with BlazePose's.
 POINT_SETS = {
@@ -151,7 +150,7 @@ class JointName:
 
 def words_of(name: str) -> list[str]:
     """Words of a name in small letters without accents: parted by signs and capitals (`JOINT_WristLeft`)."""
-    text = name.rstrip(": ").rsplit(":", 1)[-1]
+    text = name.replace("totalacc", "total_acc").rstrip(": ").rsplit(":", 1)[-1]
     if not text.isascii():
         for sign, word in _SIGNS.items():
             text = text.replace(sign, f" {word} ")

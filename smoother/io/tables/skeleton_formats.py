@@ -47,17 +47,7 @@ from .skeletons import (
     gathered,
     unit_by_arm,
 )
-from .table import (
-    DeviceTable,
-    FileHead,
-    Format,
-    begins,
-    decode,
-    read_bytes,
-    read_table,
-    seconds_of_dates,
-    shown,
-)
+from .table import DeviceTable, FileHead, Format, begins, decode, read_bytes, read_table, seconds_of_dates
 from .units import CAMERA_RATES, time_unit
 
 
@@ -494,14 +484,12 @@ def _raw(path: Path, rows: list[_Row]) -> RawSkeleton:
 
 def _take_rising(raw: RawSkeleton, frames: list[Any]) -> None:
     """Take the number of every frame that rises as times do, where no key says that it is the time."""
-    if len(frames) < 3 or not all(isinstance(frame, Mapping) for frame in frames):
-        return
-    for name in frames[0]:
-        times = np.array([_number(frame.get(name)) for frame in frames])
+    for name in frames[0] if isinstance(frames[0], Mapping) else ():
+        times = np.array([_first_number(frame, [name]) for frame in frames])
         step = np.diff(times)
         if (step > 0).all() and (step != 1).any() and (unit := time_unit("", times, CAMERA_RATES)):
             raw.time, raw.time_unit = times, unit
-            raw.notes.append(f"The key {shown(name, 40)} was taken for the time, in {unit}: it rises evenly.")
+            raw.notes.append(f"The key {name[:40]} was taken for the time, in {unit}: it rises evenly.")
             return
 
 
@@ -510,10 +498,7 @@ def _take_rising(raw: RawSkeleton, frames: list[Any]) -> None:
 _POSITIONS = ("joint_positions", "jointPositions", "joints", "Joints", "positions", "skeleton", "keypoint")
 _BODY = ("body_id", "bodyId", "id", "body_idx", "tracking_id", "trackingId", "TrackingId", "user_id")
 _BODIES = ("bodies", "Bodies", "skeletons", "Skeletons", "body_list")
-_PERCENT = "keypoint_confidence"  # of a ZED
-_CONFIDENCES = (
-    *(_PERCENT, "confidence_levels", "joint_confidences", "joint_confidence", "confidences", "confidence"),
-)
+_CONFIDENCES = ("confidence_levels", "joint_confidences", "joint_confidence", "confidences", "confidence")
 _KINECT_EXPECTED = "JSON of body tracking (frames with bodies and joint_positions)"
 
 
@@ -549,11 +534,11 @@ def _read_kinect_json(path: Path) -> list[SkeletonTable]:
             value = next((body[name] for name in _POSITIONS if name in body), [])
             count = len(value)
             points = _points_by_name(value, order or (KINECT_V2 if count == len(KINECT_V2) else None))
-            key = next((name for name in _CONFIDENCES if isinstance(body.get(name), list)), None)
-            if key is not None:
-                part = 0.01 if key == _PERCENT else 1.0
-                pairs = zip(points.items(), body[key], strict=False)
-                points = {name: (*point[:3], part * _number(level)) for (name, point), level in pairs}
+            known = (*_CONFIDENCES, "keypoint_confidence")
+            levels = next((body[name] for name in known if isinstance(body.get(name), list)), None)
+            if levels is not None:
+                pairs = zip(points.items(), levels, strict=False)
+                points = {name: (*point[:3], _number(level)) for (name, point), level in pairs}
             rows.append((frame, of_frame, of_body if 0 <= of_body < 2**32 - 1 else NAN, points))
         if not there:
             rows.append((frame, of_frame, NAN, {}))

@@ -194,14 +194,7 @@ class DeviceTable:
         import pyarrow as pa
         from pyarrow import csv as arrow_csv
 
-        lines = list(self.lines)
-        if (end := _second_table(lines, self)) is not None:
-            self.notes.append(
-                f"A second table begins in line {end + 1} ('{shown(lines[end], 40)}') and was not read; save"
-                " it in a file of its own to use it."
-            )
-            lines = [*lines[: end - 1], ""]
-        rows, self._line_numbers, notes = _even_rows(lines, self)
+        rows, self._line_numbers, notes = _even_rows(_first_table(list(self.lines), self), self)
         self.notes += notes
         self.lines = ()
         if not rows:
@@ -241,11 +234,6 @@ class DeviceTable:
         plain = (line.strip().lstrip("/#%").strip().strip('"') for line in self.preamble)
         found = ((line, each) for line in plain for each in subjects if line.lower().startswith(each))
         return next((line[len(each) :].strip(' :=,;\t"') for line, each in found), "")
-
-    def stated_number(self, *subjects: str) -> float | None:
-        """The number that the preamble states of a subject; None where it states none above zero."""
-        number = re.match(r"\d+(?:[.,]\d+)?", self.stated(*subjects))
-        return (float(number.group().replace(",", ".")) or None) if number else None
 
     def above_rate_hz(self) -> float | None:
         """The rate that a line above the table states, by its word or as a number alone (Vicon); or None."""
@@ -410,20 +398,20 @@ _QUOTED = re.compile(r'"[^"]*"')
 _FEWEST, _FEWEST_STRICT, _ROWS_BEFORE = 3, 20, 50
 
 
-def _second_table(lines: list[str], table: DeviceTable) -> int | None:
-    """Index of the line at which another table begins, behind a blank line (Vicon); None where none does."""
+def _first_table(lines: list[str], table: DeviceTable) -> list[str]:
+    """The lines down to a blank one behind which another table begins, of words and names (Vicon)."""
     header, at = lines[table.header] if table.header >= 0 else "", table.first_row
     with suppress(ValueError):  # there is no blank line any more
         for _ in range(_BLANK_LINES):
             at = lines.index("", at) + 1
             begin = [line for line in lines[at : at + _GROUP_ROWS] if line.strip()]
-            if not begin or begin[0] == header:
-                continue
-            counts = [_count(split_line(line, table.separator)) for line in begin]
-            names = next((words for numbers, words in counts if numbers + words > 2), 0)
-            if counts[0][0] == 0 and names > 2:
-                return at
-    return None
+            cells = [_count(split_line(line, table.separator)) for line in begin]
+            names = next((words for numbers, words in cells if numbers + words > 2), 0)
+            if begin and begin[0] != header and not cells[0][0] and names > 2:
+                said = f"A second table begins in line {at + 1} ('{shown(lines[at], 40)}') and was not read;"
+                table.notes.append(f"{said} save it in a file of its own to use it.")
+                return [*lines[: at - 1], ""]
+    return lines
 
 
 def _even_rows(lines: list[str], table: DeviceTable) -> tuple[list[str], Sequence[int], list[str]]:
@@ -559,7 +547,8 @@ def layout_of(
         written[0] = re.sub(r"^(#+|%+|//+)\s*", "", written[0])
         if separator == " " and not written[0]:  # "# t ax ay": the mark stood alone
             written = written[1:]
-        written = _told_apart(written, [rows[at] for at in _block_above(rows, header)])
+        block = [at for at in range(header - _GROUP_ROWS, header) if rows.keys() >= {*range(at, header)}]
+        written = _told_apart(written, [rows[at] for at in block])
     data_width = len(_stripped(rows[first], len(written)))
     width = max(len(written), min(width, data_width) if written else width)
     names = tuple(written + [""] * (width - len(written))) if written else ()
@@ -641,24 +630,11 @@ def _header(rows: dict[int, list[str]], above: list[tuple[int, list[str]]], widt
         if _is_units_line(cells):
             is_blank = units >= 0 and all(cell.lower() in _NO_UNIT for cell in rows[units])
             units = at if units < 0 or is_blank else units
-        elif not (at in headers[:-1] and _says_nothing(filled, rows[headers[headers.index(at) + 1]])):
+        elif not (at in headers[:-1] and len(filled) >= 4 and len(set(filled)) < 3):
             return (at if at in headers else -1), units
     if units >= 0 or not above:
         return -1, units
     return (above[0][0] if _is_header(above[0][1], width) else -1), -1
-
-
-def _says_nothing(cells: list[str], above: list[str]) -> bool:
-    """Whether a line below the names repeats a word or two, or stands below names that all differ."""
-    different = len(set(cells))
-    below = different < 3 or len(set(filter(None, above))) > 0.8 * len(cells)
-    return len(cells) >= 4 and 2 * different <= len(cells) and below
-
-
-def _block_above(rows: dict[int, list[str]], header: int) -> list[int]:
-    """Indices of the lines directly above the header, from the top."""
-    first = next(at for at in range(header, -2, -1) if at - 1 not in rows)
-    return list(range(max(first, header - _GROUP_ROWS), header))
 
 
 def _told_apart(names: list[str], above: list[list[str]]) -> list[str]:
@@ -670,14 +646,10 @@ def _told_apart(names: list[str], above: list[list[str]]) -> list[str]:
         numbers, words = _count(cells)
         if words < 2 or numbers > words or len(cells) < len(names) / 2:
             continue
-        groups: list[str] = []
-        for cell in cells:
-            groups.append(cell or (groups[-1] if groups else ""))
-        groups += groups[-1:] * (len(names) - len(groups))
-        joined = [
-            name if count[once] == 1 else f"{group} {name}"
-            for group, name, once in zip(groups, names, first, strict=False)
-        ]
+        group, joined = "", []
+        for name, once, cell in zip(names, first, cells + [""] * len(names), strict=False):
+            group = cell or group
+            joined.append(name if count[once] == 1 else f"{group} {name}")
         names = joined if len(set(joined)) > len(set(names)) else names
     return names
 

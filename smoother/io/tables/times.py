@@ -20,7 +20,7 @@ from ...measurements.timestamps import (
     strayed,
     unwrapped,
 )
-from .imu import ImuTable, in_shown_units
+from .imu import ImuTable, in_shown_units, paired
 from .skeletons import SkeletonTable
 
 # ------------------------------------------------------------------------------------------------- repaired
@@ -49,6 +49,8 @@ def repaired_imu(table: ImuTable, source: str) -> ImuTable:
     def vectors() -> list[FloatArray]:
         return [values for values in (table.acc, table.gyro) if values is not None]
 
+    if table.t_s is not None and len(parts := _halves(table)) > 1:  # of two sensors' rows, each its own
+        return paired([repaired_imu(part, source) for part in parts], source)
     sends = np.logical_or.reduce([values.any(axis=1) for values in vectors()])
     table = _kept(table, np.maximum.accumulate(sends), "Rows of zeros at the start")
     finite = np.logical_and.reduce([np.isfinite(values).all(axis=1) for values in vectors()])
@@ -69,6 +71,16 @@ def repaired_imu(table: ImuTable, source: str) -> ImuTable:
         )
     table = _on_one_clock(table, vectors()[0], "samples")
     return in_shown_units(_with_times(table, _number(table), source, "samples"))
+
+
+def _halves(table: ImuTable) -> list[ImuTable]:
+    """Accelerometer and gyroscope of a table whose rows hold the one or the other; else the table."""
+    if table.acc is None or table.gyro is None:
+        return [table]
+    acc, gyro = (np.asarray(np.isfinite(each).all(axis=1)) for each in (table.acc, table.gyro))
+    if (acc & gyro).sum() > 0.5 * min(acc.sum(), gyro.sum()):
+        return [table]
+    return [replace(table.select(acc), gyro=None), replace(table.select(gyro), acc=None, notes=[])]
 
 
 def repaired_skeleton(table: SkeletonTable, source: str) -> SkeletonTable:

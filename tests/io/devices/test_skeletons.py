@@ -335,7 +335,8 @@ def test_offline_processor(tmp_path: Path) -> None:
 
 
 STARTS = 1_700_000_000
-PLACES = made.parts(ZED_34, FRAMES) - [0.0, 1.0, 2.5]
+ZED = [*ZED_34, *["HEAD"] * (34 - len(ZED_34))]
+PLACES = made.parts(ZED, FRAMES) - [0.0, 1.0, 2.5]
 
 
 def points_of(places: np.ndarray, names: list[str], form: Callable[[str, dict[str, float]], Any]) -> Any:
@@ -372,7 +373,7 @@ TRACKERS: dict[str, Callable[[], Any]] = {
     },
     "nuitrack": lambda: [
         {"Timestamp": str(40_000 * at), "skeletons": [{"user_id": 3, "joints": points}]}
-        for at, points in enumerate(points_of(PLACES, ZED_34, nuitrack))
+        for at, points in enumerate(points_of(PLACES, ZED, nuitrack))
     ],
     "kinect of node": lambda: [
         {"time": 0.04 * at, "bodies": [{"trackingId": 2**56 + 3, "tracked": True, "joints": points}]}
