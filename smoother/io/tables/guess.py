@@ -269,9 +269,9 @@ def _guess_times(
         if not all(np.array_equal(first, table.numbers(at), equal_nan=True) for at in own):
             guess.unsure.append("Its channels have different times; export each sensor at one rate.")
             return None, None
-    rises = 0.3 if table.labels else 0.95
     # packets of many samples have one stamp
-    units = ((at, *_time_unit(table, at, 0.001 if at == best else rises)) for at in timed)
+    least = {at: 0.95 if not table.labels else 0.001 if at == best else 0.3 for at in timed}
+    units = ((at, *_time_unit(table, at, least[at])) for at in timed)
     found = next(((at, unit, why) for at, unit, why in units if unit), None)
     if found is None:
         others = [at for at in free if at not in (*timed, *counted)]

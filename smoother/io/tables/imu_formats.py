@@ -271,7 +271,6 @@ _GRAVITY: tuple[str, ...] = ("motiongravity{}", "gravity.{}", "gravity{}")
 _GYRO, _RATE = ("gyrorotation{}",), ("motionrotationrate{}", "rotationrate.{}", "rotationrate{}")
 #: Vectors that make an IMU, the preferred ones first: of the raw sensors, of Core Motion, of both.
 _LOGGED = (((_RAW,), _GYRO), ((_USER, _GRAVITY), _RATE), ((_RAW,), _RATE), ((_USER, _GRAVITY), _GYRO))
-_LOGGED_TIMES = ("loggingtime", "timestamp", "time", "locationtimestamp_since1970")
 
 
 def _read_sensorlog(table: DeviceTable, device: Device) -> list[ImuTable]:
@@ -304,7 +303,7 @@ def _read_sensorlog(table: DeviceTable, device: Device) -> list[ImuTable]:
         notes.append("Angular velocity is Core Motion's, which removes an estimate of the bias.")
     gyro, gyro_unit = _in_si(table, "gyro", there[turning], "rad/s")
     stamp = f"{'motion' if len(forces) > 1 else 'accelerometer'}timestamp_sincereboot"
-    timed = (*(table.find(label) for label in (stamp, *_LOGGED_TIMES)), time_column(table))
+    timed = (table.find(stamp), table.find("loggingtime"), time_column(table))
     t_s = next((each for at in timed if (each := seconds(table, at)) is not None), None)
     if t_s is None:
         raise RecordingError(
@@ -548,8 +547,8 @@ IMU_FORMATS = tuple(
         ),
         Device(
             "sensorlog",
-            "SensorLog CSV (iPhone, Apple Watch)",
-            "columns such as accelerometerAccelerationX(G), gyroRotationX(rad/s), motionRotationRateX(rad/s)",
+            "Core Motion CSV (iPhone, Apple Watch: SensorLog and others)",
+            "columns such as accelerometerAccelerationX(G), motionRotationRateX(rad/s), rotationRate.x",
             lambda table: any(table.axes(*stem) is not None for stem in (_RAW[:1], _USER[:1], _GYRO, _RATE)),
             read=_read_sensorlog,
         ),

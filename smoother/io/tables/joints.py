@@ -57,12 +57,7 @@ COCO_17 = _listed(
     "nose left_eye right_eye left_ear right_ear left_shoulder right_shoulder left_elbow right_elbow"
     " left_wrist right_wrist left_hip right_hip left_knee right_knee left_ankle right_ankle"
 )
-#: Joints of a ZED's BODY_34 and BODY_38 down to the hips (its BODY_18 is OpenPose's).
-ZED_34 = _listed(
-    "PELVIS NAVAL_SPINE CHEST_SPINE NECK LEFT_CLAVICLE LEFT_SHOULDER LEFT_ELBOW LEFT_WRIST LEFT_HAND"
-    " LEFT_HANDTIP LEFT_THUMB RIGHT_CLAVICLE RIGHT_SHOULDER RIGHT_ELBOW RIGHT_WRIST RIGHT_HAND RIGHT_HANDTIP"
-    " RIGHT_THUMB LEFT_HIP LEFT_KNEE LEFT_ANKLE LEFT_FOOT RIGHT_HIP"
-)
+#: Joints of a ZED's BODY_38 down to the hips; BODY_34 begins with Azure's, BODY_18 is OpenPose's.
 ZED_38 = _listed(
     "PELVIS SPINE_1 SPINE_2 SPINE_3 NECK NOSE LEFT_EYE RIGHT_EYE LEFT_EAR RIGHT_EAR LEFT_CLAVICLE"
     " RIGHT_CLAVICLE LEFT_SHOULDER RIGHT_SHOULDER LEFT_ELBOW RIGHT_ELBOW LEFT_WRIST RIGHT_WRIST LEFT_HIP"
@@ -71,7 +66,7 @@ ZED_38 = _listed(
 #: Sets of points by how many there are; FreeMoCap's 553 (or 543) begin with BlazePose's.
 POINT_SETS = {
     17: COCO_17, 18: OPENPOSE_18, 25: BODY_25, 26: COCO_17, 32: AZURE, 33: BLAZEPOSE, 133: COCO_17,
-    75: BLAZEPOSE, 543: BLAZEPOSE, 553: BLAZEPOSE, 34: ZED_34, 38: ZED_38,
+    75: BLAZEPOSE, 543: BLAZEPOSE, 553: BLAZEPOSE, 34: AZURE, 38: ZED_38,
 }  # fmt: skip
 
 

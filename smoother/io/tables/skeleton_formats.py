@@ -63,14 +63,10 @@ def state_numbers(table: DeviceTable, column: int) -> FloatArray:
     return np.array([code[cell] for cell in cells])
 
 
-#: Numbers of bodies from here on are no exact floats: a Kinect v2's begin at 2^56.
-_EXACT = 2**53
-
-
 def body_numbers(table: DeviceTable, column: int) -> FloatArray:
     """A column of the bodies' numbers; names are numbered in their order, no body (-1, 2^32 - 1) is nan."""
     cells = table.texts(column)
-    if any(cell.isdigit() and int(cell) >= _EXACT for cell in cells[:50]):
+    if any(cell.isdigit() and int(cell) >= 2**53 for cell in cells[:50]):  # a Kinect v2's begin at 2^56
         return np.array([float(int(cell) % 2**32) if cell.isdigit() else np.nan for cell in cells])
     if any(character.isalpha() for cell in cells[:50] for character in cell if cell.lower() != "nan"):
         order = {cell: float(number) for number, cell in enumerate(dict.fromkeys(cells)) if cell}
@@ -530,7 +526,7 @@ def _read_kinect_json(path: Path) -> list[SkeletonTable]:
         of_frame = _first_number(frame, ("frame_id", "frame_number"), at)
         for body in there:
             number = next((body[name] for name in _BODY if name in body), 0)
-            of_body = _number(number % 2**32 if isinstance(number, int) and number >= _EXACT else number)
+            of_body = _number(number % 2**32 if isinstance(number, int) and number >= 2**53 else number)
             value = next((body[name] for name in _POSITIONS if name in body), [])
             count = len(value)
             points = _points_by_name(value, order or (KINECT_V2 if count == len(KINECT_V2) else None))
@@ -548,9 +544,9 @@ def _read_kinect_json(path: Path) -> list[SkeletonTable]:
 
 KINECT_JSON = Format(
     "azure-kinect-json",
-    "Azure Kinect or Orbbec body tracking, JSON",
+    "body tracking in JSON (Azure Kinect, Orbbec, Kinect v2, ZED, Nuitrack)",
     "skeleton",
-    "JSON with joint_positions, or with bodies and timestamp_usec",
+    "JSON with joint_positions, or with bodies, body_list (ZED) or skeletons (Nuitrack)",
     _is_kinect_json,
     _read_kinect_json,
 )

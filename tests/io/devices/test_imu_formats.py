@@ -163,6 +163,14 @@ PLAIN = [
         {"acc": (1, G), "gyro": (2, D), "t_s": WHEN_S},
         "names no columns",
     ),
+    (
+        *(
+            "android",
+            "time,accelerometer_x,accelerometer_y,accelerometer_z,totalAcceleration_x,totalAcceleration_y,"
+            f"totalAcceleration_z,{G3}",
+        ),
+        *([TIME, 0 * ACC, ACC, GYRO], {"acc": (2, 1), "gyro": (3, 1)}, ""),
+    ),
     # Core Motion by apps of one's own, Sensor Logger's on a watch, and that in Android's units
     (
         *(
@@ -406,6 +414,26 @@ def test_android_log_with_names_of_sensors(tmp_path: Path):
     acc, gyro = tables(written(tmp_path, "epoch_ms,elapsed_ms,sensor,x,y,z", *body), "android")
     check(acc, printed(ACC / GRAVITY) * GRAVITY, None, EPOCH * 1e-3)
     check(gyro, None, np.radians(printed(DEG)), EPOCH * 1e-3)
+
+
+def test_rows_that_hold_the_one_sensor_or_the_other(tmp_path: Path):
+    acc = [f"{t:.4f},{a},,," for t, a in zip(TIME, rows(ACC), strict=True)]
+    gyro = [f"{t + 0.003:.4f},,,,{g}" for t, g in zip(TIME, rows(GYRO), strict=True)]
+    body = [row for pair in zip(acc, gyro, strict=True) for row in pair]
+    file, _ = import_files([], [ImuFiles((written(tmp_path, f"time,{A3},{G3}", *body),), "forearm_right")])
+    (imu,) = file.imus
+    assert len(imu.gyro) == COUNT - 1 and any("interpolated to the gyroscope's" in n for n in file.notes)
+    np.testing.assert_allclose(imu.gyro, printed(GYRO)[:-1], atol=1e-9)
+    # of a log with names of sensors the total acceleration is taken
+    logs = {"Accelerometer": 0 * ACC, "TotalAcceleration": ACC, "Gyroscope": GYRO}
+    lines = [
+        f"{t:.4f},{name},{row}"
+        for name, values in logs.items()
+        for t, row in zip(TIME, rows(values), strict=True)
+    ]
+    first, second = tables(written(tmp_path, "time,sensor,x,y,z", *lines), "android")
+    check(first, printed(ACC), None)
+    check(second, None, printed(GYRO))
 
 
 def test_the_other_file_settles_an_assumed_unit(tmp_path: Path):

@@ -15,7 +15,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from smoother.errors import RecordingError
 from smoother.io.registry import format_named, recognise
-from smoother.io.tables.joints import AZURE, BLAZEPOSE, BODY_25, KINECT_V2, ZED_34, JointName, joint_name
+from smoother.io.tables.joints import AZURE, BLAZEPOSE, BODY_25, KINECT_V2, ZED_38, JointName, joint_name
 from smoother.io.tables.table import read_head
 from smoother.io.tables.times import repaired_skeleton
 from smoother.recording import CameraFrame, JointState
@@ -335,7 +335,7 @@ def test_offline_processor(tmp_path: Path) -> None:
 
 
 STARTS = 1_700_000_000
-ZED = [*ZED_34, *["HEAD"] * (34 - len(ZED_34))]
+ZED = [*AZURE, "HEEL_LEFT", "HEEL_RIGHT"]
 PLACES = made.parts(ZED, FRAMES) - [0.0, 1.0, 2.5]
 
 
@@ -388,10 +388,11 @@ TRACKERS: dict[str, Callable[[], Any]] = {
 
 @pytest.mark.parametrize("tracker", TRACKERS)
 def test_json_of_other_trackers(tmp_path: Path, tracker: str) -> None:
+    assert ZED_38[16:18] == ["LEFT_WRIST", "RIGHT_WRIST"]
     table = one(tmp_path / "a.json", "azure-kinect-json", TRACKERS[tracker]())
     assert table.body == 3 and (table.state["wrist_right"] == JointState.TRACKED).all()
     by_name = dict(zip(KINECT_V2, np.moveaxis(made.kinect_v2(FRAMES), 1, 0), strict=True))
-    wanted = by_name["WristRight"] if "kinect" in tracker else PLACES[:, ZED_34.index("RIGHT_WRIST")]
+    wanted = by_name["WristRight"] if "kinect" in tracker else PLACES[:, ZED.index("WRIST_RIGHT")]
     assert_allclose(table.position["wrist_right"], wanted, atol=1e-9)
     assert_allclose(np.diff(table.t_s), 0.04, atol=1e-6)
     assert table.frame is (CameraFrame.KINECT if "kinect" in tracker else None)
