@@ -451,7 +451,7 @@ def _points_by_name(value: Any, order: Sequence[str] | None = None) -> dict[str,
         width = next((w for w in (4, 3) if len(value) % w == 0 and len(value) // w in POINT_SETS), 0)
         value = [value[at : at + width] for at in range(0, len(value), width)] if width else []
     own = [name for p in value if isinstance(p, Mapping) and isinstance(name := _first(p, _NAMES), str)]
-    names = own if len(own) == len(value) else order or POINT_SETS.get(len(value), [])
+    names = own if len(set(own)) == len(value) else order or POINT_SETS.get(len(value), [])
     return {name: _point_of(point) for name, point in zip(names, value, strict=False)}
 
 
@@ -510,7 +510,9 @@ def _read_kinect_json(path: Path) -> list[SkeletonTable]:
     """`frames`, each with `timestamp_usec` and `bodies`, each with `body_id` and `joint_positions` in mm."""
     value = _read_json(path, _KINECT_EXPECTED)
     names = value.get("joint_names") if isinstance(value, Mapping) else None
-    frames = [frame for _, frame in _frames_of(value)]
+    frames = [
+        {"of frames": key, **each} if isinstance(each, Mapping) else each for key, each in _frames_of(value)
+    ]
     if not any(isinstance(frame, Mapping) and _first(frame, _BODIES) for frame in frames):
         raise RecordingError(
             f"{path} should be {_KINECT_EXPECTED}, and has no list of frames; export it again."
@@ -528,8 +530,8 @@ def _read_kinect_json(path: Path) -> list[SkeletonTable]:
             number = next((body[name] for name in _BODY if name in body), 0)
             of_body = _number(number % 2**32 if isinstance(number, int) and number >= 2**53 else number)
             value = next((body[name] for name in _POSITIONS if name in body), [])
-            count = len(value)
-            points = _points_by_name(value, order or (KINECT_V2 if count == len(KINECT_V2) else None))
+            count = max(count, len(value))
+            points = _points_by_name(value, order or (KINECT_V2 if len(value) == len(KINECT_V2) else None))
             known = (*_CONFIDENCES, "keypoint_confidence")
             levels = next((body[name] for name in known if isinstance(body.get(name), list)), None)
             if levels is not None:

@@ -43,6 +43,7 @@ SEPARATORS = (";", "\t", "|", ",", " ")
 LAYOUT_LINES = 400
 #: How a line above a table states a rate.
 _RATE_LINES = (r"(\d+(?:\.\d+)?)\W*hz\b", r"(?:rate|freq|fps)\D*(\d+(?:\.\d+)?)", r"^(\d+(?:\.\d+)?)\W*$")
+_OTHER_RATES = r"cut|pass|band|corner|filter\W*\d|baud|bit|heart"
 #: Cells without a value, in lower case; Windows and spreadsheets have spellings of their own.
 _MISSING = r"^([-+]?(nan(\(.*\))?|inf(inity)?|1\.?#(ind|qnan|snan|inf).*)|#?n/?a|none|null|missing|-+|\*+)?$"
 #: More columns are no table of a sensor or a skeleton's; a longer line, characters, is no row of one.
@@ -237,7 +238,8 @@ class DeviceTable:
 
     def above_rate_hz(self) -> float | None:
         """The rate that a line above the table states, by its word or as a number alone (Vicon); or None."""
-        lines = [line.strip().lower() for line in self.preamble]
+        plain = (line.strip().lower() for line in self.preamble)
+        lines = [line for line in plain if not re.search(_OTHER_RATES, line)]
         found = (re.search(form, line) for form, line in product(_RATE_LINES, lines))
         return next((float(number[1]) or None for number in found if number), None)
 

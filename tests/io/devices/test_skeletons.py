@@ -371,6 +371,10 @@ TRACKERS: dict[str, Callable[[], Any]] = {
         }
         for at, points in enumerate(PLACES.tolist())
     },
+    "zed before 4": lambda: {
+        str(1000 * STARTS + 40 * at): {"body_list": [{"id": 3, "keypoint": points}]}
+        for at, points in enumerate(PLACES.tolist())
+    },
     "nuitrack": lambda: [
         {"Timestamp": str(40_000 * at), "skeletons": [{"user_id": 3, "joints": points}]}
         for at, points in enumerate(points_of(PLACES, ZED, nuitrack))
