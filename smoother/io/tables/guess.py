@@ -313,11 +313,10 @@ def _time_unit(table: DeviceTable, column: int, least: float) -> tuple[str, str]
         return "", ""
     if dates:
         return "iso", "dates"
-    if not (finite := np.isfinite(values)).any():
-        return "", ""
+    finite = np.isfinite(values)
     # a packet's stamp may stand at its first sample alone
     rows = np.maximum.accumulate(np.where(finite, np.arange(len(values)), 0))
-    values = values[rows[: np.flatnonzero(finite)[-1] + 1]]
+    values = values[rows[: np.flatnonzero(np.append(True, finite))[-1]]]
     step = np.diff(values)
     step = step[step > 0]
     if not len(step) or len(step) < least * (len(values) - 1):

@@ -318,9 +318,8 @@ def _read_sensorlog(table: DeviceTable, device: Device) -> list[ImuTable]:
 #: Columns of a table without header that are looked at: six are MetaBase's, some exporters write more.
 _WIDEST = 20
 _EPOCH_CELL, _TIME_CELL = re.compile(r"1\d{12}(\.\d*)?"), re.compile(r"\d{4}-\d\d-\d\dT.*")
-#: Columns that name the device of a row, without signs, and devices of a recording at most.
+#: Columns that name the device of a row, without signs.
 _DEVICE = ("device", "devicename", "deviceid", "imu", "sensorid", "sensorname", "sensor", "mac", "node")
-_MOST_DEVICES = 30
 _KIND = ("sensor", "sensor_type", "sensortype", "sensorname", "sensor_name", "type", "name", "sensor id")
 #: Of the app Sensor Logger, whose columns are time, seconds_elapsed, z, y, x on both systems.
 _SENSOR_LOGGER = (
@@ -422,7 +421,7 @@ def _by_device(table: DeviceTable, imu: ImuTable) -> list[ImuTable]:
     plain = [re.sub(r"[^a-z]", "", label) for label in table.labels]
     at = next((plain.index(word) for word in _DEVICE if word in plain), None)
     cells = [] if at is None else table.texts(at)
-    if not 1 < len(set(cells)) <= _MOST_DEVICES:
+    if not 1 < len(set(cells)) <= 30:  # of a recording
         return [imu]
     own = {name: np.array([cell == name for cell in cells]) for name in dict.fromkeys(cells)}
     return [replace(imu.select(rows), name=name, notes=list(imu.notes)) for name, rows in own.items()]

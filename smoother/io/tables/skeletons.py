@@ -82,8 +82,6 @@ RELATIVE_NOTE = (
     "World landmarks of MediaPipe are about the middle of the hips: motion is relative to the hips, the place"
     " in the room is not known, and a step or a bow of the trunk looks like a motion of the arm."
 )
-#: States are numbers up to this; what is larger are per cent.
-_MOST_STATES = 3.0
 #: World landmarks have the middle of the hips within this of their origin, m.
 _ABOUT_HIPS_M = 0.06
 #: What exporters write for states, as numbers.
@@ -346,7 +344,7 @@ class RawSkeleton:
         """States of all joints by their confidences; those without a position are not tracked."""
         said = {joint: points[:, 3] for joint, points in self.points.items()}
         largest = max((np.nanmax(each) for each in said.values() if np.isfinite(each).any()), default=0.0)
-        if largest > _MOST_STATES:  # per cent (ZED)
+        if largest > 3.0:  # per cent (ZED)
             said, largest = {joint: each / 100 for joint, each in said.items()}, largest / 100
         kind = kind or ("kinect" if largest > 1.0 else "share")
         read = {"kinect": kinect_states, "share": share_states, "scores": states_of_scores}[kind]

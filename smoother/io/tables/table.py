@@ -506,8 +506,7 @@ _DATA = re.compile(
     r"|\d{4}[-/.]\d\d?[-/.]\d\d?\b.*|\d\d?[-/.]\d\d?[-/.]\d{4}\b.*|\d\d?:\d\d([.,]\d+|:\d\d([.,:_]\d+)?)?",
     re.IGNORECASE,
 )
-#: Rows above the names that name groups of columns, at most; so many names repeat then; this many blank
-#: lines are looked behind.
+#: Rows above the names that name groups, at most; names that repeat then; blank lines that are looked behind.
 _GROUP_ROWS, _REPEATED, _BLANK_LINES = 6, 3, 20
 #: This many lines may be between the names and the rows; cells of them that state no unit.
 _BELOW_NAMES, _NO_UNIT = 3, ("", "-", "--", "n/a", "none", "no_units", "nounits", "unitless")

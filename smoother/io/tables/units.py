@@ -101,8 +101,7 @@ SENSOR_RATES = (3.0, 2500.0)
 CAMERA_RATES = (4.0, 260.0)
 #: The years 1990 and 2100 since 1970, s.
 DATED_S = (631_152_000.0, 4_102_444_800.0)
-#: 1970 as ticks count it, s: since the year 1 (.NET), since 1601 (FILETIME); as days: since 1899-12-30
-#: (spreadsheets), since the year 0 (MATLAB).
+#: 1970 as ticks (.NET, FILETIME) and days (spreadsheets, MATLAB) count it, s.
 _SINCE_S = {TICKS: (62_135_596_800.0, 11_644_473_600.0), DAYS: (2_209_161_600.0, 62_167_305_600.0)}
 #: Where two units fit and no date decides, the first is believed at such rates of a sensor, of a camera, Hz.
 _USUAL, _USUAL_CAMERA = (20.0, 1250.0), (7.0, 130.0)
