@@ -48,9 +48,7 @@ class Task:
             model=model,
             config=config,
             prior=first_priors(model.initial, model.prior if is_read_whole else model.estimate, config),
-            noise=replace(
-                noise_of(config, model.upper_arm_sigma_m, model.prior), in_common=model.in_common
-            ),
+            noise=replace(noise_of(config, model.upper_arm_sigma_m, model.prior), in_common=model.in_common),
             sharing=len(sections),
             joints=tuple(joint for joint in JOINTS if joint in present and joint != "strap"),
             stretches=min(-(-STRETCHES // max(len(sections), 1)), MOST_IN_SECTION),

@@ -15,18 +15,20 @@ from scipy.spatial.transform import Rotation
 
 from smoother.array_types import FloatArray
 from smoother.calibration import ArmCalibration
+from smoother.cameras import join_cameras
 from smoother.config import Config
 from smoother.measurements.outliers import JointNoise, reject_by_camera
 from smoother.measurements.segment import Timeline
 from smoother.recording import JOINTS
 from smoother.runtime.pool import Pool
-from smoother.selfcal.camera_noise import SMALLEST_SIGMA_M, joint_noise, sigma_by_joint
+from smoother.selfcal.camera_noise import SMALLEST_SIGMA_M, in_common, joint_noise, sigma_by_joint
 from smoother.selfcal.error_estimate import (
     FEWEST_SAMPLES,
     JOINT_M,
     ConstantErrors,
     JointBias,
     PooledEvidence,
+    _Sizes,
     well_seen_joints,
 )
 from smoother.selfcal.excerpts import informative_excerpts
@@ -408,3 +410,40 @@ def test_the_shoulder_is_as_good_as_the_best() -> None:
     by_joint = dict(zip(JOINTS, sigma_by_joint(noise, 0.5).tolist(), strict=True))
     assert by_joint == {joint: 0.02 if joint == "elbow" else 0.015 for joint in JOINTS}
     assert sigma_by_joint({}, 0.5).tolist() == [0.5] * 5
+
+
+@pytest.mark.parametrize("share", [0.0, 0.5, 1.0])
+def test_what_joints_err_together(share: float) -> None:
+    """Of three joints with a share of their variance in common, the sum has 1 + 2 share times as much."""
+    rng = np.random.default_rng(0)
+    windows, solutions = [], []
+    for _ in range(4):
+        common, nodes = rng.normal(size=(600, 3)), np.arange(600)
+        own = {joint: rng.normal(size=(600, 3)) for joint in FOREARM}
+        residuals = {
+            joint: 0.01 * (np.sqrt(share) * common + np.sqrt(1.0 - share) * x) for joint, x in own.items()
+        }
+        windows.append(window_of(*(sight_of(joint, nodes) for joint in FOREARM)))
+        solutions.append(cast("Solution", SimpleNamespace(residuals=residuals)))
+    assert in_common(windows, solutions) == pytest.approx(1.0 + 2.0 * share, abs=0.07)
+
+
+@pytest.mark.parametrize("angles_deg", [(75.0,), (75.0, -60.0)])
+def test_what_several_cameras_have_in_common_does_not_average_out(angles_deg: tuple[float, ...]) -> None:
+    """Joined frames of cameras whose joints are constantly off, against the covariance that is stated."""
+    sigma_m, joints, cameras = 0.008, ("shoulder", *FOREARM), 1 + len(angles_deg)
+    settings = {"duration_s": 20.0, "occlusion_lengths_s": (), "noise_m": 0.001, "latency_s": 0.0}
+    off = []
+    for seed in range(16):
+        made = arm(seed, protocol="random", joint_bias_m=sigma_m, cameras=angles_deg, **settings)
+        seen = join_cameras(made.recording)[0].arm
+        true = made.motion.joints(seen.t_s + made.parameters["clock_offset_s"])
+        off.append([np.nanmean(seen.joint(joint) - true[joint], axis=0) for joint in joints])
+    by_axis = np.moveaxis(np.array(off), 2, 1).reshape(-1, len(joints))
+    rows = [JOINTS.index(joint) for joint in joints]
+    sizes = _Sizes(0.0, 0.0, sigma_m / np.sqrt(cameras), 0.0, None, FOREARM, cameras)
+    stated = sizes.joint_m**2 * sizes.alike[np.ix_(rows, rows)]
+    common = np.full(len(joints), 1.0 / len(joints))
+    for direction in (common, np.array([1.0, 0.0, -1.0, 0.0]), np.array([0.0, 1.0, -1.0, 0.0])):
+        found = np.mean((by_axis @ direction) ** 2)
+        assert found == pytest.approx(direction @ stated @ direction, rel=0.35)
