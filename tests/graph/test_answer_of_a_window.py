@@ -154,6 +154,19 @@ def test_states_and_their_covariance(pair: tuple[Optimum, Solution], number: int
     np.testing.assert_array_equal(body.states.R[hidden], np.tile(np.eye(3), (len(hidden), 1, 1)))
 
 
+def test_what_joints_err_together_widens_covariances_alone(pair: tuple[Optimum, Solution]) -> None:
+    best, found = pair
+    noise = replace(best.window.noise, in_common=4.0)
+    wide, A = solve(replace(best.window, noise=noise), True, tolerance=1e-13), best.A.copy()
+    for group in best.groups:
+        A[group.rows] *= 0.5 if group.kind == "camera" else 1.0
+    rows = [np.arange(A.shape[1])[best.system.columns(X(i))] for i in range(NODES)]
+    covariance = np.linalg.inv(A.T @ A)
+    pose = [in_camera(best.R[i], covariance[np.ix_(own, own)]) for i, own in enumerate(rows)]
+    like(wide.forearm.pose_covariance, np.array(pose))
+    np.testing.assert_allclose(wide.forearm.states.p, found.forearm.states.p, atol=1e-9)
+
+
 def shared_of(best: Optimum) -> tuple[FloatArray, FloatArray]:
     """The shared vector and its covariance, by differences of the shared vector's definition."""
     keys = [B(1), G(0), U(0), L(ELBOW), L(WRIST), M(ELBOW), M(SHOULDER), C(1)]
