@@ -19,11 +19,18 @@ from .mcap.messages import nanoseconds
 from .recording.clean import clean_arm, clean_imu
 from .recording.decode import JointRows, joint_code
 from .recording.keypoints import CAMERA_TOPIC, NAMED_TOPIC, TOPIC
-from .recording.names import free_name, named_segment, named_side
 from .recording.read import open_recording
-from .recording.streams import CameraStream, ImuSamples, KnownLens, RecordingFile
+from .recording.streams import (
+    CameraStream,
+    ImuSamples,
+    KnownLens,
+    RecordingFile,
+    free_name,
+    named_segment,
+    named_side,
+)
 from .registry import FileReader, keys, unknown_file
-from .tables.imu import ImuTable, paired
+from .tables.imu import paired
 from .tables.markers import MARKER_FORMATS, read_markers
 from .tables.skeletons import PIXELS, SkeletonTable
 from .tables.table import Format, first_rows, read_head
@@ -148,19 +155,19 @@ def _skeleton(
 
 def _sensors(
     reader: FileReader, files: ImuFiles, reports: list[FileReport]
-) -> list[tuple[str, ImuTable, FileReport]]:
+) -> list[tuple[str, ImuSamples, FileReport]]:
     """The sensors of files that belong together, with corrected times, and the name that each is to have."""
-    parts: list[ImuTable] = []
+    parts: list[ImuSamples] = []
     for path in files.paths:
         importer = reader.format_of(path, "imu")
-        tables = [t for t in reader.read(path, importer) if isinstance(t, ImuTable)]
+        tables = [t for t in reader.read(path, importer) if isinstance(t, ImuSamples)]
         if files.sensor:
             named = [_of_name(path, name.strip("# /"), tables) for name in files.sensor.split(",")]
             tables = [table for at, table in enumerate(named) if table not in named[:at]]
         if not tables:
             raise RecordingError(f"{path} ({importer.title}) has no IMU; name it with --skeleton alone.")
         tables = [repaired_imu(table, str(path)) for table in tables]
-        names = f"{len(tables)} sensors ({', '.join(t.name for t in tables)}), " if len(tables) > 1 else ""
+        names = f"{len(tables)} sensors ({', '.join(t.topic for t in tables)}), " if len(tables) > 1 else ""
         times = times_of(tables[0])
         reports.append(_report(path, importer, tables, times, f"{len(times):,} samples", names))
         parts += tables
@@ -172,18 +179,18 @@ def _sensors(
         report.notes += [f"{report.path}: {note}" for note in joined.notes if note not in told]
         return [(files.name, joined, report)]
     if files.name and len(whole) > 1:
-        listed = ", ".join(table.name for table in whole)
+        listed = ", ".join(table.topic for table in whole)
         raise RecordingError(
             f"{source} contains {len(whole)} sensors ({listed}); choose one for {files.name}:"
-            f" --imu {files.name}={files.paths[0]}#{whole[0].name}."
+            f" --imu {files.name}={files.paths[0]}#{whole[0].topic}."
         )
-    return [(files.name or (t.name if len(whole) > 1 else ""), t, report) for t in whole]
+    return [(files.name or (t.topic if len(whole) > 1 else ""), t, report) for t in whole]
 
 
 def _report(
     path: Path,
     importer: Format,
-    tables: Sequence[ImuTable | SkeletonTable],
+    tables: Sequence[ImuSamples | SkeletonTable],
     times: FloatArray,
     count: str,
     names: str = "",
@@ -196,18 +203,18 @@ def _report(
     return FileReport(str(path), importer.key, sentence, [], rate_hz, len(times), units, notes)
 
 
-def _of_name(path: Path, name: str, tables: list[ImuTable]) -> ImuTable:
+def _of_name(path: Path, name: str, tables: list[ImuSamples]) -> ImuSamples:
     """The sensor of a name, or the IMU that was put together of it."""
     for table in tables:
-        if name.lower() in (each.lower().strip("/ ") for each in (table.name, *table.made_of)):
+        if name.lower() in (each.lower().strip("/ ") for each in (table.topic, *table.made_of)):
             return table
-    listed = ", ".join(table.name or "one without a name" for table in tables)
+    listed = ", ".join(table.topic or "one without a name" for table in tables)
     raise RecordingError(f"{path} has no sensor {name}; it has {listed}.")
 
 
 def _named(
-    sensors: list[tuple[str, ImuTable, FileReport]],
-) -> list[tuple[str, ImuTable, FileReport]]:
+    sensors: list[tuple[str, ImuSamples, FileReport]],
+) -> list[tuple[str, ImuSamples, FileReport]]:
     """The sensors by topic; no topic twice."""
     named, topics = [], set[str]()
     for given, table, report in sensors:
@@ -266,11 +273,10 @@ def add_skeleton(
         file.camera_frame, file.gravity_hint = first.frame, first.gravity_hint
 
 
-def add_imu(file: RecordingFile, topic: str, table: ImuTable, source: str, shift_s: float) -> None:
+def add_imu(file: RecordingFile, topic: str, table: ImuSamples, source: str, shift_s: float) -> None:
     """Put an IMU with corrected times into a recording, if its units can be; as `add_skeleton`."""
-    assert table.acc is not None and table.gyro is not None
     stamp = nanoseconds(times_of(table) + shift_s, 0)
-    samples = ImuSamples(topic, topic.rpartition("/")[2], stamp, table.acc, table.gyro, table.mag)
+    samples = ImuSamples(topic, topic.rpartition("/")[2], stamp, *table.vectors, table.mag)
     clean_imu(samples, source)
     file.imus.append(samples)
     step_s = float(np.median(np.diff(samples.stamp_ns))) / 1e9 if len(samples.stamp_ns) > 1 else 0.0
@@ -281,7 +287,7 @@ def add_imu(file: RecordingFile, topic: str, table: ImuTable, source: str, shift
         )
 
 
-def times_of(table: ImuTable | SkeletonTable) -> FloatArray:
+def times_of(table: ImuSamples | SkeletonTable) -> FloatArray:
     """Times of a table that was corrected."""
     assert table.t_s is not None
     return table.t_s
@@ -317,7 +323,7 @@ def sort_files(
             continue
         if any(isinstance(table, SkeletonTable) for table in tables):
             skeletons.append(path)
-        sensors = [table for table in tables if isinstance(table, ImuTable)]
+        sensors = [table for table in tables if isinstance(table, ImuSamples)]
         if any(table.acc is not None and table.gyro is not None for table in sensors):
             imus.append(ImuFiles((path,)))
         elif sensors:

@@ -17,9 +17,8 @@ from ..recording import Recording
 from ..result.verdict import plain
 from .mcap.messages import Topic
 from .recording.choose import Selection
-from .recording.names import named_side, role
 from .recording.read import METADATA, open_recording, select_recordings
-from .recording.streams import ArmFrames, ImuSamples, PoseSamples, RecordingFile
+from .recording.streams import ArmFrames, ImuSamples, PoseSamples, RecordingFile, named_side, role
 from .result.read import stated_estimates
 from .result.write import RESULT
 

@@ -8,7 +8,8 @@ from functools import cache
 from pathlib import Path
 
 from ..errors import RecordingError, UnoccludeError
-from .tables.imu import ImuTable, is_of_sensor, missing_axes, missing_axes_words
+from .recording.streams import ImuSamples
+from .tables.imu import is_of_sensor, missing_axes, missing_axes_words
 from .tables.imu_formats import IMU_FORMATS, NAMED_IMU
 from .tables.joints import find_joint_columns
 from .tables.table import HEAD_BYTES, FileHead, Format, Tables, first_rows, no_table, read_head, shown
@@ -137,7 +138,7 @@ class FileReader:
         if not tables:
             raise RecordingError(f"{path} ({of.title}) has no rows; export it again.")
         if of not in self._templates and (missing := _missing(path, of.kind)):  # those name their columns
-            halves = [t for t in tables if isinstance(t, ImuTable) and (t.acc is None or t.gyro is None)]
+            halves = [t for t in tables if isinstance(t, ImuSamples) and (t.acc is None or t.gyro is None)]
             if of.kind == "skeleton" or halves:
                 raise _lacks(path, of, missing)
             tables[0].notes.append(f"There is {missing_axes_words(missing)}: this vector was not read.")

@@ -30,7 +30,7 @@ from ..angles.definitions import arm_angles
 from ..array_types import FloatArray
 from ..body import FOREARM, SEGMENTS
 from ..errors import UnoccludeError
-from ..io.recording.names import named_side
+from ..io.recording.streams import named_side
 from ..live.answers import LiveEstimate, LiveOutput, LiveState
 from ..recording import JOINTS
 from ..runtime.packages import extra_module

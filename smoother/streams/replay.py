@@ -109,7 +109,8 @@ class Replay(Playback):
                 if len(imu.stamp_ns):
                     t_s, topics[segment] = seconds(imu.stamp_ns, origin_ns), imu.topic
                     mag = {} if imu.mag is None else {"mag": imu.mag}
-                    of_arm[segment] = Rows(t_s, t_s, {"acc": imu.acc, "gyro": imu.gyro, **mag})
+                    acc, gyro = imu.vectors
+                    of_arm[segment] = Rows(t_s, t_s, {"acc": acc, "gyro": gyro, **mag})
             t_s, arrival_s = (seconds(arm.stamp_ns + ns, origin_ns) for ns in (0, latency_ns))
             frames = Rows(t_s, arrival_s, {"position": arm.position, "state": arm.state})
             arms.append(Arrivals(of_arm, frames))

@@ -13,8 +13,7 @@ from scipy.spatial.transform import Rotation
 from smoother.angles import shoulder_angles
 from smoother.angles.definitions import arm_angles, wrapped_deg
 from smoother.array_types import FloatArray
-from smoother.io.recording.names import role, role_among
-from smoother.io.recording.streams import ImuSamples
+from smoother.io.recording.streams import ImuSamples, role, role_among
 from smoother.recording import ImuStream
 from smoother.result import Recovery
 from smoother.simulation import ArmSimulation, SimulatedArm, simulate_arm

@@ -11,9 +11,8 @@ from imu_files import motion
 
 from smoother.io import open_csv
 from smoother.io.recording.read import select_recordings
-from smoother.io.recording.streams import RecordingFile
+from smoother.io.recording.streams import ImuSamples, RecordingFile
 from smoother.io.registry import FileReader, recognise
-from smoother.io.tables.imu import ImuTable
 from smoother.io.tables.skeletons import SkeletonTable
 from smoother.io.tables.table import read_head
 from smoother.recording import Recording
@@ -51,15 +50,15 @@ def tables(path: Path, key: str) -> list[Any]:
     return list(FileReader().read(path, importer))
 
 
-def streams(path: Path, key: str) -> tuple[list[SkeletonTable], list[ImuTable]]:
+def streams(path: Path, key: str) -> tuple[list[SkeletonTable], list[ImuSamples]]:
     """Skeletons and IMUs of a recording."""
     found = tables(path, key)
     skeletons = [table for table in found if isinstance(table, SkeletonTable)]
-    return skeletons, [table for table in found if isinstance(table, ImuTable)]
+    return skeletons, [table for table in found if isinstance(table, ImuSamples)]
 
 
 def check(
-    table: ImuTable, acc: np.ndarray | None, gyro: np.ndarray | None, t_s: np.ndarray | None = None
+    table: ImuSamples, acc: np.ndarray | None, gyro: np.ndarray | None, t_s: np.ndarray | None = None
 ) -> None:
     """The table's values are these, to rounding."""
     for values, expected in ((table.acc, acc), (table.gyro, gyro)):

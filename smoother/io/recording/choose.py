@@ -18,8 +18,20 @@ from ...recording import FOREARM_JOINTS, JOINTS, ImuStream, JointState, JointTra
 from ...runtime.store import by_rows
 from ..mcap.messages import seconds
 from .clean import clean_arm, clean_imu
-from .names import is_named, is_of_other_arm, named_side, role, role_among, words
-from .streams import ArmFrames, CameraStream, ImuSamples, PoseSamples, RecordingFile, rows_of
+from .streams import (
+    ArmFrames,
+    CameraStream,
+    ImuSamples,
+    PoseSamples,
+    RecordingFile,
+    is_named,
+    is_of_other_arm,
+    named_side,
+    role,
+    role_among,
+    rows_of,
+    words,
+)
 
 if TYPE_CHECKING:
     from ...matching import ImuMatch, Limb
@@ -348,7 +360,7 @@ def _forearm_imus(file: RecordingFile, name: str | None, of_several: bool = Fals
     """The IMU of that name, or all that may be on a forearm by their names; of several people all unnamed."""
     if not file.imus:
         alone = ", ".join(
-            f"{half.name} ({'gyroscope' if half.acc is None else 'accelerometer'})" for half in file.halves
+            f"{half.topic} ({'gyroscope' if half.acc is None else 'accelerometer'})" for half in file.halves
         )
         raise RecordingError(
             f"{file.path} has no IMU with both sensors, but {alone} alone; record the other one as well."

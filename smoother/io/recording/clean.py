@@ -15,7 +15,7 @@ from ...recording import JOINTS, JointState
 from ...runtime.store import batches, by_rows, sampled
 from ...units import STANDARD_GRAVITY
 from ..mcap.messages import nanoseconds, seconds
-from ..tables.imu import GYRO_LIMIT, ImuTable, in_shown_units, rest_size, with_halves_joined
+from ..tables.imu import GYRO_LIMIT, in_shown_units, rest_size, with_halves_joined
 from .streams import ArmFrames, ImuSamples, PoseSamples, RecordingFile, kept, rows_of, without_outlying
 
 #: Names of two causes.
@@ -147,9 +147,10 @@ _FOREARM_CM = 70.0
 def clean_imu(stream: ImuSamples, source: str) -> tuple[ImuSamples, list[str]]:
     """Drop what cannot be used of an IMU, and check its units."""
     stream, packets = _out_of_packets(stream)
-    _refuse_set_back(stream.stamp_ns, stream.acc, stream.topic, source, "samples")
-    finite = _finite(stream.acc) & _finite(stream.gyro)
-    causes = unusable_samples(stream.stamp_ns, stream.acc, stream.gyro)
+    acc, gyro = stream.vectors
+    _refuse_set_back(stream.stamp_ns, acc, stream.topic, source, "samples")
+    finite = _finite(acc) & _finite(gyro)
+    causes = unusable_samples(stream.stamp_ns, acc, gyro)
     usable = finite.copy()
     for cause in (FROZEN, ZERO):
         if cause in causes:
@@ -298,7 +299,7 @@ def _keep(
 def _check_units(stream: ImuSamples, finite: BoolArray, source: str) -> None:
     # A long recording is judged by an even sub-sample.
     usable = sampled(finite)
-    acc, gyro = sampled(stream.acc)[usable], sampled(stream.gyro)[usable]
+    acc, gyro = (sampled(values)[usable] for values in stream.vectors)
     if not len(acc):
         return
     rest, fast = rest_size(acc, gyro)
@@ -335,36 +336,33 @@ def settle_imus(file: RecordingFile) -> None:
         joined, alone, why = with_halves_joined(tables, str(file.path))
         file.halves = [replace(half, t_s=half.t_s + origin / 1e9) for half in alone if half.t_s is not None]
         file.notes += [f"{each}: its other sensor reads zero throughout{LEFT_OUT}" for each in why]
-        for table in joined:
-            assert table.t_s is not None and table.acc is not None and table.gyro is not None
-            file.notes += table.notes
-            gyro = next(imu for imu in halves if imu.topic == table.name)
-            stamp = nanoseconds(table.t_s, origin)
-            gyro = replace(gyro, stamp_ns=stamp, acc=table.acc, gyro=table.gyro, mag=table.mag)
-            file.imus.append(replace(gyro, made_of=table.made_of))
-    for imu in file.imus:
-        t_s = seconds(imu.stamp_ns, int(imu.stamp_ns[0]))
-        table = in_shown_units(ImuTable(imu.topic, t_s, imu.acc, imu.gyro, units=imu.units))
-        assert table.acc is not None and table.gyro is not None
-        imu.acc, imu.gyro, imu.units = table.acc, table.gyro, table.units
-        file.notes += table.notes
+        for imu in joined:
+            assert imu.t_s is not None
+            file.notes += imu.notes
+            stamp = nanoseconds(imu.t_s, origin)
+            file.imus.append(replace(imu, stamp_ns=stamp, units="m/s^2, rad/s", notes=[]))
+    for at, imu in enumerate(file.imus):
+        imu = in_shown_units(replace(imu, t_s=seconds(imu.stamp_ns, int(imu.stamp_ns[0]))))
+        file.notes += imu.notes
+        file.imus[at] = replace(imu, t_s=None, notes=[])
 
 
 def _only_sensor(imu: ImuSamples) -> str:
     """The one sensor that was measured where the other reads zero (or nothing) throughout; "" for both."""
     silent = {
         name: not by_rows(lambda part: np.nan_to_num(part).any(axis=1), values).any()
-        for name, values in (("gyroscope", imu.acc), ("accelerometer", imu.gyro))
+        for name, values in zip(("gyroscope", "accelerometer"), imu.vectors, strict=True)
     }
     if silent["gyroscope"] == silent["accelerometer"]:
         return ""
-    name, values = ("gyroscope", imu.gyro) if silent["gyroscope"] else ("accelerometer", imu.acc)
+    acc, gyro = imu.vectors
+    name, values = ("gyroscope", gyro) if silent["gyroscope"] else ("accelerometer", acc)
     # what does not vary either is made up, and no sensor's
     return name if len(values) >= _FEWEST and (np.ptp(sampled(values), axis=0) != 0).any() else ""
 
 
-def _half(imu: ImuSamples, kind: str, origin: int, file: RecordingFile) -> ImuTable:
-    """One sensor of an IMU as a table, with increasing times."""
+def _half(imu: ImuSamples, kind: str, origin: int, file: RecordingFile) -> ImuSamples:
+    """One sensor of an IMU, with increasing times."""
     stream = without_outlying(imu, file.notes)
     keep = increasing(stream.stamp_ns)
     if (~keep).mean() > _MOST_BACK:
@@ -372,11 +370,10 @@ def _half(imu: ImuSamples, kind: str, origin: int, file: RecordingFile) -> ImuTa
             f"{file.path}: the stamps of {imu.topic} run back, so its {kind} cannot be joined with the other"
             " sensor's topic; cut the recording there, or record both in one topic."
         )
-    values = (stream.acc if kind == "accelerometer" else stream.gyro)[keep]
-    return ImuTable(
-        imu.topic,
-        seconds(stream.stamp_ns[keep], origin),
-        values if kind == "accelerometer" else None,
-        values if kind == "gyroscope" else None,
-        None if stream.mag is None else stream.mag[keep],
-    )
+    half = rows_of(stream, keep)
+    half.t_s, half.units = seconds(half.stamp_ns, origin), ""
+    if kind == "accelerometer":
+        half.gyro = None
+    else:
+        half.acc = None
+    return half

@@ -106,8 +106,8 @@ class PlainDecoder(Decoder):
             position, quaternion = columns
             return PoseSamples(*named, position, quaternion)
         acc, gyro, mag = columns
-        shift = int(np.median(sampled(delay)))
-        return ImuSamples(*named, acc, gyro, mag if np.isfinite(mag).any() else None, shift)
+        shift, field = int(np.median(sampled(delay))), mag if np.isfinite(mag).any() else None
+        return ImuSamples(*named, acc, gyro, field, shift, units="m/s^2, rad/s")
 
 
 SIDES = ("", "left", "right")

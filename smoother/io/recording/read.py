@@ -35,16 +35,17 @@ from .choose import FileReading, Selection, StreamChoice, choose_arms, choose_im
 from .clean import clean_arm, clean_imu, clean_poses, settle_imus
 from .decode import JointDecoder, PlainDecoder, decoder_of
 from .keypoints import camera_of, cameras_from_plain, direction_of, lenses_from_plain, tracks_of, with_lenses
-from .names import OTHER_SIDE, role
 from .streams import (
     ARRIVAL,
     ORDER,
+    OTHER_SIDE,
     ArmFrames,
     FieldSamples,
     ImuSamples,
     PoseSamples,
     RecordingFile,
     in_order,
+    role,
     without_outlying,
 )
 
@@ -250,7 +251,7 @@ def _join_field(file: RecordingFile, field: FieldSamples) -> None:
         return
     stamp, values = field.stamp_ns[order], field.mag[order]
     at, have = seconds(mine[0].stamp_ns, int(stamp[0])), seconds(stamp, int(stamp[0]))
-    mag = large_array(mine[0].acc.shape)
+    mag = large_array((len(mine[0]), 3))
     for axis in range(3):
         mag[:, axis] = np.interp(at, have, values[:, axis])
     mine[0].mag = mag

@@ -1,15 +1,17 @@
 """What a file contains, before it is decided what to use: streams with the stamps as recorded.
 
-Streams whose stamps are put right: rows out of order, lone stamps far away.
+Streams whose stamps are put right: rows out of order, lone stamps far away. What their names say: the segment
+that an IMU is on, its side, a body's number.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import re
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,27 +24,51 @@ from ...measurements.timestamps import largest_group
 from ...measurements.visibility import enough_joints
 from ...recording import CameraFrame, CameraPose, ImuStream, JointState
 from ...runtime.store import by_rows
-from ..mcap.messages import Topic, seconds, told_behind
-from ..tables.imu import ImuTable
+from ..mcap.messages import Topic, nanoseconds, seconds, told_behind
+
+if TYPE_CHECKING:
+    from _typeshed import DataclassInstance
 
 
 @dataclass
 class ImuSamples:
-    """One inertial sensor."""
+    """One inertial sensor as a file has it, in SI units."""
 
-    topic: str  # Where it came from
-    frame_id: str  # Where it came from
-    stamp_ns: IntArray  # int (N,) ns: as recorded
-    acc: FloatArray  # (N, 3) m/s^2 and rad/s
-    gyro: FloatArray  # (N, 3) m/s^2 and rad/s
-    mag: FloatArray | None = None  # (N, 3): in the sensor's unit, or None
+    topic: str  # Where it came from, or what the file calls the sensor ("" where it does not say)
+    frame_id: str = ""  # Where it came from
+    stamp_ns: IntArray = field(default_factory=lambda: np.empty(0, np.int64))  # (N,): as a recording has them
+    acc: FloatArray | None = None  # (N, 3) m/s^2; None where the file contains only the other of the two
+    gyro: FloatArray | None = None  # (N, 3) rad/s; as `acc`
+    mag: FloatArray | None = None  # (N, 3): in the sensor's own unit
     log_shift_ns: int = 0  # Median of log time minus stamp
-    made_of: tuple[str, ...] = ()  # Topics that contain a half of it each; () where one contains the whole
-    units: str = "m/s^2, rad/s"  # As the file has them
+    t_s: FloatArray | None = None  # (N,) s: stamps as a table has them, on the device's clock
+    rate_hz: float | None = None  # Rate that the file states, or that its counter counts
+    counter: IntArray | None = None  # (N,): packet counter, where there is one
+    counter_wraps: int = 0  # 0 = it does not wrap
+    units: str = ""  # As the file has them, for the line that is said of it ("m/s^2, deg/s")
+    notes: list[str] = field(default_factory=list)  # What was decided or dropped in reading, a sentence each
+    made_of: tuple[str, ...] = ()  # Streams of the file that contain a half each; () where one has the whole
+    assumed: bool = False  # A gyroscope only because a vector without a name shows no gravity
+
+    def __len__(self) -> int:
+        columns = (self.acc, self.gyro, self.t_s, self.stamp_ns)
+        return next((len(each) for each in columns if each is not None), 0)
+
+    @property
+    def vectors(self) -> tuple[FloatArray, FloatArray]:
+        """Specific force and angular velocity of a sensor that has both."""
+        assert self.acc is not None and self.gyro is not None
+        return self.acc, self.gyro
+
+    @classmethod
+    def of(cls, topic: str, imu: ImuStream, origin_ns: int) -> ImuSamples:
+        """A recording's stream under a topic, with stamps."""
+        stamp_ns = nanoseconds(imu.t_s, origin_ns)
+        return cls(topic, topic.rpartition("/")[2], stamp_ns, imu.acc, imu.gyro, imu.mag)
 
     def on_axis(self, origin_ns: int) -> ImuStream:
         """The same with times in seconds after an origin."""
-        return ImuStream(self.topic, seconds(self.stamp_ns, origin_ns), self.acc, self.gyro, self.mag)
+        return ImuStream(self.topic, seconds(self.stamp_ns, origin_ns), *self.vectors, self.mag)
 
 
 @dataclass
@@ -139,7 +165,7 @@ class RecordingFile:
     # Of cameras without depth, by the topic of their keypoints
     lenses: dict[str, KnownLens] = field(default_factory=dict)
     # Accelerometers and gyroscopes alone, which belong to no IMU
-    halves: list[ImuTable] = field(default_factory=list)
+    halves: list[ImuSamples] = field(default_factory=list)
 
     @contextmanager
     def damage_told(self) -> Iterator[None]:
@@ -169,17 +195,24 @@ class RecordingFile:
 ORDER, ARRIVAL = "order", "arrival"
 
 
-#: Columns that a stream may have, a row a sample.
-_COLUMNS = ("stamp_ns", "acc", "gyro", "mag", "position", "state", "quaternion", "score")
-Stream = TypeVar("Stream", "ImuSamples", "ArmFrames", "PoseSamples", "FieldSamples")
+#: Columns that a stream may have, a row a sample; of several joints in a mapping.
+_COLUMNS = (
+    *("stamp_ns", "t_s", "counter", "acc", "gyro", "mag"),
+    *("position", "state", "quaternion", "score", "joints"),
+)
+AnyStream = TypeVar("AnyStream", bound="DataclassInstance")
+Stream = TypeVar("Stream", ImuSamples, ArmFrames, PoseSamples, FieldSamples)
 
 
-def rows_of(stream: Stream, rows: NDArray | slice) -> Stream:
+def rows_of(stream: AnyStream, rows: NDArray | slice) -> AnyStream:
     """Rows of a stream, by their numbers, by a mask or a slice."""
-    columns: dict[str, Any] = {name: getattr(stream, name, None) for name in _COLUMNS}
-    columns = {name: kept(values, rows) for name, values in columns.items() if values is not None}
-    if isinstance(stream, PoseSamples):
-        columns["joints"] = {name: kept(values, rows) for name, values in stream.joints.items()}
+    columns: dict[str, Any] = {}
+    for name in _COLUMNS:
+        values = getattr(stream, name, None)
+        if isinstance(values, dict):
+            columns[name] = {key: kept(each, rows) for key, each in values.items()}
+        elif values is not None and len(values):
+            columns[name] = kept(values, rows)
     return replace(stream, **columns)
 
 
@@ -214,3 +247,76 @@ def without_outlying(stream: Stream, notes: list[str]) -> Stream:
         f" {days:.1f} days; these samples were dropped."
     )
     return rows_of(stream, mask)
+
+
+# ------------------------------------------------------------------------- what names of streams say
+
+OTHER_SIDE = {"left": "right", "right": "left"}
+#: Words of names and the segment that they speak of; the first row that fits counts.
+_SEGMENTS = (
+    ("trunk", ("trunk", "sternum", "chest", "torso", "thorax")),
+    ("upper_arm", ("upper",)),
+    ("forearm", ("forearm", "wrist", "lower_arm", "watch")),
+    ("hand", ("hand", "palm", "metacarp")),
+    ("forearm", ("arm",)),
+    ("base", ("base", "camera", "kinect", "k4a", "azure", "depth", "realsense")),
+)
+
+
+def role(stream: ImuSamples) -> str:
+    """The segment by a stream's names: "forearm", "upper_arm", "hand", "trunk", "base" or ""."""
+    return named_segment(stream.topic) or named_segment(stream.frame_id)
+
+
+def named_segment(name: str) -> str:
+    """The segment that a name speaks of, or ""."""
+    spoken = words(name)
+    return next((segment for segment, named in _SEGMENTS if any(word in spoken for word in named)), "")
+
+
+def role_among(stream: ImuSamples, imus: Sequence[ImuSamples]) -> str:
+    """Its role in a file: an IMU named after a hand is used as the forearm's where that arm has no other."""
+    named = role(stream)
+    if named != "hand":
+        return named
+    side = named_side(stream.topic, stream.frame_id)
+    for other in imus:
+        its_side = named_side(other.topic, other.frame_id)
+        if role(other) in ("", "forearm") and (not side or its_side in ("", side)):
+            return "hand"
+    return "forearm"
+
+
+def named_side(*names: str) -> str:
+    """The side that names speak of: "left", "right" or ""."""
+    for name in names:
+        left, right = "left" in words(name), "right" in words(name)
+        if left != right:
+            return "left" if left else "right"
+    return ""
+
+
+def is_named(wanted: str, topic: str, frame_id: str) -> bool:
+    """Whether a stream is what was asked for: by a part of its topic, or by its frame_id."""
+    return wanted.strip("/").lower() in topic.lower() or wanted == frame_id
+
+
+def words(name: str) -> str:
+    """Lower case with the parts of CamelCase apart."""
+    return re.sub(r"(?<=[a-z])(?=[A-Z])", "_", name).lower()
+
+
+def is_of_other_arm(name: str, side: str, body: int | None = None) -> bool:
+    """Whether a name speaks of another side than this one, or of another body."""
+    other_side = bool(side) and named_side(name) not in ("", side)
+    named = re.search(r"body_?(\d+)", words(name))
+    return other_side or (body is not None and named is not None and int(named[1]) != body)
+
+
+def free_name(name: str, taken: set[str]) -> str:
+    """The name, or with a number where it is taken; it is taken from then on."""
+    number, free = 2, name
+    while free in taken:
+        free, number = f"{name}_{number}", number + 1
+    taken.add(free)
+    return free

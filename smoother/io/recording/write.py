@@ -22,9 +22,17 @@ from ..mcap.merge import Output, OutputStream
 from ..mcap.messages import nanoseconds
 from .decode import KEYPOINTS
 from .keypoints import CAMERA_TOPIC, NAMED_TOPIC, TOPIC, cameras_plain, lenses_plain, pixels_of
-from .names import OTHER_SIDE, free_name
 from .read import CLOCKS_UNRELATED, METADATA
-from .streams import ArmFrames, CameraStream, ImuSamples, KnownLens, PoseSamples, RecordingFile
+from .streams import (
+    OTHER_SIDE,
+    ArmFrames,
+    CameraStream,
+    ImuSamples,
+    KnownLens,
+    PoseSamples,
+    RecordingFile,
+    free_name,
+)
 
 CAMERA = "camera"
 #: Pixels of the images of a camera without depth whose lens a recording no longer has.
@@ -110,7 +118,7 @@ def as_file(recording: Recording | Sequence[Recording]) -> RecordingFile:
         worn += [(imu_topic(imu.name, one.side, segment), imu) for segment, imu in one.further_imus.items()]
         shared = {"/imu/base": one.base_imu, "/imu/trunk": None if trunk is None else trunk.imu}
         worn += [(topic, imu) for topic, imu in shared.items() if imu is not None and topic not in topics]
-        file.imus += [_samples(free_name(topic, topics), imu, one.origin_ns) for topic, imu in worn]
+        file.imus += [ImuSamples.of(free_name(topic, topics), imu, one.origin_ns) for topic, imu in worn]
         file.arms.append(_frames(file, one, one.arm, body))
         for camera in one.cameras:
             file.arms.append(_frames(file, one, camera.arm, body, camera))
@@ -125,11 +133,6 @@ def as_file(recording: Recording | Sequence[Recording]) -> RecordingFile:
     # one that is there as an arm of its own is not written twice
     file.arms += [arm for arm in others if (arm.body, arm.side) not in sides]
     return file
-
-
-def _samples(topic: str, imu: ImuStream, origin_ns: int) -> ImuSamples:
-    stamp = nanoseconds(imu.t_s, origin_ns)
-    return ImuSamples(topic, topic.rpartition("/")[2], stamp, imu.acc, imu.gyro, imu.mag)
 
 
 def _frames(
@@ -166,7 +169,7 @@ def as_session(
     early = min((float(t[0]) for t in times if len(t)), default=0.0)
     origin_ns = int(np.ceil(max(-early, 0.0))) * 1_000_000_000
     for imu in imus:
-        file.imus.append(_samples(free_name(imu_topic(imu.name), topics), imu, origin_ns))
+        file.imus.append(ImuSamples.of(free_name(imu_topic(imu.name), topics), imu, origin_ns))
     for body, side, arm in arms:
         stamp = nanoseconds(arm.t_s, origin_ns)
         file.arms.append(ArmFrames("/skeleton", CAMERA, body, side, stamp, arm.position, arm.state))
@@ -186,10 +189,11 @@ def imu_topic(name: str, side: str = "", limb: str = "forearm") -> str:
 
 def imu_messages(output: Output, imu: ImuSamples) -> OutputStream:
     """Messages of an IMU, on its topic."""
+    acc, gyro = imu.vectors
 
     def columns(part: slice) -> dict[str, NDArray]:
         mag = {} if imu.mag is None else {"magnetic_field": imu.mag[part]}
-        sensors = {"linear_acceleration": imu.acc[part], "angular_velocity": imu.gyro[part]}
+        sensors = {"linear_acceleration": acc[part], "angular_velocity": gyro[part]}
         return {"timestamp": imu.stamp_ns[part]} | sensors | mag
 
     return output.stream(imu.topic, "unocclude.Imu", imu.stamp_ns, {"frame_id": imu.frame_id}, columns)

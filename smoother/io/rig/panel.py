@@ -257,9 +257,7 @@ def write_panel_recording(
     """Write the session as MCAP: depth (16UC1, mm) and infrared images, lens, mocap markers, IMU samples."""
     stamp = nanoseconds(np.array([pose.t_s for pose in poses]), 0)
     of_lens = lens_message(CAMERA, lens, int(stamp[0]))
-    samples = [
-        ImuSamples(f"/imu/{i.name}", i.name, nanoseconds(i.t_s, 0), i.acc, i.gyro, i.mag) for i in imus
-    ]
+    samples = [ImuSamples.of(f"/imu/{each.name}", each, 0) for each in imus]
     with writing(path, force) as temporary, Output(temporary) as output:
 
         def depth(row: int) -> bytes:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 import re
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -24,10 +24,9 @@ from ...units import STANDARD_GRAVITY
 from ..mcap.messages import seconds
 from ..recording.clean import LEFT_OUT
 from ..recording.read import open_recording
-from ..recording.streams import ArmFrames
+from ..recording.streams import ArmFrames, ImuSamples
 from .imu import (
     Columns,
-    ImuTable,
     channel_labels,
     find_sensors,
     holds_gravity,
@@ -41,11 +40,11 @@ from .table import Format, begins, read_bytes, shown
 from .units import ACCELERATION, ANGULAR_VELOCITY, METRES, plain_unit
 
 
-def _read_apdm_hdf(path: Path) -> list[ImuTable]:
+def _read_apdm_hdf(path: Path) -> list[ImuSamples]:
     """Each sensor one IMU: m/s^2, rad/s, time in us since 1970."""
     h5py = extra_module("h5py", "h5py", "apdm")
 
-    def read(file: Path) -> list[ImuTable]:
+    def read(file: Path) -> list[ImuSamples]:
         with h5py.File(file, "r") as opened:
             return _sensors(opened)
 
@@ -69,7 +68,7 @@ APDM_HDF = Format(
 )
 
 
-def _sensors(file: Any) -> list[ImuTable]:
+def _sensors(file: Any) -> list[ImuSamples]:
     if "Sensors" in file:
         groups = [(name, group, group) for name, group in file["Sensors"].items()]
     else:
@@ -90,8 +89,8 @@ def _sensors(file: Any) -> list[ImuTable]:
         configured = group["Configuration"].attrs if _has(group, "Configuration") else {}
         label = _text(configured.get("Label 0", "") if configured else group.attrs.get("MonitorLabel", ""))
         tables.append(
-            ImuTable(
-                name=label or labels.get(name, "") or name,
+            ImuSamples(
+                label or labels.get(name, "") or name,
                 t_s=None if time is None else time[:count] * 1e-6,
                 acc=acc[:count],
                 gyro=gyro[:count],
@@ -131,7 +130,7 @@ _BLOCK = np.dtype([(name, kind) for kind, name in map(str.split, _FIELDS.split("
 _USUAL_RANGE = 2000.0
 
 
-def _read_axivity(path: Path) -> list[ImuTable]:
+def _read_axivity(path: Path) -> list[ImuSamples]:
     """Gyroscope in deg/s and accelerometer in g, 16 bits, in blocks with a time stamp each."""
     raw = read_bytes(path)
     blocks = np.frombuffer(raw, _BLOCK, count=len(raw) // _BLOCK.itemsize)
@@ -163,7 +162,7 @@ AXIVITY = Format(
 )
 
 
-def _samples(blocks: NDArray[np.void], left_out: int, cut: bool) -> ImuTable:
+def _samples(blocks: NDArray[np.void], left_out: int, cut: bool) -> ImuSamples:
     """Samples of intact blocks with six axes."""
     # A sample is in the rows of its block that are filled.
     filled = np.arange(40) < blocks["count"][:, None]
@@ -180,7 +179,7 @@ def _samples(blocks: NDArray[np.void], left_out: int, cut: bool) -> ImuTable:
     if cut:  # a file is a whole number of blocks
         notes.append("The file is cut off within a block; what follows is lost. Download it again.")
     t_s = _even(t_s, blocks)[filled]
-    return ImuTable("", t_s, acc[filled], gyro[filled], units="g, deg/s", notes=notes)
+    return ImuSamples("", t_s=t_s, acc=acc[filled], gyro=gyro[filled], units="g, deg/s", notes=notes)
 
 
 def _starts(blocks: NDArray[np.void], rate: FloatArray) -> FloatArray:
@@ -218,7 +217,7 @@ _EXPORT = "export it again with sensor data 'acceleration' and 'angular velocity
 _ROOT = re.compile(r"\s*(<\?xml.*?\?>\s*)?(<!--.*?-->\s*)*<mvnx\b", re.DOTALL)
 
 
-def _read_mvnx(path: Path) -> list[ImuTable]:
+def _read_mvnx(path: Path) -> list[ImuSamples]:
     """Sensors of a suit, each one IMU: m/s^2 and rad/s in the sensor's axes."""
     rows: dict[str, list[str]] = {_ACC: [], _GYRO: [], _MAG: []}
     names: list[str] = []
@@ -257,13 +256,13 @@ def _read_mvnx(path: Path) -> list[ImuTable]:
     stamped = bool((np.diff(stamps) > 0).any())
     names += [f"sensor {at + 1}" for at in range(len(names), count)]
     return [
-        ImuTable(
+        ImuSamples(
             names[at],
-            stamps.copy() if stamped else None,
-            acc[:, at],
-            gyro[:, at],
-            None if mag is None or mag.shape[1] != count else mag[:, at],
-            rate,
+            t_s=stamps.copy() if stamped else None,
+            acc=acc[:, at],
+            gyro=gyro[:, at],
+            mag=None if mag is None or mag.shape[1] != count else mag[:, at],
+            rate_hz=rate,
             units="m/s^2, rad/s",
         )
         for at in range(count)
@@ -301,17 +300,16 @@ def _number(text: str | None) -> float | None:
     return value if np.isfinite(value) else None
 
 
-def read_mcap(path: Path) -> list[ImuTable | SkeletonTable]:
+def read_mcap(path: Path) -> list[ImuSamples | SkeletonTable]:
     """IMUs and arms of an MCAP file, as `unocclude smooth` reads them too."""
     file = open_recording(path, truth=False)
     by_body: dict[tuple[str, int], list[ArmFrames]] = {}
     for arm in file.arms:
         by_body.setdefault((arm.topic, arm.body), []).append(arm)
-    tables: list[ImuTable | SkeletonTable] = [_skeleton(arms) for arms in by_body.values()]
-    for imu in file.imus:
-        name, t_s = imu.topic.strip("/"), seconds(imu.stamp_ns, 0)
-        one = ImuTable(name, t_s, imu.acc, imu.gyro, imu.mag, units=imu.units, made_of=imu.made_of)
-        tables.append(one)
+    tables: list[ImuSamples | SkeletonTable] = [_skeleton(arms) for arms in by_body.values()]
+    tables += [
+        replace(imu, topic=imu.topic.strip("/"), t_s=seconds(imu.stamp_ns, 0), notes=[]) for imu in file.imus
+    ]
     tables += [] if file.imus else file.halves
     if not tables:
         listed = ", ".join(f"{topic.name} ({topic.schema}, {topic.encoding})" for topic in file.topics)
@@ -352,7 +350,7 @@ _KINDS = (
 )
 
 
-def read_rosbag1(path: Path) -> list[ImuTable | SkeletonTable]:
+def read_rosbag1(path: Path) -> list[ImuSamples | SkeletonTable]:
     """Bags of ROS 1, whose messages become those of ROS 2 in an MCAP file that is read."""
     reader_module = extra_module("rosbags.rosbag1", "rosbags", "devices")
     with TemporaryDirectory() as folder:
@@ -412,7 +410,7 @@ class _Stream:
     values: np.ndarray
 
 
-def read_xdf(path: Path) -> list[ImuTable | SkeletonTable]:
+def read_xdf(path: Path) -> list[ImuSamples | SkeletonTable]:
     """Streams whose channels' labels are a sensor's axes or joints; the file's clock offsets are applied."""
     import pyxdf
 
@@ -494,10 +492,10 @@ def _xdf_skeletons(stream: _Stream, path: Path) -> list[SkeletonTable]:
     return raw.skeletons(Conventions(unit, frames.get(program_of(stream.labels))))
 
 
-def _imus(streams: list[_Stream], path: Path) -> tuple[list[ImuTable], list[str]]:
+def _imus(streams: list[_Stream], path: Path) -> tuple[list[ImuSamples], list[str]]:
     """Sensors of all streams, and why some were left out; halves of a sensor are put together."""
-    whole: list[ImuTable] = []
-    halves: list[ImuTable] = []
+    whole: list[ImuSamples] = []
+    halves: list[ImuSamples] = []
     reasons: list[str] = []
     for stream in streams:
         if has_arm(find_joint_columns(stream.labels).axes):
@@ -511,15 +509,15 @@ def _imus(streams: list[_Stream], path: Path) -> tuple[list[ImuTable], list[str]
                 (halves if table.acc is None or table.gyro is None else whole).append(table)
     joined, _, alone = with_halves_joined(halves, str(path))
     for table in joined:
-        table.name = stem_of(table.name).replace(" ", "_") or "imu"
+        table.topic = stem_of(table.topic).replace(" ", "_") or "imu"
     return whole + joined, reasons + alone
 
 
-def _imu(stream: _Stream, name: str, axes: dict[str, Columns]) -> tuple[ImuTable, str]:
+def _imu(stream: _Stream, name: str, axes: dict[str, Columns]) -> tuple[ImuSamples, str]:
     """A sensor's samples in SI units; or why its units are not known."""
     values = np.where(np.abs(stream.values) < _DAMAGED, stream.values, np.nan)
     vectors = {kind: values[:, columns].astype(float) for kind, columns in axes.items()}
-    table = ImuTable(name, stream.t_s, None, None, vectors.get("mag"), stream.rate_hz)
+    table = ImuSamples(name, t_s=stream.t_s, mag=vectors.get("mag"), rate_hz=stream.rate_hz)
     units = []
     for kind, known in (("acc", ACCELERATION), ("gyro", ANGULAR_VELOCITY)):
         if kind not in vectors:

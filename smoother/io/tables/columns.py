@@ -17,7 +17,8 @@ from ...recording import CameraFrame, ImuStream, JointState
 from ...runtime.inputs import check_input
 from ..recording.decode import joint_code
 from ..recording.keypoints import states_of_scores
-from .imu import ImuTable, usual_size
+from ..recording.streams import ImuSamples
+from .imu import usual_size
 from .joints import joint_name
 from .skeletons import PIXELS, RawSkeleton, SkeletonTable, gathered
 from .table import CUT, SEPARATORS, DeviceTable, plain_label, read_table, shown
@@ -182,7 +183,7 @@ def _times(
 IMU_COLUMNS = ("t", "ax", "ay", "az", "gx", "gy", "gz", "mx", "my", "mz")
 
 
-def read_imu_columns(folder: Path, keys: ImuKeys) -> list[ImuTable]:
+def read_imu_columns(folder: Path, keys: ImuKeys) -> list[ImuSamples]:
     """The tables of an IMU, one per file, in SI units."""
     files = keys.files
     given = keys.columns if isinstance(keys.columns, list) else [keys.columns or {}] * len(files)
@@ -200,7 +201,7 @@ def read_imu_columns(folder: Path, keys: ImuKeys) -> list[ImuTable]:
 
 def imu_by_columns(
     table: DeviceTable, columns: Mapping[str, Column], keys: ImuKeys, is_part: bool = False
-) -> ImuTable:
+) -> ImuSamples:
     """An IMU of the columns that are stated, or of the product's own."""
     own = {"t": "t_s", **{name: name for name in IMU_COLUMNS[1:]}}
     optional = IMU_COLUMNS if is_part else () if columns else ("t", "mx", "my", "mz")
@@ -218,7 +219,9 @@ def imu_by_columns(
             f" that is there; its columns are {_listed(table)}."
         )
     t_s, counter = _times(table, at, keys)
-    imu = ImuTable("", t_s, None, None, vectors.get("m"), keys.rate_hz, counter, notes=table.notes)
+    imu = ImuSamples(
+        "", t_s=t_s, mag=vectors.get("m"), rate_hz=keys.rate_hz, counter=counter, notes=table.notes
+    )
     if "a" in vectors:
         imu.acc = vectors["a"] * ACCELERATION[keys.accelerometer_unit]
     if "g" in vectors:

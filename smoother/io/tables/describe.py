@@ -17,9 +17,9 @@ from ...errors import RecordingError
 from ...linalg import median_rate_hz
 from ...recording import JointState
 from ..files import files_meant, times_of
+from ..recording.streams import ImuSamples
 from ..registry import FileReader, unknown_file
 from .guess import Guess, guess_of
-from .imu import ImuTable
 from .skeletons import SkeletonTable
 from .table import (
     HEAD_BYTES,
@@ -140,9 +140,9 @@ def _no_stream(path: Path, head: FileHead) -> tuple[str, str] | None:
     return ("calibration", "Calibration") if is_calibration else None
 
 
-def _stream(table: ImuTable | SkeletonTable, source: str) -> tuple[dict[str, Any], list[str]]:
+def _stream(table: ImuSamples | SkeletonTable, source: str) -> tuple[dict[str, Any], list[str]]:
     """A stream with corrected times, and what was decided of it."""
-    if isinstance(table, ImuTable):
+    if isinstance(table, ImuSamples):
         imu = repaired_imu(table, source)
         sensors = {"accelerometer": imu.acc, "gyroscope": imu.gyro, "magnetometer": imu.mag}
         holds, t_s = [name for name, values in sensors.items() if values is not None], times_of(imu)
@@ -150,7 +150,7 @@ def _stream(table: ImuTable | SkeletonTable, source: str) -> tuple[dict[str, Any
         plots = [_plot(name, unit, t_s, each) for name, unit in units if (each := sensors[name]) is not None]
         of_kind: dict[str, Any] = {
             "kind": "imu",
-            "name": imu.name,
+            "name": imu.topic,
             "axes": "",
             "body": None,
             "units": imu.units,

@@ -4,18 +4,17 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, field, replace
-from typing import Any
+from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-from ...array_types import BoolArray, FloatArray, IntArray
+from ...array_types import FloatArray
 from ...errors import RecordingError
 from ...linalg import interpolate, median_rate_hz
 from ...measurements.timestamps import pauses
 from ...runtime.store import batches, by_rows, sampled
 from ...units import STANDARD_GRAVITY
+from ..recording.streams import ImuSamples, rows_of
 from .joints import words_of
 from .table import shown
 from .units import ACCELERATION, ANGULAR_VELOCITY, TIME, gravity_unit, plain_unit, unit_of_rest
@@ -23,35 +22,6 @@ from .units import ACCELERATION, ANGULAR_VELOCITY, TIME, gravity_unit, plain_uni
 Columns = tuple[int, int, int]
 #: Columns of x, y, z of `acc`, `gyro`, `mag` by what their labels call the sensor ("" where they do not).
 Sensors = dict[str, dict[str, Columns]]
-
-
-@dataclass
-class ImuTable:
-    """One inertial sensor as a file has it, in SI units, times not yet repaired."""
-
-    name: str  # What the file calls the sensor ("" where it does not say)
-    t_s: FloatArray | None  # (N,) s: stamps as written, on the device's clock
-    acc: FloatArray | None  # (N, 3) m/s^2; None where the file contains only the other of the two
-    gyro: FloatArray | None  # (N, 3) rad/s; as `acc`
-    mag: FloatArray | None = None  # (N, 3): in the sensor's own unit
-    rate_hz: float | None = None  # Rate that the file states, or that its counter counts
-    counter: NDArray[np.int64] | None = None  # (N,): packet counter, where there is one
-    counter_wraps: int = 0  # 0 = it does not wrap
-    units: str = ""  # As written in the file, for the line that is said of it ("m/s^2, deg/s")
-    notes: list[str] = field(default_factory=list)  # What was decided or dropped in reading, a sentence each
-    made_of: tuple[str, ...] = ()  # Streams of the file that contain a half each
-    assumed: bool = False  # A gyroscope only because a vector without a name shows no gravity
-
-    def __len__(self) -> int:
-        return next((len(each) for each in (self.acc, self.gyro, self.t_s) if each is not None), 0)
-
-    def select(self, keep: BoolArray | IntArray | slice) -> ImuTable:
-        """Some of the samples, or all in another order."""
-        arrays: dict[str, Any] = {
-            name: None if (rows := getattr(self, name)) is None else rows[keep]
-            for name in ("t_s", "acc", "gyro", "mag", "counter")
-        }
-        return replace(self, **arrays)
 
 
 # ------------------------------------------------------------------------- which columns are a sensor's axes
@@ -267,7 +237,7 @@ def unit_of(
         return gravity_unit(size) or ("m/s^2" if in_si else ""), f"it reads {size:.3g} as a rule"
     if unit := _unit_by_resolution(values):
         return unit, "its smallest step is that of a 16-bit sensor in this unit"
-    if (scale := turn_scale(ImuTable("", t_s, force, values, rate_hz=rate))) is not None:
+    if (scale := turn_scale(ImuSamples("", t_s=t_s, acc=force, gyro=values, rate_hz=rate))) is not None:
         unit = "deg/s" if scale < 1 / _WRONG_SCALE else "rad/s"
         return unit, "it then rotates as gravity does in the accelerometer"
     finite = np.abs(values[np.isfinite(values)])
@@ -299,7 +269,7 @@ def rest_size(acc: FloatArray, gyro: FloatArray) -> tuple[float, float]:
     return float(np.median(rest)), float(np.percentile(rate, 99))
 
 
-def in_shown_units(table: ImuTable) -> ImuTable:
+def in_shown_units(table: ImuSamples) -> ImuSamples:
     """An IMU in the units in which it reads gravity at rest and turns as gravity does, whatever was taken."""
     if table.acc is None or table.gyro is None:
         return table
@@ -308,7 +278,7 @@ def in_shown_units(table: ImuTable) -> ImuTable:
     if finite.sum() < _FEWEST:
         return table
     rest, fast = rest_size(acc[finite], gyro[finite])
-    parts = map(table.select, batches(len(table)))
+    parts = (rows_of(table, part) for part in batches(len(table)))
     scale = next((scale for part in parts if (scale := turn_scale(part)) is not None), None)
     taken, degree, shown = "rad/s", ANGULAR_VELOCITY["deg/s"], {"acc": unit_of_rest(rest), "gyro": ""}
     if fast > GYRO_LIMIT if scale is None else scale < 1 / _WRONG_SCALE:
@@ -316,7 +286,7 @@ def in_shown_units(table: ImuTable) -> ImuTable:
     elif scale is not None and scale > _WRONG_SCALE and table.units.endswith("deg/s"):
         shown["gyro"], taken, degree = "rad/s", "deg/s", 1 / degree
     table, units = replace(table, notes=list(table.notes)), (table.units or "m/s^2, rad/s").split(", ")
-    of = f"{table.name}: the" if table.name else "The"
+    of = f"{table.topic}: the" if table.topic else "The"
     for at, kind, sensor, why in (
         (0, "acc", "accelerometer", "as gravity shows, not in m/s^2"),
         (-1, "gyro", "gyroscope", f"as the motion shows, not in {taken}"),
@@ -334,7 +304,7 @@ def holds_gravity(acc: FloatArray) -> bool:
     return usual_size(acc) > _NO_GRAVITY * STANDARD_GRAVITY
 
 
-def turn_scale(table: ImuTable) -> float | None:
+def turn_scale(table: ImuSamples) -> float | None:
     """How much faster gravity turns in the sensor's axes than its gyroscope says."""
     rate = _rate(table)
     if table.acc is None or table.gyro is None or rate is None:
@@ -353,7 +323,7 @@ def turn_scale(table: ImuTable) -> float | None:
     return common / power if both > 0 and common / both > _CLEAR else None
 
 
-def _rate(table: ImuTable) -> float | None:
+def _rate(table: ImuSamples) -> float | None:
     if table.rate_hz:
         return table.rate_hz
     if table.t_s is None or len(table.t_s) < 10:
@@ -374,34 +344,34 @@ UNUSED = "Not used:"
 
 
 def with_halves_joined(
-    tables: Sequence[ImuTable], source: str
-) -> tuple[list[ImuTable], list[ImuTable], list[str]]:
+    tables: Sequence[ImuSamples], source: str
+) -> tuple[list[ImuSamples], list[ImuSamples], list[str]]:
     """IMUs of halves whose names differ in the sensor alone; the halves left over, and why."""
-    joined: list[ImuTable] = []
-    alone: list[ImuTable] = []
-    by_stem: dict[str, list[ImuTable]] = {}
+    joined: list[ImuSamples] = []
+    alone: list[ImuSamples] = []
+    by_stem: dict[str, list[ImuSamples]] = {}
     for table in tables:
-        stem = " ".join(word for word in stem_of(table.name).split() if word != "linear")
+        stem = " ".join(word for word in stem_of(table.topic).split() if word != "linear")
         by_stem.setdefault(stem, []).append(table)
     for mine in by_stem.values():
         acc, gyro = _having(mine, "acc"), _having(mine, "gyro")
         if len(acc) == len(gyro) == 1:
             table = paired(mine, source)
-            table.notes.insert(0, f"{acc[0].name} and {gyro[0].name} were taken as one IMU.")
-            table.made_of = acc[0].name, gyro[0].name
+            table.notes.insert(0, f"{acc[0].topic} and {gyro[0].topic} were taken as one IMU.")
+            table.made_of = acc[0].topic, gyro[0].topic
             joined.append(table)
         else:
             alone += mine
     only = ("a gyroscope" if table.acc is None else "an accelerometer" for table in alone)
-    why = [f"{t.name} is {what} alone, and both are needed" for t, what in zip(alone, only, strict=True)]
+    why = [f"{t.topic} is {what} alone, and both are needed" for t, what in zip(alone, only, strict=True)]
     return joined, alone, why
 
 
-def _having(tables: list[ImuTable], part: str) -> list[ImuTable]:
+def _having(tables: list[ImuSamples], part: str) -> list[ImuSamples]:
     return [table for table in tables if getattr(table, part) is not None]
 
 
-def paired(tables: list[ImuTable], source: str) -> ImuTable:
+def paired(tables: list[ImuSamples], source: str) -> ImuSamples:
     """One IMU of tables that each contain a part of it, on the gyroscope's times."""
     if len(tables) == 1 and tables[0].acc is not None and tables[0].gyro is not None:
         return tables[0]
@@ -429,7 +399,7 @@ def paired(tables: list[ImuTable], source: str) -> ImuTable:
         notes.append(f"Samples of the gyroscope without accelerometer, left out: {int((~keep).sum())}.")
     table = replace(
         gyro,
-        name=gyro.name or acc.name,
+        topic=gyro.topic or acc.topic,
         t_s=at,
         acc=interpolate(acc.t_s, acc.acc, at),
         gyro=gyro.gyro[keep],
@@ -445,7 +415,7 @@ def paired(tables: list[ImuTable], source: str) -> ImuTable:
 _SHAKEN = 30.0
 
 
-def _told_apart(tables: list[ImuTable]) -> list[ImuTable]:
+def _told_apart(tables: list[ImuSamples]) -> list[ImuSamples]:
     """Of two vectors without names, each too shaken to show gravity alone, the first is what reads 1 g."""
     if len(tables) != 2 or not all(table.assumed for table in tables):
         return tables
@@ -460,7 +430,7 @@ def _told_apart(tables: list[ImuTable]) -> list[ImuTable]:
     return [acc, tables[turns]]
 
 
-def _only(tables: list[ImuTable], part: str, source: str) -> ImuTable:
+def _only(tables: list[ImuSamples], part: str, source: str) -> ImuSamples:
     """The one table that has a part."""
     name = {"acc": "accelerometer", "gyro": "gyroscope"}[part]
     having = _having(tables, part)
@@ -476,11 +446,11 @@ def _only(tables: list[ImuTable], part: str, source: str) -> ImuTable:
                 " columns = [{t = 1, ax = 2, ..}, {t = 1, gx = 2, ..}] and accelerometer_unit."
             )
         raise RecordingError(f"{source} has no {name} that is recognised{unused}; {remedy}")
-    acc, gyro = ([each.name for each in _having(tables, kind)] for kind in ("acc", "gyro"))
+    acc, gyro = ([each.topic for each in _having(tables, kind)] for kind in ("acc", "gyro"))
     command = ""
     if acc and gyro and ", " not in source:
         command = f": --imu forearm_right={source}#{acc[0]},#{gyro[0]}"
     raise RecordingError(
-        f"{source} has {len(having)} {name}s ({', '.join(table.name for table in having)}); name one"
+        f"{source} has {len(having)} {name}s ({', '.join(table.topic for table in having)}); name one"
         f" accelerometer and one gyroscope{command}."
     )

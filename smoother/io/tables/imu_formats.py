@@ -13,9 +13,10 @@ import numpy as np
 
 from ...array_types import FloatArray, IntArray
 from ...errors import RecordingError
+from ..recording.streams import ImuSamples, rows_of
 from .columns import ImuKeys, imu_by_columns
 from .guess import NO_GYRO_UNIT, Guess, bare_vector, guess_sensor, sensors_named, sensors_of
-from .imu import UNUSED, Columns, ImuTable, unit_of, usual_size
+from .imu import UNUSED, Columns, unit_of, usual_size
 from .joints import seconds, time_column
 from .table import DeviceTable, FileHead, Format, plain_label, read_table, shown
 from .units import ACCELERATION, ANGULAR_VELOCITY, plain_unit, time_unit
@@ -42,7 +43,7 @@ class Device:
     notes: Callable[[DeviceTable, str], list[str]] | None = None  # Sentences on what was chosen
     # Forms of columns of velocity over a sample and of a quaternion's, which stand in for rates
     increments: tuple[tuple[str, ...], tuple[str, ...]] | None = None
-    read: Callable[[DeviceTable, Device], list[ImuTable]] | None = None  # Where the columns alone do not do
+    read: Callable[[DeviceTable, Device], list[ImuSamples]] | None = None  # Where the columns alone do not do
 
 
 def imu_format(device: Device) -> Format:
@@ -58,7 +59,7 @@ def imu_format(device: Device) -> Format:
     return Format(device.key, device.title, "imu", device.recognised_by, recognises, read)
 
 
-def _read(path: Path, device: Device) -> list[ImuTable]:
+def _read(path: Path, device: Device) -> list[ImuSamples]:
     """The sensors of a device's table, in the order of its columns."""
     table = read_table(path, f"a table of {device.title}")
     if not device.fits(table):
@@ -78,7 +79,7 @@ def _read(path: Path, device: Device) -> list[ImuTable]:
     return found
 
 
-def _sensor(table: DeviceTable, device: Device, axes: dict[str, Columns]) -> ImuTable:
+def _sensor(table: DeviceTable, device: Device, axes: dict[str, Columns]) -> ImuSamples:
     """One sensor with both vectors."""
     acc, gyro, mag = axes["acc"], axes["gyro"], axes.get("mag")
     common = commonprefix([table.names[at] for at in (*acc, *gyro)])  # noqa: RUF071 (of names)
@@ -93,18 +94,16 @@ def _sensor(table: DeviceTable, device: Device, axes: dict[str, Columns]) -> Imu
     return imu
 
 
-def _empty(table: DeviceTable, device: Device, name: str) -> ImuTable:
+def _empty(table: DeviceTable, device: Device, name: str) -> ImuSamples:
     """What a table states of a sensor beside its vectors."""
     rate = table.above_rate_hz()
     if device.times is not None:
         t_s = device.times(table, name, rate)
     else:
         t_s = seconds(table, table.find(*device.time), device.time_unit)
-    return ImuTable(
+    return ImuSamples(
         name or table.stated(*device.name),
-        t_s,
-        None,
-        None,
+        t_s=t_s,
         rate_hz=rate,
         counter=_counter(table, table.find(*device.counter)),
         counter_wraps=device.counter_wraps,
@@ -138,7 +137,7 @@ def _counter(table: DeviceTable, column: int | None) -> IntArray | None:
     return values.astype(np.int64) if usable else None
 
 
-def _of_increments(table: DeviceTable, device: Device) -> ImuTable | None:
+def _of_increments(table: DeviceTable, device: Device) -> ImuSamples | None:
     """A sensor by its velocity (m/s) and rotation over a sample, if they are there."""
     from scipy.spatial.transform import Rotation
 
@@ -273,7 +272,7 @@ _GYRO, _RATE = ("gyrorotation{}",), ("motionrotationrate{}", "rotationrate.{}", 
 _LOGGED = (((_RAW,), _GYRO), ((_USER, _GRAVITY), _RATE), ((_RAW,), _RATE), ((_USER, _GRAVITY), _GYRO))
 
 
-def _read_sensorlog(table: DeviceTable, device: Device) -> list[ImuTable]:
+def _read_sensorlog(table: DeviceTable, device: Device) -> list[ImuSamples]:
     """Raw accelerometer and gyroscope, else Core Motion's; the sign of gravity is turned to specific force.
 
     Source of the sign: Apple, "Getting raw accelerometer events" and `CMDeviceMotion.gravity` (-1 on z, lying
@@ -310,7 +309,8 @@ def _read_sensorlog(table: DeviceTable, device: Device) -> list[ImuTable]:
             f"{table.path} has no times; log them too (loggingTime, timestamp since reboot)."
         )
     acc = written * (ACCELERATION[unit] if is_turned else -ACCELERATION[unit])
-    return [ImuTable("", t_s, acc, gyro, units=f"{unit}, {gyro_unit}", notes=[*table.notes, *notes])]
+    units = f"{unit}, {gyro_unit}"
+    return [ImuSamples("", t_s=t_s, acc=acc, gyro=gyro, units=units, notes=[*table.notes, *notes])]
 
 
 # ----------------------------------------------------------------- tables whose columns identify themselves
@@ -374,7 +374,7 @@ def _guess(table: DeviceTable, usual_gyro: str = "") -> Guess:
     return guess if table.labels or table.width == 4 or by_motion else Guess()
 
 
-def _read_named(table: DeviceTable, device: Device) -> list[ImuTable]:
+def _read_named(table: DeviceTable, device: Device) -> list[ImuSamples]:
     """One sensor, or the half of one; `import describe` prints the same guess to be edited."""
     if not table.names and _is_metamotion(table):
         table.labels = ("epoch", "", "", "x", "y", "z", *[""] * (table.width - 6))
@@ -388,11 +388,11 @@ def _read_named(table: DeviceTable, device: Device) -> list[ImuTable]:
     guesses = {name: guess_sensor(table, device.gyro_unit, axes) for name, axes in whole.items()}
     known = {name: guess for name, guess in guesses.items() if guess.settled} or guesses
     return [
-        replace(_of_guess(table, device, guess), name=name.replace(" ", "_")) for name, guess in known.items()
+        replace(_of_guess(table, device, guess), topic=name.replace(" ", "_")) for name, guess in known.items()
     ]
 
 
-def _of_guess(table: DeviceTable, device: Device, guess: Guess, is_bare: bool = False) -> ImuTable:
+def _of_guess(table: DeviceTable, device: Device, guess: Guess, is_bare: bool = False) -> ImuSamples:
     """The sensor, or half of one, of a guess that leaves nothing open."""
     if not guess.settled:
         raise RecordingError(
@@ -416,7 +416,7 @@ def _of_guess(table: DeviceTable, device: Device, guess: Guess, is_bare: bool = 
     return imu
 
 
-def _by_device(table: DeviceTable, imu: ImuTable) -> list[ImuTable]:
+def _by_device(table: DeviceTable, imu: ImuSamples) -> list[ImuSamples]:
     """The sensors of a table whose rows name the device that they are of."""
     plain = [re.sub(r"[^a-z]", "", label) for label in table.labels]
     at = next((plain.index(word) for word in _DEVICE if word in plain), None)
@@ -424,10 +424,10 @@ def _by_device(table: DeviceTable, imu: ImuTable) -> list[ImuTable]:
     if not 1 < len(set(cells)) <= 30:  # of a recording
         return [imu]
     own = {name: np.array([cell == name for cell in cells]) for name in dict.fromkeys(cells)}
-    return [replace(imu.select(rows), name=name, notes=list(imu.notes)) for name, rows in own.items()]
+    return [replace(rows_of(imu, rows), topic=name, notes=list(imu.notes)) for name, rows in own.items()]
 
 
-def _by_sensor(table: DeviceTable, kinds: int, columns: Columns) -> list[ImuTable]:
+def _by_sensor(table: DeviceTable, kinds: int, columns: Columns) -> list[ImuSamples]:
     """The halves of a log whose rows name their sensor; [] where the names are of no use."""
     names, values = [text.lower() for text in table.texts(kinds)], table.vectors(columns)
     t_s, halves = seconds(table, time_column(table)), []
@@ -442,7 +442,7 @@ def _by_sensor(table: DeviceTable, kinds: int, columns: Columns) -> list[ImuTabl
             raise RecordingError(
                 f"{table.path}: the rows of '{written[:40]}' show no gravity; log the raw accelerometer."
             )
-        half = ImuTable("", None if t_s is None else t_s[rows], None, None, units=unit)
+        half = ImuSamples("", t_s=None if t_s is None else t_s[rows], units=unit)
         setattr(half, kind, values[rows] * known[unit])
         half.notes = [*table.notes, f"Rows of '{written[:40]}' were read, in {unit}."]
         halves.append(half)

@@ -32,7 +32,7 @@ from ...runtime.inputs import check_input, inside, read_toml
 from ..files import add_imu, add_skeleton, times_of
 from ..mcap.messages import nanoseconds
 from ..recording.keypoints import CAMERA_TOPIC, NAMED_TOPIC, TOPIC, direction_of, lens_from_plain
-from ..recording.streams import CameraStream, KnownLens, PoseSamples, RecordingFile
+from ..recording.streams import CameraStream, ImuSamples, KnownLens, PoseSamples, RecordingFile
 from ..registry import FileReader, recognise
 from .columns import (
     LAYOUT_KEYS,
@@ -44,7 +44,7 @@ from .columns import (
     read_keypoint_columns,
     read_skeleton_columns,
 )
-from .imu import ImuTable, paired
+from .imu import paired
 from .skeletons import SkeletonTable
 from .table import Format, Tables, read_head, shown
 from .times import Timed, count_from_zero, of_one_length, repaired_imu, repaired_skeleton, shifts
@@ -322,20 +322,20 @@ def _add_streams(
         add_imu(file, f"/imu/{name}", table, str(folder), moved_s)
 
 
-def _sensors(folder: Path, name: str, keys: ImuKeys) -> list[ImuTable]:
+def _sensors(folder: Path, name: str, keys: ImuKeys) -> list[ImuSamples]:
     """The tables of a section, whose units count for files of other kinds as well."""
     files = [folder / file for file in keys.files]
     if not any(map(_is_container, files)):
         return read_imu_columns(folder, keys)
-    parts: list[ImuTable] = []
+    parts: list[ImuSamples] = []
     for path in files:
-        tables = [table for table in _contained(path, "imu", keys) if isinstance(table, ImuTable)]
-        named = [table for table in tables if name == table.name.rpartition("/")[2]]
+        tables = [table for table in _contained(path, "imu", keys) if isinstance(table, ImuSamples)]
+        named = [table for table in tables if name == table.topic.rpartition("/")[2]]
         if len(tables) > 1 and len(named) != 1:
-            listed = ", ".join(table.name for table in tables)
+            listed = ", ".join(table.topic for table in tables)
             raise RecordingError(
                 f"{path} contains {len(tables)} sensors ({listed}); take one with `unocclude import files"
-                f" --imu {name}={path}#{tables[0].name}`."
+                f" --imu {name}={path}#{tables[0].topic}`."
             )
         parts += named if len(tables) > 1 else tables
     for table in parts:

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from ...array_types import BoolArray, FloatArray, IntArray
+from ...array_types import FloatArray, IntArray
 from ...errors import RecordingError
 from ...measurements.timestamps import begins_frames
 from ...recording import CameraFrame, JointState
@@ -39,15 +39,6 @@ class SkeletonTable:
 
     def __len__(self) -> int:
         return next(map(len, self.position.values()), 0)
-
-    def select(self, keep: BoolArray | IntArray) -> SkeletonTable:
-        """Some of the frames, or all in another order."""
-        return replace(
-            self,
-            t_s=None if self.t_s is None else self.t_s[keep],
-            position={joint: values[keep] for joint, values in self.position.items()},
-            state={joint: values[keep] for joint, values in self.state.items()},
-        )
 
 
 def without_origin(position: FloatArray) -> FloatArray:

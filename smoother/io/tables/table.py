@@ -28,11 +28,11 @@ from ...runtime.packages import extra_module
 from .units import UNITS, plain_unit, split_unit
 
 if TYPE_CHECKING:
-    from .imu import ImuTable
+    from ..recording.streams import ImuSamples
     from .skeletons import SkeletonTable
 
 #: What a file holds: sensors, skeletons, or both.
-Tables: TypeAlias = "list[ImuTable] | list[SkeletonTable] | list[ImuTable | SkeletonTable]"
+Tables: TypeAlias = "list[ImuSamples] | list[SkeletonTable] | list[ImuSamples | SkeletonTable]"
 #: So much of a file is read to recognise it, bytes; this many rows of a workbook.
 HEAD_BYTES, HEAD_ROWS = 65_536, 500
 #: So much of a file is shown in a message at most, characters.

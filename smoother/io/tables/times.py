@@ -20,7 +20,8 @@ from ...measurements.timestamps import (
     strayed,
     unwrapped,
 )
-from .imu import ImuTable, in_shown_units, paired
+from ..recording.streams import ImuSamples, rows_of
+from .imu import in_shown_units, paired
 from .skeletons import SkeletonTable
 
 # ------------------------------------------------------------------------------------------------- repaired
@@ -39,10 +40,10 @@ _LOST = 0.2
 _OWN_STAMPS = 0.25
 
 
-Stream = TypeVar("Stream", ImuTable, SkeletonTable)
+Stream = TypeVar("Stream", ImuSamples, SkeletonTable)
 
 
-def repaired_imu(table: ImuTable, source: str) -> ImuTable:
+def repaired_imu(table: ImuSamples, source: str) -> ImuSamples:
     """An IMU's samples with times that increase, in the units that gravity shows."""
     table = replace(table, notes=list(table.notes))
 
@@ -73,14 +74,14 @@ def repaired_imu(table: ImuTable, source: str) -> ImuTable:
     return in_shown_units(_with_times(table, _number(table), source, "samples"))
 
 
-def _halves(table: ImuTable) -> list[ImuTable]:
+def _halves(table: ImuSamples) -> list[ImuSamples]:
     """Accelerometer and gyroscope of a table whose rows hold the one or the other; else the table."""
     if table.acc is None or table.gyro is None:
         return [table]
     acc, gyro = (np.asarray(np.isfinite(each).all(axis=1)) for each in (table.acc, table.gyro))
     if (acc & gyro).sum() > 0.5 * min(acc.sum(), gyro.sum()):
         return [table]
-    return [replace(table.select(acc), gyro=None), replace(table.select(gyro), acc=None, notes=[])]
+    return [replace(rows_of(table, acc), gyro=None), replace(rows_of(table, gyro), acc=None, notes=[])]
 
 
 def repaired_skeleton(table: SkeletonTable, source: str) -> SkeletonTable:
@@ -96,7 +97,7 @@ def _kept(table: Stream, keep: BoolArray, what: str) -> Stream:
     """The rows to keep, and a sentence on those that were left out."""
     if keep.all():
         return table
-    return replace(table.select(keep), notes=[*table.notes, f"{what}, left out: {int((~keep).sum())}."])
+    return replace(rows_of(table, keep), notes=[*table.notes, f"{what}, left out: {int((~keep).sum())}."])
 
 
 def _timed(table: Stream) -> BoolArray:
@@ -132,7 +133,7 @@ def _on_one_clock(table: Stream, values: FloatArray, what: str) -> Stream:
         return table
     moved = int((order != np.arange(len(order))).sum())
     said = f"Rows out of order, put in the order of their stamps: {moved}."
-    return replace(table.select(order), notes=[*table.notes, said])
+    return replace(rows_of(table, order), notes=[*table.notes, said])
 
 
 def _order(t_s: FloatArray) -> IntArray | None:
@@ -146,7 +147,7 @@ def _order(t_s: FloatArray) -> IntArray | None:
     return order if even > _IN_ORDER[2] else None
 
 
-def _number(table: ImuTable) -> IntArray | None:
+def _number(table: ImuSamples) -> IntArray | None:
     """Numbers of the samples by their counter; None where it has none that counts them."""
     if table.counter is None:
         return None

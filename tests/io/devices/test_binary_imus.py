@@ -100,7 +100,7 @@ def test_each_sensor_is_one_imu(tmp_path: Path, version: int):
     write_opal(path, version)
     micros = 1_600_000_000_000_000 + 7_812 * np.arange(200, dtype=np.uint64)
     first, second = tables(path, "apdm-hdf5")
-    assert (first.name, second.name, first.rate_hz) == ("Right Wrist", "Lumbar", 128.0)
+    assert (first.topic, second.topic, first.rate_hz) == ("Right Wrist", "Lumbar", 128.0)
     np.testing.assert_array_equal(second.acc, np.roll(OPAL_ACC, 1, axis=1))
     np.testing.assert_array_equal(first.gyro, OPAL_GYRO)
     np.testing.assert_allclose(first.t_s, micros * 1e-6, atol=1e-6)
@@ -139,7 +139,7 @@ def suit(path: Path, values: list[tuple[str, np.ndarray]]) -> Path:
 
 def test_every_sensor_is_one_imu(tmp_path: Path):
     found = tables(suit(tmp_path / "a.xml", [*BOTH, ("sensorMagneticField", FORCE)]), "mvnx")
-    assert [table.name for table in found] == ["RightForeArm", "Pelvis"]
+    assert [table.topic for table in found] == ["RightForeArm", "Pelvis"]
     for shift, table in enumerate(found):
         np.testing.assert_array_equal(table.acc, np.roll(made.ACC, shift, axis=1))
         np.testing.assert_array_equal(table.gyro, np.roll(made.GYRO, shift, axis=1))

@@ -38,17 +38,17 @@ def test_every_importer_has_a_row_and_a_sentence():
 
 #: What each layout states beside its samples: the first time, name, rate, counter and units.
 STATED: dict[str, dict[str, object]] = {
-    "xsens-dot": {"t_s": 4.0, "name": "left wrist", "rate_hz": 100.0, "counter_wraps": 2**32},
+    "xsens-dot": {"t_s": 4.0, "topic": "left wrist", "rate_hz": 100.0, "counter_wraps": 2**32},
     "xsens-mt": {"rate_hz": 100.0, "counter_wraps": 2**16, "units": "m/s^2, rad/s"},
-    "shimmer": {"t_s": 1.6294033377807312e9, "name": "S", "units": "m/s^2, deg/s"},
-    "apdm": {"t_s": 0.0, "name": "Right Wrist", "rate_hz": 100.0},
+    "shimmer": {"t_s": 1.6294033377807312e9, "topic": "S", "units": "m/s^2, deg/s"},
+    "apdm": {"t_s": 0.0, "topic": "Right Wrist", "rate_hz": 100.0},
     "x-imu": {"t_s": 4.0, "units": "g, deg/s"},
     "nilspod": {"t_s": 0.0, "units": "m/s^2, deg/s"},
     "metamotion": {"t_s": 1.52e9, "units": "g"},
     "sensorlog": {"t_s": 7.0, "units": "g, rad/s"},
     "phyphox": {"t_s": 0.0, "units": "m/s^2, rad/s"},
     "android": {"t_s": 123.456789, "units": "m/s^2, rad/s"},
-    "mvnx": {"t_s": 0.0, "name": "RightForeArm", "rate_hz": 100.0},
+    "mvnx": {"t_s": 0.0, "topic": "RightForeArm", "rate_hz": 100.0},
     "axivity": {"units": "g, deg/s"},
     "imu-table": {"t_s": 4.0, "units": "g, deg/s"},
 }

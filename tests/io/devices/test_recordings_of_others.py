@@ -27,7 +27,7 @@ def test_ros1_bag(tmp_path: Path) -> None:
     write_bag(path)
     (body,), (imu,) = streams(path, "rosbag1")
     t, acc, gyro = turning(200, 100.0)
-    assert imu.name == "wrist/imu"
+    assert imu.topic == "wrist/imu"
     assert_allclose(imu.t_s - ZERO * 1e-9, t, atol=1e-6)  # seconds since 1970 in double precision
     assert_array_equal(imu.acc, acc)
     assert_array_equal(imu.gyro, gyro)

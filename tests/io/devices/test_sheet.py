@@ -14,9 +14,9 @@ from hypothesis import strategies as st
 from importers import workbook
 
 from smoother.errors import RecordingError
+from smoother.io.recording.streams import ImuSamples
 from smoother.io.registry import FileReader, recognise
 from smoother.io.tables.columns import read_exact as read_strict
-from smoother.io.tables.imu import ImuTable
 from smoother.io.tables.table import read_head, read_table, seconds_of_dates
 from smoother.io.tables.units import ACCELERATION, ANGULAR_VELOCITY, plain_unit, split_unit
 
@@ -214,7 +214,7 @@ def test_a_workbook_reads_as_its_table(tmp_path: Path, key: str, separator: str)
     assert importer is not None and importer.key == key
     reader = FileReader()
     (mine,), (theirs,) = (reader.read(each, importer) for each in (path, tmp_path / "a.csv"))
-    assert isinstance(mine, ImuTable) and isinstance(theirs, ImuTable)
+    assert isinstance(mine, ImuSamples) and isinstance(theirs, ImuSamples)
     assert np.allclose(mine.acc, theirs.acc) and np.allclose(mine.gyro, theirs.gyro)
     assert np.allclose(mine.t_s, theirs.t_s)
 

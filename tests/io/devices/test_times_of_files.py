@@ -18,7 +18,7 @@ from smoother.io.files import ImuFiles, import_files
 from smoother.io.recording.clean import clean_imu
 from smoother.io.recording.streams import ImuSamples
 from smoother.io.registry import FileReader
-from smoother.io.tables.imu import ImuTable, missing_axes, paired
+from smoother.io.tables.imu import missing_axes, paired
 from smoother.io.tables.skeletons import SkeletonTable
 from smoother.io.tables.times import Timed, count_from_zero, repaired_imu, repaired_skeleton, shifts
 
@@ -34,7 +34,7 @@ def _read(path: Path, kind: str, names: list[str], columns: np.ndarray, stamps: 
     path.write_text("\n".join([",".join(names), *lines]) + "\n", encoding="utf-8")
     reader = FileReader()
     (one,) = reader.read(path, reader.format_of(path, kind))
-    return repaired_imu(one, str(path)) if isinstance(one, ImuTable) else repaired_skeleton(one, str(path))
+    return repaired_imu(one, str(path)) if isinstance(one, ImuSamples) else repaired_skeleton(one, str(path))
 
 
 def imu(path: Path, stamps: list[str], name: str) -> Any:
@@ -153,7 +153,7 @@ def test_packets_stamped_on_arrival(apart_s: float, size: int, kind: str) -> Non
     stamp = np.repeat(t[size - 1 :: size] + late, size) + np.tile(np.arange(size) * apart_s, count // size)
     acc, gyro = motion(count)
     if kind == "file":
-        found = repaired_imu(ImuTable("", stamp, acc, gyro), "a.csv").t_s
+        found = repaired_imu(ImuSamples("", t_s=stamp, acc=acc, gyro=gyro), "a.csv").t_s
     else:
         nanos = np.rint(stamp * 1e9).astype(np.int64)
         found = clean_imu(ImuSamples("/imu/a", "a", nanos, acc, gyro, None), "a.mcap")[0].stamp_ns / 1e9
@@ -169,11 +169,11 @@ ACC = RNG.normal(0, 1, (N, 3)) + np.array([0, 0, 9.81])
 GYRO = RNG.normal(0, 1, (N, 3))
 
 
-def table(**changes: object) -> ImuTable:
-    return replace(ImuTable("", T.copy(), ACC.copy(), GYRO.copy()), **changes)
+def table(**changes: object) -> ImuSamples:
+    return replace(ImuSamples("", t_s=T.copy(), acc=ACC.copy(), gyro=GYRO.copy()), **changes)
 
 
-def reordered(order: np.ndarray) -> ImuTable:
+def reordered(order: np.ndarray) -> ImuSamples:
     return table(t_s=T[order], acc=ACC[order], gyro=GYRO[order])
 
 
@@ -295,8 +295,9 @@ def test_frames():
 def test_two_files_of_a_sensor():
     slow_t = np.arange(0.5, 19, 1 / 50)
     slow_t = slow_t[(slow_t < 8) | (slow_t > 9)]  # a pause of the accelerometer
-    slow = ImuTable("", slow_t, np.stack([slow_t, 0 * slow_t, 9.81 + 0 * slow_t], axis=1), None, units="g")
-    fast = ImuTable("", T, None, GYRO, units="deg/s")
+    force = np.stack([slow_t, 0 * slow_t, 9.81 + 0 * slow_t], axis=1)
+    slow = ImuSamples("", t_s=slow_t, acc=force, units="g")
+    fast = ImuSamples("", t_s=T, gyro=GYRO, units="deg/s")
     joined = paired([slow, fast], "acc.csv, gyro.csv")
     assert joined.t_s[0] >= 0.5 and not ((joined.t_s > 8.01) & (joined.t_s < 8.99)).any()
     assert np.allclose(joined.acc[:, 0], joined.t_s) and joined.units == "g, deg/s"
