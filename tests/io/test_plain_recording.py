@@ -35,24 +35,6 @@ def test_a_plain_recording(plain_folder: Folder, tmp_path: Path) -> None:
     assert again.origin_ns == 0
 
 
-def test_units_are_converted(plain_folder: Folder) -> None:
-    texts = plain_texts()
-    described = texts["recording"].replace('"skeleton.csv"', '"skeleton.csv"\nposition_unit = "mm"')
-    units = '"imu.csv"\naccelerometer_unit = "g"\ngyroscope_unit = "deg/s"'
-    rows = (f"{i / 100},0,1,0,0,0,{90 * np.sin(i / 20)},1,2,{i}\n" for i in range(800))
-    imu = "t_s,ax,ay,az,gx,gy,gz,mx,my,mz\n" + "".join(rows)
-    head, *lines = (line.split(",") for line in texts["skeleton"].splitlines())
-    for row in lines:
-        row[2:5] = [str(float(cell) * 1000) if cell else "" for cell in row[2:5]]
-    skeleton = "\n".join(",".join(row) for row in (head, *lines)) + "\n"
-    described = described.replace('"imu.csv"', units)
-    found = import_csv(plain_folder(recording=described, imu=imu, skeleton=skeleton))
-    np.testing.assert_allclose(found.imu.acc[:, 1], 9.80665)
-    assert np.abs(found.imu.gyro[:, 2]).max() == pytest.approx(np.pi / 2, rel=1e-3)
-    assert found.imu.mag is not None and found.imu.mag[5].tolist() == [1, 2, 5]
-    assert np.nanmax(found.arm.position) == pytest.approx(2.0)
-
-
 def test_several_bodies_and_sides(plain_folder: Folder) -> None:
     head, *lines = plain_texts()["skeleton"].splitlines()
     rows = [f"{head},body"]

@@ -19,7 +19,7 @@ CAMERA = '[camera]\nframe = "optical"\n'
 
 
 def described(folder: Path, imu: str, camera: str = CAMERA) -> Path:
-    (folder / "recording.toml").write_text(f"{camera}[imu.forearm_left]\n{imu}")
+    (folder / "recording.toml").write_text(f"{camera}[imu.forearm_left]\n{imu}\n")
     return folder
 
 
@@ -112,7 +112,7 @@ def test_wrong_keys_are_one_sentence(tmp_path: Path, imu: str, said: str):
     (tmp_path / "long.csv").write_text("x" * 500_000 + ",y\n1,2\n")
     (tmp_path / "longer.csv").write_text("t_s,ax,ay,az,gx,gy,gz\n" + "x" * 500_000 + ",1,1,1,1,1,1\n")
     with pytest.raises(RecordingError, match=said) as error:
-        open_csv(described(tmp_path, imu + "\n"))
+        open_csv(described(tmp_path, imu))
     assert len(str(error.value)) < 600
 
 
@@ -157,11 +157,6 @@ def folder(tmp_path: Path) -> Path:
     return tmp_path / "rec"
 
 
-def write_description(folder: Path, keys: str) -> Path:
-    (folder / "recording.toml").write_text(f"[imu.forearm_right]\n{keys}\n")
-    return folder
-
-
 @pytest.mark.parametrize(
     ("keys", "said"),
     [
@@ -177,13 +172,13 @@ def write_description(folder: Path, keys: str) -> Path:
 )
 def test_files_elsewhere_need_a_word(folder: Path, keys: str, said: str):
     with pytest.raises(UnoccludeError, match=said):
-        open_csv(write_description(folder, keys.format(outside=folder.parent)))
+        open_csv(described(folder, keys.format(outside=folder.parent), ""))
 
 
 def test_with_the_word_they_are_read_and_a_folder_named_by_a_link_is_its_own(folder: Path):
-    file = open_csv(write_description(folder, 'file = "../imu.csv"'), outside=True)
+    file = open_csv(described(folder, 'file = "../imu.csv"', ""), outside=True)
     assert len(file.imus[0].stamp_ns) == 50
-    write_description(folder, 'file = "imu.csv"')
+    described(folder, 'file = "imu.csv"', "")
     (folder.parent / "other").symlink_to(folder)
     assert len(open_csv(folder.parent / "other").imus) == 1
 
@@ -191,6 +186,6 @@ def test_with_the_word_they_are_read_and_a_folder_named_by_a_link_is_its_own(fol
 @pytest.mark.parametrize("more", ["", "skip_rows = 0", 'separator = ","', "rate_hz = 100.0"])
 def test_no_line_of_another_file_is_shown(folder: Path, more: str):
     with pytest.raises(UnoccludeError) as told:
-        open_csv(write_description(folder, f'file = "../secret.csv"\n{more}'), outside=True)
+        open_csv(described(folder, f'file = "../secret.csv"\n{more}', ""), outside=True)
     assert "secret.csv" in str(told.value)
     assert not any(word in str(told.value) for word in ("admin", "horse", "battery", "staple"))

@@ -16,7 +16,7 @@ from ..wire import cdr
 from ..wire import protobuf as proto
 from ..wire.layout import Block, Grouper, MessageLayout, axes
 from ..wire.schemas import message_class
-from .streams import ArmFrames, FieldSamples, ImuSamples, PoseSamples
+from .streams import ArmFrames, ImuSamples, PoseSamples
 
 #: Streams of plain columns by encoding and schema.
 _PLAIN = {
@@ -94,14 +94,14 @@ class PlainDecoder(Decoder):
             values[~(np.linalg.norm(values, axis=1) > 0.5)] = np.nan
         return values
 
-    def stream(self) -> ImuSamples | FieldSamples | PoseSamples | None:
+    def stream(self) -> ImuSamples | PoseSamples | None:
         """All samples in the file's order, asked for once; None where there are none."""
         if not len(self._gathered[0]):
             return None
         stamp, delay, *columns = (column.done() for column in self._gathered)
         named = (self.topic.label, self.frame_id, stamp)
         if self.kind == "field":
-            return FieldSamples(*named, *columns)
+            return ImuSamples(*named, mag=columns[0])
         if self.kind == "pose":
             position, quaternion = columns
             return PoseSamples(*named, position, quaternion)

@@ -40,7 +40,6 @@ from .streams import (
     ORDER,
     OTHER_SIDE,
     ArmFrames,
-    FieldSamples,
     ImuSamples,
     PoseSamples,
     RecordingFile,
@@ -237,7 +236,7 @@ def _join_truth_joints(file: RecordingFile) -> None:
                 )
 
 
-def _join_field(file: RecordingFile, field: FieldSamples) -> None:
+def _join_field(file: RecordingFile, field: ImuSamples) -> None:
     """Give a magnetometer to the IMU of its frame, or under the same name."""
     beside = [i for i in file.imus if field.topic.rpartition("/")[0] == i.topic.rpartition("/")[0]]
     framed = [imu for imu in file.imus if field.frame_id and imu.frame_id == field.frame_id]
@@ -245,6 +244,7 @@ def _join_field(file: RecordingFile, field: FieldSamples) -> None:
     if len(mine) != 1 or mine[0].mag is not None:
         file.notes.append(f"{field.topic}: the magnetometer belongs to no IMU by its names and was left out.")
         return
+    assert field.mag is not None
     order = np.argsort(field.stamp_ns, kind="stable")
     order = order[np.isfinite(field.mag[order]).all(axis=1)]
     if not len(order):
@@ -423,7 +423,7 @@ def _read(
 
 
 def _gather(file: RecordingFile, decoders: list[PlainDecoder | JointDecoder]) -> None:
-    fields: list[FieldSamples] = []
+    fields: list[ImuSamples] = []
     for decoder in decoders:
         if broken := decoder.grouper.broken:
             what = f"{broken} messages of {decoder.topic.label} were dropped."
@@ -434,12 +434,10 @@ def _gather(file: RecordingFile, decoders: list[PlainDecoder | JointDecoder]) ->
                 file.frames_without_body += decoder.topic.count
             continue
         stream = decoder.stream()
-        if isinstance(stream, ImuSamples):
-            file.imus.append(stream)
-        elif isinstance(stream, PoseSamples):
+        if isinstance(stream, PoseSamples):
             file.poses.append(stream)
         elif stream is not None:
-            fields.append(stream)
+            (fields if stream.acc is None else file.imus).append(stream)
     settle_imus(file)
     _join_truth_joints(file)
     for field in fields:

@@ -37,7 +37,7 @@ class ImuSamples:
     topic: str  # Where it came from, or what the file calls the sensor ("" where it does not say)
     frame_id: str = ""  # Where it came from
     stamp_ns: IntArray = field(default_factory=lambda: np.empty(0, np.int64))  # (N,): as a recording has them
-    acc: FloatArray | None = None  # (N, 3) m/s^2; None where the file contains only the other of the two
+    acc: FloatArray | None = None  # (N, 3) m/s^2; None where there is only another sensor
     gyro: FloatArray | None = None  # (N, 3) rad/s; as `acc`
     mag: FloatArray | None = None  # (N, 3): in the sensor's own unit
     log_shift_ns: int = 0  # Median of log time minus stamp
@@ -69,16 +69,6 @@ class ImuSamples:
     def on_axis(self, origin_ns: int) -> ImuStream:
         """The same with times in seconds after an origin."""
         return ImuStream(self.topic, seconds(self.stamp_ns, origin_ns), *self.vectors, self.mag)
-
-
-@dataclass
-class FieldSamples:
-    """A magnetometer that publishes by itself."""
-
-    topic: str  # Where it came from
-    frame_id: str  # Where it came from
-    stamp_ns: IntArray  # int (N,) ns: as recorded
-    mag: FloatArray  # (N, 3): in its own unit
 
 
 @dataclass
@@ -201,7 +191,7 @@ _COLUMNS = (
     *("position", "state", "quaternion", "score", "joints"),
 )
 AnyStream = TypeVar("AnyStream", bound="DataclassInstance")
-Stream = TypeVar("Stream", ImuSamples, ArmFrames, PoseSamples, FieldSamples)
+Stream = TypeVar("Stream", ImuSamples, ArmFrames, PoseSamples)
 
 
 def rows_of(stream: AnyStream, rows: NDArray | slice) -> AnyStream:

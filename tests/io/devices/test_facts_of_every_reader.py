@@ -21,9 +21,10 @@ from library_files import ZERO
 
 from smoother.cli.run import run
 from smoother.errors import RecordingError
-from smoother.io import open_csv, open_recording, read_recording
+from smoother.io import open_csv, open_recording, read_recording, write_recording
 from smoother.io.files import ImuFiles, import_files
 from smoother.io.recording.keypoints import TOPIC
+from smoother.io.recording.streams import ImuSamples, RecordingFile
 from smoother.io.registry import FileReader, recognise, unknown_file
 from smoother.io.tables.describe import describe_file
 from smoother.io.tables.table import LONGEST_LINE, MOST_COLUMNS, layout_of, read_head
@@ -42,11 +43,19 @@ def ros2(path: Path, topics: Topics) -> None:
                 bag.imu(topic, ns, "imu", acc[at], gyro[at], ns)
 
 
+def ours(path: Path, topics: Topics) -> None:
+    stamp = ZERO + np.rint(T * 1e9).astype(np.int64)
+    imus = [ImuSamples(topic, "imu", stamp, acc, gyro) for topic, (acc, gyro) in topics.items()]
+    write_recording(RecordingFile(path, imus=imus), path, force=True)
+
+
 def xdf(path: Path, topics: Topics) -> None:
     streams: list[dict[str, Any]] = []
     for topic, (acc, gyro) in topics.items():
         parts = [(a, u, v) for a, u, v in (("acc", "m/s^2", acc), ("gyro", "rad/s", gyro)) if v.any()]
-        channels = [(f"{name}_{axis}", unit) for name, unit, _ in parts for axis in "xyz"]
+        # of a half the stream's name alone says what it is
+        form = "{0}_{1}" if len(parts) > 1 else "{1}"
+        channels = [(form.format(name, axis), unit) for name, unit, _ in parts for axis in "xyz"]
         values = np.hstack([values for _, _, values in parts])
         stream = {"name": topic, "type": "IMU", "rate": 100, "t_s": T, "values": values, "channels": channels}
         streams.append(stream)
@@ -54,7 +63,7 @@ def xdf(path: Path, topics: Topics) -> None:
 
 
 WRITERS: dict[str, Callable[[Path, Topics], None]] = {
-    "ros2.mcap": ros2, "lsl.xdf": xdf,
+    "ros2.mcap": ros2, "ours.mcap": ours, "lsl.xdf": xdf,
 }  # fmt: skip
 ZEROS = np.zeros_like(ACC)
 HALVES = {"/camera/accel/sample": (ACC, ZEROS), "/camera/gyro/sample": (ZEROS, GYRO)}
@@ -96,6 +105,7 @@ def test_a_half_alone_is_never_read_with_zeros(tmp_path: Path, name: str, half: 
     [
         ("acc", 1 / STANDARD_GRAVITY, "g"),
         ("acc", 1000 / STANDARD_GRAVITY, "mg"),
+        ("acc", 1000.0, "mm/s^2"),
         ("gyro", 180 / np.pi, "deg/s"),
     ],
 )
@@ -109,9 +119,10 @@ def test_units_other_than_stated_are_converted_and_said(
         WRITERS[name](path, {"/wrist/imu": (values["acc"], values["gyro"])})
         imu, notes = imported(path)
     else:
-        table(tmp_path / "imu.csv", "t_s,ax,ay,az,gx,gy,gz", T, values["acc"], values["gyro"])
+        table(tmp_path / "imu.csv", f"{OWN},mx,my,mz", T, values["acc"], values["gyro"], 3 * ACC)
         text(path, '[imu.forearm_right]\nfile = "imu.csv"\n')
         (imu,), notes = (file := open_csv(tmp_path)).imus, file.notes
+        np.testing.assert_allclose(imu.mag, 3 * ACC, rtol=1e-6)
     np.testing.assert_allclose(getattr(imu, sensor), {"acc": ACC, "gyro": GYRO}[sensor], atol=1e-5)
     assert any(f" is in {unit}, " in note and "converted" in note for note in notes)
 
@@ -146,6 +157,7 @@ TABLES = [
     *("xsens-dot", "xsens-mt", "x-imu", "nilspod", "metamotion", "sensorlog", "phyphox", "android"),
     *("imu-table", "azure-kinect", "kinect-v2", "mediapipe", "joint-rows", "joint-table", "trc"),
 ]  # fmt: skip
+ENCODINGS = ("utf-8-sig", "utf-16", "utf-16-le", "utf-16-be", "utf-32")
 BELOW: dict[str, Callable[[int], list[str]]] = {
     "dashes": lambda n: ["-"] * n,
     "words": lambda n: ["[x]"] * n,
@@ -162,7 +174,7 @@ def test_encodings_and_lines_below_the_names(tmp_path: Path, key: str) -> None:
     lines = text.split("\n")
     layout = layout_of(lines)
     assert layout is not None
-    changed = {encoding: text.encode(encoding) for encoding in ("utf-8-sig", "utf-16", "utf-16-be", "utf-32")}
+    changed = {encoding: text.encode(encoding) for encoding in ENCODINGS}
     for name, cells in BELOW.items() if key != "trc" else ():  # whose header has a place of its own
         row = layout.separator.join(cells(layout.width))
         after = layout.header + 1

@@ -20,7 +20,7 @@ from smoother.io.files import ImuFiles, import_files, sort_files
 from smoother.io.recording.streams import RecordingFile
 from smoother.io.registry import FileReader, format_named, formats, unknown_file
 from smoother.io.tables.imu_formats import Device, imu_format
-from smoother.io.tables.table import decode, read_head, read_table, shown
+from smoother.io.tables.table import read_head, read_table
 from tools.fuzz import mutated
 
 ROOT = Path(__file__).parents[3]
@@ -52,16 +52,6 @@ STATED: dict[str, dict[str, object]] = {
     "axivity": {"units": "g, deg/s"},
     "imu-table": {"t_s": 4.0, "units": "g, deg/s"},
 }
-
-
-def test_heads(tmp_path: Path):
-    for encoding in ("utf-8", "utf-8-sig", "utf-16", "utf-16-le", "utf-16-be"):
-        assert decode("t,x\n1,2\n".encode(encoding)) == "t,x\n1,2\n"
-    assert decode(bytes(range(256))) == "" and decode("Zeit;Größe\n".encode("cp1252")) == "Zeit;Größe\n"
-    assert len(shown("\x1b[31mred\x00" * 900)) <= 200 and shown("a\x1b\n\tb") == "a b"
-    for name, said in (("none", "does not exist"), ("", "is a folder")):
-        with pytest.raises(RecordingError, match=said):
-            read_head(tmp_path / name)
 
 
 def test_the_example_of_contributing(tmp_path: Path):

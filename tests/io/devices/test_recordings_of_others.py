@@ -140,22 +140,6 @@ def test_xdf_without_units(tmp_path: Path, unit: tuple[str, str]) -> None:
         streams(path, "xdf")
 
 
-def test_xdf_of_a_sensor_in_two_streams(tmp_path: Path) -> None:
-    whole = imu_stream(("m/s^2", "rad/s"), list("XYZXYZ"))
-    made.xdf(
-        tmp_path / "a.xdf",
-        [
-            {**whole, "name": f"Phone {name}", "type": name}
-            | {key: whole[key][rows] for key, rows in (("channels", at), ("values", (slice(None), at)))}
-            for name, at in (("Accelerometer", slice(3)), ("Gyroscope", slice(3, 6)))
-        ],
-    )
-    _, (imu,) = streams(tmp_path / "a.xdf", "xdf")
-    _, acc, gyro = turning(1000, 100.0)
-    assert_allclose(imu.acc, acc[: len(imu.acc)], atol=1e-9)
-    assert_allclose(imu.gyro, gyro[: len(imu.gyro)], atol=1e-9)
-
-
 def test_xdf_without_motion(tmp_path: Path) -> None:
     eeg = {"name": "Cap", "type": "EEG", "rate": 250, "t_s": np.arange(50) / 250, "values": np.zeros((50, 4))}
     path = tmp_path / "a.xdf"
