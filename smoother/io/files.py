@@ -96,16 +96,7 @@ def import_files(
     for number, (tables, report) in enumerate(bodies):
         name, is_flat = cameras[number] if number < len(cameras) else "", tables[0].units == PIXELS
         known = _known_lens(report.path, number, cameras, lenses or {}) if is_flat else None
-        if number and name:
-            topic = NAMED_TOPIC.format(name) if is_flat else f"{CAMERA_TOPIC}{name}"
-            file.cameras[topic] = CameraStream(name, tables[0].frame, tables[0].gravity_hint)
-        else:
-            name = "camera"
-            topic = TOPIC if is_flat else "/skeleton" if number == 0 else f"/skeleton_{number + 1}"
-        if known is not None:
-            file.lenses[topic] = known
-        report.topics.append(topic)
-        add_skeleton(file, tables, report.path, topic, shift[number], name, known)
+        report.topics.append(add_skeleton(file, tables, report.path, shift[number], number, name, known))
     for (topic, table, report), moved_s in zip(sensors, shift[len(bodies) :], strict=True):
         add_imu(file, topic, table, report.path, moved_s)
         report.topics.append(topic)
@@ -239,12 +230,23 @@ def add_skeleton(
     file: RecordingFile,
     tables: list[SkeletonTable],
     source: str,
-    topic: str,
     shift_s: float,
-    camera: str = "camera",
+    number: int = 0,  # Of the camera; a further one with a name is in axes of its own
+    name: str = "",
     known: KnownLens | None = None,
-) -> None:
-    """Put the arms of a file's bodies into a recording; all of them share its frames."""
+) -> str:
+    """Put the arms of a file's bodies into a recording; all of them share its frames. Their topic."""
+    first, is_further = tables[0], bool(number and name)
+    is_flat, camera = first.units == PIXELS, name if is_further else "camera"
+    if is_flat and known is None:
+        raise RecordingError(f"{source} contains keypoints in the image; use `unocclude import files`.")
+    if is_further:
+        topic = NAMED_TOPIC.format(name) if is_flat else f"{CAMERA_TOPIC}{name}"
+        file.cameras[topic] = CameraStream(name, first.frame, first.gravity_hint)
+    else:
+        topic = TOPIC if is_flat else "/skeleton" if number == 0 else f"/skeleton_{number + 1}"
+    if known is not None:
+        file.lenses[topic] = known
     stamps = [nanoseconds(times_of(table) + shift_s, 0) for table in tables]
     frames = np.unique(np.concatenate(stamps))
     rows = JointRows()
@@ -255,10 +257,7 @@ def add_skeleton(
                 lost = ~np.isfinite(values).all(axis=1)
                 state = np.where(lost, JointState.NOT_TRACKED, table.state[name]).astype(np.int64)
                 rows.add(frame, table.body, code, state, np.array(values, dtype=float))
-    first = tables[0]
     arms = rows.arms(frames, topic, camera, first.frame)
-    if first.units == PIXELS and known is None:
-        raise RecordingError(f"{source} contains keypoints in the image; use `unocclude import files`.")
     for arm in arms:
         arm.lens = None if known is None else known.lens
         if arm.tracked:
@@ -269,8 +268,9 @@ def add_skeleton(
             " read); record again with the arm in view."
         )
     file.arms += arms
-    if file.camera_frame is None and file.gravity_hint is None and camera == "camera":
+    if file.camera_frame is None and file.gravity_hint is None and not is_further:
         file.camera_frame, file.gravity_hint = first.frame, first.gravity_hint
+    return topic
 
 
 def add_imu(file: RecordingFile, topic: str, table: ImuSamples, source: str, shift_s: float) -> None:

@@ -18,7 +18,7 @@ from ..result.verdict import plain
 from .mcap.messages import Topic
 from .recording.choose import Selection
 from .recording.read import METADATA, open_recording, select_recordings
-from .recording.streams import ArmFrames, ImuSamples, PoseSamples, RecordingFile, named_side, role
+from .recording.streams import ArmFrames, ImuSamples, PoseSamples, RecordingFile
 from .result.read import stated_estimates
 from .result.write import RESULT
 
@@ -97,8 +97,8 @@ def describe(path: str | os.PathLike[str], **selection: Unpack[Selection]) -> Fi
             for each in file.topics
         ],
         "imus": [
-            f"{stream.topic}: {len(stream.stamp_ns)} samples, {role(stream) or 'no limb named'}"
-            + (f", {at}" if (at := named_side(stream.topic, stream.frame_id)) else "")
+            f"{stream.topic}: {len(stream.stamp_ns)} samples, {stream.role or 'no limb named'}"
+            + (f", {stream.side}" if stream.side else "")
             + (", magnetometer" if stream.mag is not None else "")
             for stream in file.imus
         ],

@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 from smoother.angles import shoulder_angles
 from smoother.angles.definitions import arm_angles, wrapped_deg
 from smoother.array_types import FloatArray
-from smoother.io.recording.streams import ImuSamples, role, role_among
+from smoother.io.recording.streams import ImuSamples, role_among
 from smoother.recording import ImuStream
 from smoother.result import Recovery
 from smoother.simulation import ArmSimulation, SimulatedArm, simulate_arm
@@ -241,4 +241,4 @@ def test_names(topics: tuple[str, ...], roles: tuple[str, ...]) -> None:
     none = np.zeros((0, 3))
     imus = [ImuSamples(topic, "", np.zeros(0, np.int64), none, none, None) for topic in topics]
     assert tuple(role_among(imu, imus) for imu in imus) == roles
-    assert role(replace(imus[0], topic="/imu/hand")) == "hand"
+    assert replace(imus[0], topic="/imu/hand").role == "hand"

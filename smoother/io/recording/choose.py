@@ -27,7 +27,6 @@ from .streams import (
     is_named,
     is_of_other_arm,
     named_side,
-    role,
     role_among,
     rows_of,
     words,
@@ -244,7 +243,7 @@ def match_file(
     for imu, match in zip(file.imus, matches, strict=True):
         if match.limb is None or not match.is_sure:
             continue
-        named, side = role_among(imu, file.imus), named_side(imu.topic, imu.frame_id)
+        named, side = role_among(imu, file.imus), imu.side
         segment = "forearm" if match.limb.segment == "wrist" else match.limb.segment
         # a hand has no limb of its own to be matched to: the forearm's is the nearest
         other_limb = named not in ("", segment) and (named, segment) != ("hand", "forearm")
@@ -385,16 +384,12 @@ def _forearm_imus(file: RecordingFile, name: str | None, of_several: bool = Fals
             f"{file.path}: no IMU is named as one of a forearm; it has {_topics(file.imus)}; choose with"
             " --imu."
         )
-    sure = [imu for imu, named in roles if named == "forearm" or (named == "" and _worn_on(imu))]
+    sure = [imu for imu, named in roles if named == "forearm" or (named == "" and imu.side)]
     return candidates if of_several else sure or candidates
 
 
 def _topics(imus: Sequence[ImuSamples]) -> str:
     return ", ".join(stream.topic for stream in imus)
-
-
-def _worn_on(imu: ImuSamples) -> str:
-    return named_side(imu.topic, imu.frame_id)
 
 
 _TRUTH_WORDS = ("truth", "mocap", "reference", "optical", "vicon", "optitrack", "qualisys")
@@ -421,9 +416,9 @@ def _further_by_name(
     """The IMU that names say is on a segment of the same arm, or None, and a sentence on it."""
     others = [imu for imu in file.imus if imu is not forearm]
     named = [imu for imu in others if role_among(imu, file.imus) == segment.name]
-    fitting = [imu for imu in named if side and _worn_on(imu) == side]
-    if not fitting and not any(role(imu) in ("", "forearm") for imu in others):  # there is one arm alone
-        fitting = [imu for imu in named if not _worn_on(imu)] or ([] if side else named)
+    fitting = [imu for imu in named if side and imu.side == side]
+    if not fitting and not any(imu.role in ("", "forearm") for imu in others):  # there is one arm alone
+        fitting = [imu for imu in named if not imu.side] or ([] if side else named)
     if len(fitting) == 1:
         return fitting[0], [f"IMU {fitting[0].topic} is on the same arm's {segment.label} by its name."]
     if fitting:
@@ -505,7 +500,7 @@ def choose_arms(
         of_several = len({arm.key[:2] for arm in arms}) > 1
         imus = _forearm_imus(file, None, of_several)
         if len(imus) > 1 and len(arms) > 1:
-            worn, seen = {_worn_on(imu) for imu in imus}, {arm.side for arm in arms}
+            worn, seen = {imu.side for imu in imus}, {arm.side for arm in arms}
             if not of_several and worn == seen == set(_SIDES):  # one person, and names that show all
                 prefer_side, sides = None, list(_SIDES)
             elif len(by_motion := _by_motion(file, arms, sides[0])) > 1:
@@ -526,7 +521,7 @@ def _completed(
 ) -> StreamChoice:
     """A pair with all that belongs to it."""
     imu, side, body = choice.imu, choice.side, choice.body
-    base = next((i for i in file.imus if i is not imu and role(i) == "base"), None)
+    base = next((i for i in file.imus if i is not imu and i.role == "base"), None)
     truth, more = choose_truth(file, side, body)
     notes, further = [*notes, *choice.notes, *more], dict(choice.further)
     for segment in FURTHER:
@@ -534,7 +529,7 @@ def _completed(
             named, more = _further_by_name(file, imu, side, segment)
             notes += more
             further |= {} if named is None else {segment.name: named}
-    if role(imu) == "hand":
+    if imu.role == "hand":
         notes.append(
             f"IMU {imu.topic} is named after the hand and used as the forearm's: where the wrist"
             " bends, the result is off by centimetres. Wear one on the forearm too."
@@ -546,11 +541,11 @@ def _completed(
 def _one_arm(file: RecordingFile, prefer_side: str | None, selection: Selection) -> StreamChoice:
     side = selection.get("side")
     arms, imus = _wanted_arms(file, selection), _forearm_imus(file, selection.get("imu"))
-    pairs = [(i, a) for i in imus for a in arms if _agree(_worn_on(i), a.side, side)]
+    pairs = [(i, a) for i in imus for a in arms if _agree(i.side, a.side, side)]
     if not pairs:
         raise RecordingError(f"{file.path}: no IMU is on an arm that the skeleton shows; {_what_else(file)}.")
     if prefer_side and not side:
-        pairs = [(i, a) for i, a in pairs if (a.side or _worn_on(i)) in (prefer_side, "")] or pairs
+        pairs = [(i, a) for i, a in pairs if (a.side or i.side) in (prefer_side, "")] or pairs
     said = []
     imu, arm = pairs[0]
     if len(pairs) > 1:
@@ -558,7 +553,7 @@ def _one_arm(file: RecordingFile, prefer_side: str | None, selection: Selection)
         said = [f"Of {_listing(file)}, IMU {imu.topic} and {arm.label} were taken: {why}."]
     elif len(file.imus) > 1 or len(file.arms) > 1:
         said = [f"IMU {imu.topic} and skeleton {arm.label} were taken."]
-    return StreamChoice(imu, arm, arm.side or _worn_on(imu) or side or "", notes=said)
+    return StreamChoice(imu, arm, arm.side or imu.side or side or "", notes=said)
 
 
 def _agree(*sides: str | None) -> bool:
@@ -595,7 +590,7 @@ def _pair_by_motion(file: RecordingFile, pairs: Sequence[Pair]) -> tuple[Pair, s
     pair_of = {(imu.topic, *arm.key): (imu, arm) for imu, arm in pairs}
 
     def may_be(row: int, limb: Limb) -> bool:
-        worn_as_named = limb.segment == "wrist" or role(imus[row]) != "forearm"
+        worn_as_named = limb.segment == "wrist" or imus[row].role != "forearm"
         return worn_as_named and (imus[row].topic, *limb.arm) in pair_of
 
     for is_far in (False, True):
@@ -631,12 +626,12 @@ def _pair_by_motion(file: RecordingFile, pairs: Sequence[Pair]) -> tuple[Pair, s
 
 def _by_motion(file: RecordingFile, arms: Sequence[ArmFrames], side: str | None) -> list[StreamChoice]:
     """A choice for every arm on whose forearm an IMU is, by one assignment of all IMUs to all limbs."""
-    imus = [imu for imu in file.imus if role(imu) not in ("base", "trunk")]
+    imus = [imu for imu in file.imus if imu.role not in ("base", "trunk")]
 
     def may_be(row: int, limb: Limb) -> bool:
         named = role_among(imus[row], imus)
         segment = {"": limb.segment, "forearm": "wrist"}.get(named, named)
-        return limb.segment == segment and _agree(_worn_on(imus[row]), limb.side, side)
+        return limb.segment == segment and _agree(imus[row].side, limb.side, side)
 
     matches, open_notes = _assigned(file, imus, list(arms), may_be)
     on_arm: dict[tuple[str, int, str], dict[str, tuple[ImuSamples, float]]] = {}

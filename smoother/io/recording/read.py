@@ -44,7 +44,6 @@ from .streams import (
     PoseSamples,
     RecordingFile,
     in_order,
-    role,
     without_outlying,
 )
 
@@ -131,7 +130,7 @@ def _trunk(
     file: RecordingFile, choice: StreamChoice, opposite: JointTracks | None, origin_ns: int
 ) -> tuple[TrunkSensors | None, list[str]]:
     """The trunk's IMU by its name with the other arm, whose shoulder shows the trunk's heading; sentences."""
-    named = [imu for imu in file.imus if imu is not choice.imu and role(imu) == "trunk"]
+    named = [imu for imu in file.imus if imu is not choice.imu and imu.role == "trunk"]
     if not named:
         return None, []
     if len(named) > 1:

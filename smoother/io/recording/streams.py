@@ -60,6 +60,16 @@ class ImuSamples:
         assert self.acc is not None and self.gyro is not None
         return self.acc, self.gyro
 
+    @property
+    def role(self) -> str:
+        """The segment by its names: "forearm", "upper_arm", "hand", "trunk", "base" or ""."""
+        return named_segment(self.topic) or named_segment(self.frame_id)
+
+    @property
+    def side(self) -> str:
+        """The side by its names: "left", "right" or ""."""
+        return named_side(self.topic, self.frame_id)
+
     @classmethod
     def of(cls, topic: str, imu: ImuStream, origin_ns: int) -> ImuSamples:
         """A recording's stream under a topic, with stamps."""
@@ -253,11 +263,6 @@ _SEGMENTS = (
 )
 
 
-def role(stream: ImuSamples) -> str:
-    """The segment by a stream's names: "forearm", "upper_arm", "hand", "trunk", "base" or ""."""
-    return named_segment(stream.topic) or named_segment(stream.frame_id)
-
-
 def named_segment(name: str) -> str:
     """The segment that a name speaks of, or ""."""
     spoken = words(name)
@@ -266,15 +271,11 @@ def named_segment(name: str) -> str:
 
 def role_among(stream: ImuSamples, imus: Sequence[ImuSamples]) -> str:
     """Its role in a file: an IMU named after a hand is used as the forearm's where that arm has no other."""
-    named = role(stream)
-    if named != "hand":
-        return named
-    side = named_side(stream.topic, stream.frame_id)
-    for other in imus:
-        its_side = named_side(other.topic, other.frame_id)
-        if role(other) in ("", "forearm") and (not side or its_side in ("", side)):
-            return "hand"
-    return "forearm"
+    if stream.role != "hand":
+        return stream.role
+    others = [imu.side for imu in imus if imu.role in ("", "forearm")]
+    is_beside = others if not stream.side else {"", stream.side} & set(others)
+    return "hand" if is_beside else "forearm"
 
 
 def named_side(*names: str) -> str:

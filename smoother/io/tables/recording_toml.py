@@ -31,8 +31,8 @@ from ...errors import RecordingError
 from ...runtime.inputs import check_input, inside, read_toml
 from ..files import add_imu, add_skeleton, times_of
 from ..mcap.messages import nanoseconds
-from ..recording.keypoints import CAMERA_TOPIC, NAMED_TOPIC, TOPIC, direction_of, lens_from_plain
-from ..recording.streams import CameraStream, ImuSamples, KnownLens, PoseSamples, RecordingFile
+from ..recording.keypoints import direction_of, lens_from_plain
+from ..recording.streams import ImuSamples, KnownLens, PoseSamples, RecordingFile
 from ..registry import FileReader, recognise
 from .columns import (
     LAYOUT_KEYS,
@@ -278,14 +278,9 @@ def _add_camera(
 ) -> None:
     """A camera's bodies; further cameras are on their own clocks and in their own frames."""
     section = f"camera.{name}" if name else "camera"
-    topic = f"{CAMERA_TOPIC}{name}" if name else "/skeleton"
+    bodies[0].gravity_hint = _down(keys.gravity, folder, section)
     known = _known_lens(keys, folder, section)
-    if known is not None:
-        topic = NAMED_TOPIC.format(name) if name else TOPIC
-        file.lenses[topic] = known
-    add_skeleton(file, bodies, str(folder), topic, shift_s, name or "camera", known)
-    if name:
-        file.cameras[topic] = CameraStream(name, keys.frame, _down(keys.gravity, folder, section))
+    add_skeleton(file, bodies, str(folder), shift_s, int(bool(name)), name, known)
 
 
 def _add_streams(
