@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
@@ -95,3 +96,14 @@ def workbook(path: Path, rows: Iterable[Sequence[object]], before: Sequence[str]
         sheet.append(row)
     book.save(path)
     return path
+
+
+def as_workbook(text: Path, path: Path, separator: str = ",") -> Path:
+    """A table of text as a workbook with numbers in its cells, behind sheets of words."""
+    lines = (
+        [cell.strip('"') for cell in line.split(separator)] for line in text.read_text("utf-8").splitlines()
+    )
+    rows = (
+        [float(c) if re.fullmatch(r"-?[\d.]+(E[+-]\d+)?", c) else c or None for c in cells] for cells in lines
+    )
+    return workbook(path, rows, ("notes", "one", "two"))

@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 import ros_bags as ros
 import skeleton_files
-from importers import turning, workbook
+from importers import as_workbook, turning, workbook
 from library_files import ZERO
 
 from smoother.cli.run import run
@@ -179,9 +179,12 @@ def test_encodings_and_lines_below_the_names(tmp_path: Path, key: str) -> None:
         row = layout.separator.join(cells(layout.width))
         after = layout.header + 1
         changed[name] = "\n".join([*lines[:after], row, *lines[after:]]).encode()
+    found = [values_of(as_workbook(path, tmp_path / "a.xlsx", layout.separator), key)] if key != "trc" else []
     for raw in changed.values():
         path.write_bytes(raw)
-        for mine, theirs in zip(values_of(path, key), wanted, strict=True):
+        found.append(values_of(path, key))
+    for values in found:
+        for mine, theirs in zip(values, wanted, strict=True):
             np.testing.assert_allclose(mine, theirs, atol=1e-9)
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from datetime import datetime, timedelta
 from pathlib import Path
 
@@ -11,11 +10,10 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from importers import workbook
+from importers import as_workbook, workbook
 
 from smoother.errors import RecordingError
-from smoother.io.recording.streams import ImuSamples
-from smoother.io.registry import FileReader, recognise
+from smoother.io.registry import recognise
 from smoother.io.tables.columns import read_exact as read_strict
 from smoother.io.tables.table import read_head, read_table, seconds_of_dates
 from smoother.io.tables.units import ACCELERATION, ANGULAR_VELOCITY, plain_unit, split_unit
@@ -193,30 +191,6 @@ def test_more_than_a_twentieth_of_no_numbers_is_refused(tmp_path: Path, wrong: i
             sheet.numbers(1)
     else:
         assert np.isnan(sheet.numbers(1)).sum() == wrong and "#WERT!" in sheet.notes[0]
-
-
-def as_workbook(text: Path, path: Path, separator: str = ",") -> Path:
-    """A table of text as a workbook with numbers in its cells, behind sheets of words."""
-    lines = (
-        [cell.strip('"') for cell in line.split(separator)] for line in text.read_text("utf-8").splitlines()
-    )
-    rows = ([float(c) if re.fullmatch(r"-?[\d.]+", c) else c or None for c in cells] for cells in lines)
-    return workbook(path, rows, ("notes", "one", "two"))
-
-
-@pytest.mark.parametrize(
-    ("key", "separator"), [("nilspod", ","), ("x-imu", ","), ("xsens-dot", ","), ("imu-table", ";")]
-)
-def test_a_workbook_reads_as_its_table(tmp_path: Path, key: str, separator: str):
-    made.EXAMPLES[key](tmp_path / "a.csv")
-    path = as_workbook(tmp_path / "a.csv", tmp_path / "a.xlsx", separator)
-    importer = recognise(read_head(path))
-    assert importer is not None and importer.key == key
-    reader = FileReader()
-    (mine,), (theirs,) = (reader.read(each, importer) for each in (path, tmp_path / "a.csv"))
-    assert isinstance(mine, ImuSamples) and isinstance(theirs, ImuSamples)
-    assert np.allclose(mine.acc, theirs.acc) and np.allclose(mine.gyro, theirs.gyro)
-    assert np.allclose(mine.t_s, theirs.t_s)
 
 
 def test_dates_in_cells(tmp_path: Path):
