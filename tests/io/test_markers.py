@@ -47,14 +47,6 @@ def write(folder: Path, rows: str, unit: str = "mm", change=lambda text: text) -
 class TestTrc:
     ROWS = "1\t0.00\t1\t2\t3\t4\t5\t6\n2\t0.01\t10\t20\t30\t40\t50\t60\n"
 
-    @pytest.mark.parametrize(("unit", "metre"), [("mm", 1e-3), ("m", 1.0), (" MM ", 1e-3), ("cm", 1e-2)])
-    def test_units(self, tmp_path, unit, metre):
-        found = read_markers(write(tmp_path, self.ROWS, unit))
-        assert found.names == ("A", "B")
-        np.testing.assert_allclose(found.position[1], np.array([[10, 20, 30], [40, 50, 60]]) * metre)
-        np.testing.assert_allclose(found.t_s, [0, 0.01])
-        assert found.rate_hz == 100
-
     @pytest.mark.parametrize(
         "change",
         [
@@ -68,6 +60,12 @@ class TestTrc:
             lambda text: text.replace("\tX1\tY1\tZ1\tX2\tY2\tZ2\n", "\tX1\tY1\tZ1\tX2\tY2\tZ2\t\n \n"),
             lambda text: text.replace("\t\tX1\tY1\tZ1\tX2\tY2\tZ2\n", ""),
             lambda text: text.replace("2\tmm", "7\tmm"),  # a wrong number of markers
+            lambda text: text.replace("\tmm\t", "\t MM \t"),
+            lambda text: (
+                text.replace("\tmm\t", "\tcm\t")
+                .replace("1\t2\t3\t4\t5\t6", ".1\t.2\t.3\t.4\t.5\t.6")
+                .replace("10\t20\t30\t40\t50\t60", "1\t2\t3\t4\t5\t6")
+            ),
             lambda text: (
                 text[: text.index("Frame#")]
                 + text[text.index("Frame#") :].replace("\t\t", " ").replace("\t", " ")
@@ -75,12 +73,12 @@ class TestTrc:
         ],
         ids=[
             *("crlf", "commas", "bom", "exponents", "decimal-commas", "blanks"),
-            *("shifted", "row", "no-axes", "count", "spaces"),
+            *("shifted", "row", "no-axes", "count", "capitals", "cm", "spaces"),
         ],
     )
     def test_habits_of_programs(self, tmp_path, change):
         found = read_markers(write(tmp_path, self.ROWS, change=change))
-        assert found.names == ("A", "B")
+        assert found.names == ("A", "B") and found.rate_hz == 100 and found.t_s.tolist() == [0, 0.01]
         np.testing.assert_allclose(found.position[1] * 1000, [[10, 20, 30], [40, 50, 60]])
         np.testing.assert_allclose(found.position[0] * 1000, [[1, 2, 3], [4, 5, 6]])
 
