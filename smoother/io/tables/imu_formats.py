@@ -388,7 +388,7 @@ def _read_named(table: DeviceTable, device: Device) -> list[ImuSamples]:
     guesses = {name: guess_sensor(table, device.gyro_unit, axes) for name, axes in whole.items()}
     known = {name: guess for name, guess in guesses.items() if guess.settled} or guesses
     return [
-        replace(_of_guess(table, device, guess), topic=name.replace(" ", "_")) for name, guess in known.items()
+        replace(_of_guess(table, device, each), topic=name.replace(" ", "_")) for name, each in known.items()
     ]
 
 
