@@ -9,9 +9,10 @@ import gtsam
 import numpy as np
 import pytest
 from gtsam import Rot3
-from gtsam.symbol_shorthand import L, X
+from gtsam.symbol_shorthand import B, L, X
 
 from smoother.array_types import FloatArray
+from smoother.graph import lag_window as lag_window_module
 from smoother.graph.lag_window import LagWindow, iterate
 from smoother.measurements.inertial import Preintegration, equivalent_samples
 from smoother.recording import JOINTS
@@ -304,6 +305,41 @@ def test_an_imu_that_rests_beside_a_moving_arm_does_not_fit(chain: Motion) -> No
         lag.set_increments(index, rest, UPPER)
     lag.solve(0.0)
     assert lag.misfit(UPPER, -np.inf) > 20.0 * sound
+
+
+@pytest.mark.parametrize(("length_s", "epoch_s"), [(WHOLE_S, 0.5), (SHORT_S, 0.5), (SHORT_S, 1.0)])
+def test_a_bias_walks_from_epoch_to_epoch(
+    length_s: float, epoch_s: float, motion: Motion, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Where nothing is seen of it: its prior's variance and what it walked since the first node."""
+    monkeypatch.setattr(lag_window_module, "BIAS_EPOCH_S", epoch_s)
+    lag, walk = lag_window(motion.down, length_s), np.repeat([0.1, 0.01], 3)
+    lag._walk = walk
+    before = np.repeat([0.05, 0.005], 3) ** 2
+    began_s = motion.states["forearm"][0].t
+    for k, state in enumerate(motion.states["forearm"]):
+        motion.add(lag, k, ())
+        if state.t - began_s >= epoch_s:
+            before, began_s = before + walk**2 * (state.t - began_s), state.t
+        found = np.diag(lag.solve(0.0).block("bias"))
+        np.testing.assert_allclose(found, before, rtol=1e-5)
+    assert began_s >= 2.0 and lag._values.exists(B(0)) == (length_s == WHOLE_S)
+
+
+def test_what_is_taken_back_was_never_seen_and_an_imu_is_due_where_the_camera_shows_its_segment(
+    chain: Motion,
+) -> None:
+    lags = [lag_window(chain.down, WHOLE_S, True, (UPPER,)) for _ in range(2)]
+    for k, seen in enumerate((("shoulder", *LEVERS), (), (), (), tuple(LEVERS))):
+        for lag in lags:
+            chain.add(lag, k, seen if lag is lags[0] or k < 4 else ())
+    lags[0].retract(lags[0].t[3])
+    a, b = (lag.solve(0.0) for lag in lags)
+    np.testing.assert_allclose(a.newest.p, b.newest.p, atol=1e-12)
+    lag, t = lags[0], lags[0].t
+    # at a knot of the shoulder; else where the last node is a knot's time ago, 0.09 s
+    assert [lag.is_due(k, UPPER, t[k] - 0.08) for k in range(5)] == [True, False, False, True, False]
+    assert lag.is_due(1, UPPER, t[1] - 0.1)
 
 
 def test_step_and_covariance_are_those_of_gtsam() -> None:

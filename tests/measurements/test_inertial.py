@@ -23,6 +23,7 @@ from smoother.measurements.inertial import (
     InertialAttitude,
     InertialSignal,
     Preintegration,
+    _moments_around,
     equivalent_samples,
     integrate,
     split_steps,
@@ -136,6 +137,17 @@ def test_a_knock_is_felt_where_it_is_and_smooth_motion_is_none(rate_hz: float) -
     # a fifth of 0.4 m/s by definition, spread over the sample and its two neighbours
     assert error[struck].max() == pytest.approx(0.2 * 0.4 * np.sqrt(1.5), rel=0.3)
     assert error[~struck].max() < 0.01
+
+
+def test_what_varies_about_a_time_is_the_variance_of_the_samples_near_it() -> None:
+    """Sample by sample: a constant, however large, has none; only the first three values count."""
+    edges, t = np.arange(0.0, 8.0, 0.05), np.array([0.0, 0.42, 4.0, 7.93])
+    values = np.random.default_rng(2).normal(3.0, 1.0, (len(edges) - 1, 4)) + np.array([0.0, 9.8, 0.0, 0.0])
+    mean, variance = _moments_around(edges, values, t, 0.5)
+    for k, at in enumerate(t):
+        own = values[(edges[:-1] >= at - 0.5) & (edges[:-1] < at + 0.5)]
+        np.testing.assert_allclose(mean[k], own.mean(axis=0))
+        assert variance[k] == pytest.approx(own[:, :3].var(axis=0).sum())
 
 
 NOTHING = VectorPairs(np.zeros(0), np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0))

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from itertools import pairwise
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -14,13 +15,15 @@ from hypothesis import strategies as st
 from made_segments import forearm
 from scenes import moving
 
-from smoother.calibration import ArmCalibration
+from smoother.calibration import ArmCalibration, LeverArm
 from smoother.config import Config
 from smoother.errors import CalibrationError
+from smoother.measurements.clock import constant_clock
 from smoother.measurements.segment import Segment, Timeline, split_into_segments
 from smoother.recording import FOREARM_JOINTS, JOINTS, ImuStream, JointState, JointTracks, Recording
 from smoother.runtime.pool import Pool
 from smoother.selfcal import rounds
+from smoother.selfcal.error_estimate import JointBias
 from smoother.selfcal.excerpts import (
     CONTEXT_S,
     EXCERPT_S,
@@ -181,6 +184,85 @@ def test_spread_excerpts_with_pauses(made: Recording, count: int, around_s: floa
         arm_t = made.arm.t_s
         seen = (arm_t >= excerpt.start_s - around_s) & (arm_t < excerpt.end_s + around_s)
         np.testing.assert_array_equal(np.flatnonzero(seen), np.arange(len(arm_t))[excerpt.frames])
+
+
+@pytest.mark.parametrize(
+    ("rejected", "calls"), [(0.04, 1), (0.06, 2)], ids=["few contradict it", "more than 1 in 20 do"]
+)
+def test_the_closed_form_is_done_again_without_what_contradicts_it(
+    rejected: float, calls: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    segment, done = forearm(100), []
+
+    def without(segment: Segment, *_: object) -> tuple[Segment]:
+        accepted = segment.accepted.copy()
+        accepted[: round(rejected * len(accepted))] = False
+        return (replace(segment, accepted=accepted),)
+
+    monkeypatch.setattr(rounds, "reject_by_direction", without)
+    found = SimpleNamespace(calibration=None, offset_s=np.zeros(1))
+    monkeypatch.setattr(rounds, "find_mounting", lambda segments, *_: done.append(segments) or found)
+    (left,), _ = rounds._closed_form([segment], ArmCalibration(), 0.05)
+    assert len(done) == calls and done[-1][0] is (segment if calls == 1 else left)
+    assert left.accepted.sum() < segment.accepted.sum()
+
+
+#: A round's lever arm (sigma 10 mm), joint bias (sigma 5 mm) and clock (sigma 3 ms).
+ROUND = (
+    ArmCalibration("right", {"wrist": LeverArm(np.array([0.0, 0.05, 0.0]), np.full(3, 0.010))}),
+    JointBias(np.zeros((5, 3)), sigma_m=0.005),
+    (constant_clock(0.02, 0.003),),
+)
+
+
+@pytest.mark.parametrize(
+    ("moved", "settled"),
+    [  # up to 0.4 sigma, and up to a millimetre (or millisecond) whatever sigma is
+        ({"lever_m": 0.0039}, True),
+        ({"lever_m": -0.0041}, False),
+        ({"bias_m": 0.0019}, True),
+        ({"bias_m": -0.0021}, False),
+        ({"bias_m": 0.0009, "scale": 1e-3}, True),
+        ({"bias_m": 0.0011, "scale": 1e-3}, False),
+        ({"clock_s": 0.0011}, True),
+        ({"clock_s": -0.0013}, False),
+        ({"lever_m": 0.0039, "bias_m": 0.0019, "clock_s": 0.0011}, True),
+    ],
+)
+def test_rounds_end_where_nothing_moves_by_much_of_its_sigma(moved: dict[str, float], settled: bool) -> None:
+    (arm, bias, (clock,)), by = ROUND, {"lever_m": 0.0, "bias_m": 0.0, "clock_s": 0.0, "scale": 1.0} | moved
+    lever, error_m = arm.lever_arms["wrist"], bias.error_m.copy()
+    error_m[2, 1] += by["bias_m"]
+    lever = LeverArm(
+        lever.position_m + by["lever_m"] * np.array([0.6, 0.0, 0.8]), by["scale"] * lever.sigma_m
+    )
+    clock = replace(clock, offset=clock.offset + by["clock_s"])
+    after = (
+        replace(arm, lever_arms={"wrist": lever}),
+        JointBias(error_m, sigma_m=by["scale"] * bias.sigma_m),
+        (clock,),
+    )
+    assert rounds._settled(ROUND, after) is settled
+
+
+@pytest.mark.parametrize(
+    ("settles", "read"),
+    [([True], [1, 2]), ([False, True], [1, 2, 2]), ([False] * 9, [1, 2, 2, 2])],
+    ids=["at once", "later", "never"],
+)
+def test_the_first_round_reads_half_and_ends_nothing(
+    settles: list[bool], read: list[int], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    made = moving(5, "white", 24.0, occlusion_lengths_s=()).recording
+    seen, original = [], rounds.solve_round
+    excerpts = split_into_segments(replace(made, imu=made.imu.select(np.abs(made.imu.t_s - 12.0) > 0.5)))
+    monkeypatch.setattr(
+        rounds, "solve_round", lambda cut, *more: seen.append(len(cut)) or original(cut, *more)
+    )
+    monkeypatch.setattr(rounds, "_settled", lambda *_: settles.pop(0))
+    with Pool(1, 0) as workers:
+        rounds.self_calibrate(excerpts, ArmCalibration(side="right"), Config(), workers)
+    assert seen == read
 
 
 @pytest.fixture
