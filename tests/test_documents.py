@@ -50,21 +50,6 @@ def blocks(text: str, *languages: str) -> list[str]:
     return [each.content for each in tokens(text) if each.type == "fence" and each.info.strip() in languages]
 
 
-@cache
-def anchors(path: Path) -> set[str]:
-    """What `#..` may name in a document: its headings as GitHub and MyST write them."""
-    names: set[str] = set()
-    found = tokens(path.read_text(encoding="utf-8"))
-    for heading, title in zip(found, [*found[1:], None], strict=True):
-        if heading.type == "heading_open" and heading.tag <= "h4":
-            text = "".join(each.content for each in title.children or () if each.type != "link_open")
-            slug = re.sub(r"[^\w\- ]", "", text.strip().lower()).replace(" ", "-")
-            names.add(slug if slug not in names else f"{slug}-1")
-        elif heading.type == "fence" and heading.info.startswith("{include}"):
-            names |= anchors((path.parent / heading.info.split()[1]).resolve())
-    return names
-
-
 @pytest.mark.parametrize("document", DOCUMENTS)
 def test_links_lead_somewhere(document: str) -> None:
     links = [each for each in tokens(text_of(document)) if each.type in ("link_open", "image")]
@@ -72,11 +57,9 @@ def test_links_lead_somewhere(document: str) -> None:
         if re.match(r"[a-z]+:", target):  # another site: not followed, but an address all the same
             assert re.fullmatch(r"https://[a-z0-9.-]+\.[a-z]+(/\S*)?", target), f"{document}: {target}"
             continue
-        name, _, anchor = target.partition("#")
+        name, *_ = target.partition("#")  # headings are the site's: its build checks them
         path = (ROOT / document).parent / name if name else ROOT / document
         assert path.exists(), f"{document} links to {target}: there is no such file"
-        if anchor and path.suffix == ".md":
-            assert anchor in anchors(path.resolve()), f"{document}: no heading {target}"
 
 
 def code_lines(text: str) -> Iterator[str]:
@@ -264,11 +247,3 @@ def test_version_is_the_same_everywhere():
     assert project["dynamic"] == ["version"]  # of smoother/__init__.py, and nowhere else
     assert f"version: {__version__}\n" in citation
     assert project["authors"][0]["name"] in citation
-
-
-def test_every_dependency_is_explained():
-    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
-    page = (ROOT / "docs" / "dependencies.md").read_text(encoding="utf-8").lower()
-    for dependency in project["dependencies"]:
-        name = re.match(r"[a-z0-9-]+", dependency.lower())[0].removesuffix("-cpu")
-        assert {"opencv-python-headless": "opencv"}.get(name, name) in page, name

@@ -427,19 +427,6 @@ def test_poses_that_determine_nothing() -> None:
         solve([point])
 
 
-def test_errors_are_as_large_as_sigma_says():
-    squared, offsets = [], []
-    for seed in range(25):
-        found = solve([solved_pose(seed, number, 0.005) for number in range(2)])
-        turn = Rotation.from_matrix(found.camera_from_mocap.R @ TRUTH.R.T).as_rotvec()
-        shift = found.camera_from_mocap.origin - TRUTH.origin - np.cross(turn, TRUTH.origin)
-        error = np.concatenate([turn, shift])
-        squared.append(error @ np.linalg.solve(found.covariance, error) / 6)
-        offsets.append((found.depth_offset_m - 0.005) / found.depth_offset_sigma_m)
-    assert 0.65 < np.mean(squared) < 1.4  # 150 squared errors scatter by 12 %
-    assert 0.4 < np.mean(np.square(offsets)) < 1.9 and abs(np.mean(offsets)) < 0.6
-
-
 def test_one_pose_tells_a_large_depth_error_and_believes_a_small_one():
     assert not np.isfinite(solve([solved_pose(1, 0, 0.0)]).depth_offset_sigma_m)
     found = solve([solved_pose(1, 0, 0.015)])

@@ -21,46 +21,6 @@ from smoother.simulation import ArmSimulation, simulate_both_arms
 from tools.reliability import setup_errors
 from tools.reliability.setup_errors import Job, Setup
 
-#: Options that undo a case; of several either one may be meant.
-OFFERED = {
-    "mirrored_skeleton": ("--mirror x", "--mirror y", "--mirror z"),
-    "accelerometer_sign": ("--negate accelerometer",),
-    "gyroscope_sign": ("--negate gyroscope",),
-    "left_handed_axes": ("--negate accelerometer,gyroscope",),
-    "elbow_and_wrist_swapped": ("--swap elbow,wrist",),
-    "wrong_camera_frame": ("--camera-frame kinect",),
-}
-#: Nothing undoes these; the sentence names them.
-NAMED = {
-    "joints_of_the_other_arm": "the other arm",
-    "skeleton_of_another_recording": "another recording",
-    "sensor_on_the_upper_arm": "the upper arm",
-    "radians_called_degrees": "57 times too small",
-    "metres_called_millimetres": "1000 times too small",
-    "calibration_of_another_mounting": "another person or mounting",
-}
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("case", "preset"),
-    # with white noise tests/cli/test_setup_table.py smooths each
-    [*((case, "realistic") for case in (*OFFERED, *NAMED)), ("sound", "realistic"), ("sound", "azure")],
-)
-def test_each_mistake_has_its_cause(case: str, preset: str) -> None:
-    setup = Job(getattr(setup_errors, case), 5, preset, 30.0).setup()
-    recording, *_ = pair(replace(setup.recording, truth=None))
-    cause = likeliest_cause(recording, setup.calibration)
-    if case == "sound":
-        assert cause is None
-        return
-    assert cause is not None
-    if case in OFFERED:
-        assert {remedy.options for remedy in cause.remedies} & set(OFFERED[case])
-        assert "run again with" in cause.sentence
-    else:
-        assert cause.remedies == () and NAMED[case] in cause.sentence
-
 
 @pytest.mark.slow
 def test_a_recording_without_any_answer_is_refused_with_its_cause() -> None:

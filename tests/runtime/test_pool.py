@@ -8,45 +8,17 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable
-from dataclasses import fields, replace
 from pathlib import Path
 
-import numpy as np
 import pytest
 from pool_jobs import answer_half, die_always, wait_long
-from scenes import point
 from studies import is_alive, until
 from threadpoolctl import threadpool_info, threadpool_limits
 
-import smoother.runtime.pool
-from smoother import Config, Recovery
 from smoother.cli.run import explain
 from smoother.errors import UnoccludeError
 from smoother.runtime import pool
 from smoother.runtime.pool import THREADS, Pool, one_blas_thread
-from smoother.smoothing import smooth
-
-
-def recover(processes: int) -> Recovery:
-    made = point(5, duration_s=130.0)  # two sections
-    config = Config.model_validate({"windows": {"processes": processes}})
-    return smooth(replace(made.recording, truth=None), made.calibration, config)
-
-
-@pytest.mark.slow
-def test_two_processes_give_the_same_bytes(monkeypatch: pytest.MonkeyPatch) -> None:
-    alone = recover(1)
-    monkeypatch.setattr(smoother.runtime.pool, "WORTH_FRAMES", 10)
-    with Pool(2, 100) as pool:
-        assert pool._executor is not None  # the threshold is what decides
-    together = recover(2)
-    for field in fields(Recovery):
-        a, b = getattr(alone, field.name), getattr(together, field.name)
-        if isinstance(a, np.ndarray):
-            assert a.tobytes() == b.tobytes(), field.name
-    assert alone.gaps == together.gaps
-    for joint, track in alone.joints.items():
-        assert track.tobytes() == together.joints[joint].tobytes()
 
 
 def test_a_small_job_starts_no_process() -> None:

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scenes import ALONE, Scene, answer, moving
+from scenes import ALONE, answer, moving
 from scipy.stats import multivariate_normal
 from small_window import NODES, small_window
 
@@ -325,30 +325,6 @@ def found_clock(recording: Recording) -> Clock:
     return clock.after(coarse)
 
 
-@pytest.mark.slow
-def test_a_clock_that_runs_fast() -> None:
-    """300 ppm over five minutes: 9 cs, three frames; followed also beyond the blocks looked at.
-
-    A constant would be 4.5 cs off at both ends.
-    """
-    made, skew = moving(1, "white", 300.0), 300e-6
-    t = made.recording.arm.t_s
-    clock = found_clock(later(made, -skew * t))
-    error = clock.at(t * (1.0 + skew)) + skew * t
-    assert clock.skew == pytest.approx(-300e-6, abs=10e-6)  # found: within 3e-6
-    assert np.sqrt(np.mean(error**2)) < 0.002
-    assert np.abs(error).max() < 0.004
-
-
-@pytest.mark.slow
-def test_no_drift_is_invented(realistic_arms: list[Scene]) -> None:
-    """Biases, correlated noise, wobble and jitter, and a camera that is late by a constant 20 ms."""
-    for scene in realistic_arms:
-        offset = scene.recovery.arm.t_s - scene.recording.arm.t_s
-        assert np.ptp(offset) < 0.002
-        assert offset.mean() == pytest.approx(-0.020, abs=0.003)
-
-
 def test_made_up_stamps_are_as_uncertain_as_a_dropped_frame() -> None:
     """Frames lost and the rest spread evenly, as a published data set has it: the sigma says so."""
     made = moving(2, "white", 40.0, dropped_frames=0.1)
@@ -361,19 +337,10 @@ def test_made_up_stamps_are_as_uncertain_as_a_dropped_frame() -> None:
     assert left < 0.7 * unmended and left < 3 * clock.local_sigma_s
 
 
-def with_gaps(duration_s: float) -> SimulatedArm:
-    often = {"occlusion_lengths_s": (2.0,), "occlusion_every_s": 10.0}
-    return moving(4, "white", duration_s, imu_rate_hz=80.0, **often)
-
-
-@pytest.fixture
-def short() -> SimulatedArm:
-    return with_gaps(60.0)
-
-
 @pytest.fixture
 def long() -> SimulatedArm:
-    return with_gaps(330.0)
+    often = {"occlusion_lengths_s": (2.0,), "occlusion_every_s": 10.0}
+    return moving(4, "white", 330.0, imu_rate_hz=80.0, **often)
 
 
 def later(made: SimulatedArm, offset_s: FloatArray | float) -> Recording:
@@ -387,22 +354,7 @@ def rms_in_gaps_m(made: SimulatedArm, recovery: Recovery) -> float:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("offset_s", [2.5, -7.0])
-def test_seconds_apart(short: SimulatedArm, offset_s: float) -> None:
-    recovery = answer(later(short, offset_s))
-    assert recovery.clock_offset_s == pytest.approx(offset_s, abs=0.003)
-    assert rms_in_gaps_m(short, recovery) < 0.01
-    assert any("apart" in note for note in recovery.notes)
-
-
-@pytest.mark.slow
-def test_within_reach_nothing_is_moved_and_minutes_apart_more_is_looked_at(
-    short: SimulatedArm, long: SimulatedArm
-) -> None:
-    for made in (short, long):
-        recording, coarse, _ = pair(later(made, 0.1))
-        assert coarse is None
-        np.testing.assert_array_equal(recording.arm.t_s, made.recording.arm.t_s - 0.1)
+def test_minutes_apart_more_is_looked_at(long: SimulatedArm) -> None:
     _, coarse = find_pairing(later(long, 75.0))  # farther than the context of the blocks
     assert coarse.mean_s == pytest.approx(75.0, abs=0.1)
 
@@ -429,6 +381,7 @@ def test_clocks_that_drift_and_wander(
     error = recovery.arm.t_s - recording.arm.t_s - offset_s
     assert np.sqrt(np.mean(error**2)) < most_s
     assert np.ptp(offset_s) < 0.1 or np.abs(error).max() < most_s
+    assert any("apart" in note for note in recovery.notes) == (np.ptp(offset_s) > 0.1)
     assert rms_in_gaps_m(long, recovery) < 0.01
 
 

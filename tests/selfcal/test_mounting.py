@@ -216,14 +216,6 @@ def test_another_mounting_or_person_is_named_with_its_angle_or_length() -> None:
 
 
 @pytest.mark.slow
-def test_the_verdict_begins_with_it() -> None:
-    made = moving(1)
-    found = answer(made.recording, turned(made.calibration, 90.0)).estimates
-    assert found.verdict.startswith("Not to be trusted: the calibration seems to be of another")
-    assert any("the calibration does not fit this recording" in each for each in found.reasons)
-
-
-@pytest.mark.slow
 def test_a_mounting_with_a_rival_is_used_with_care() -> None:
     """An arm that hardly moves in view leaves open how the sensor sits; one that moves does not."""
     still = simulate_arm(ArmSimulation(repetitions=1, still_all=True), 1).recording

@@ -47,15 +47,15 @@ def rotations(truth: Truth) -> Rotation:
     return Rotation.from_quat(np.roll(truth.quaternion, -1, axis=1))
 
 
-def integrate(simulated: SimulatedArm, begin: int, end: int, shift_s: float = 0.0) -> tuple[float, float]:
-    """Error (m, rad) after strapdown integration from sample `begin` to `end`, stamps shifted by `shift_s`.
+def integrate(simulated: SimulatedArm, begin: int, end: int) -> tuple[float, float]:
+    """Error (m, rad) after strapdown integration from sample `begin` to `end`.
 
     The sums of averages are exact integrals at the ends of the samples; a quintic spline through them gives
     the momentary values.
     """
     imu, truth = simulated.ideal_imu, simulated.recording.truth
     step = 1.0 / imu.rate_hz
-    edges = np.concatenate([[imu.t_s[0] - step / 2], imu.t_s + step / 2]) + shift_s
+    edges = np.concatenate([[imu.t_s[0] - step / 2], imu.t_s + step / 2])
     sums = np.concatenate([np.zeros((1, 6)), np.cumsum(np.hstack([imu.acc, imu.gyro]) * step, axis=0)])
     momentary = make_interp_spline(edges, sums, k=5).derivative()
 
@@ -77,14 +77,13 @@ def integrate(simulated: SimulatedArm, begin: int, end: int, shift_s: float = 0.
     return float(np.linalg.norm(p - truth.position[end])), float(off)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
     "changes",
     [
         {"side": "left", "camera_frame": "optical"},
-        {"wobble_deg": 3, "camera_frame": "zup", "imu_rate_hz": 200},
-        {"protocol": "random", "duration_s": 20},
-        None,
+        pytest.param({"wobble_deg": 3, "camera_frame": "zup", "imu_rate_hz": 200}, marks=pytest.mark.slow),
+        pytest.param({"protocol": "random", "duration_s": 20}, marks=pytest.mark.slow),
+        pytest.param(None, marks=pytest.mark.slow),
     ],
     ids=["left, optical", "wobbling strap, z up, 200 Hz", "random", "point"],
 )
@@ -100,24 +99,6 @@ def test_integrated_samples_reproduce_the_truth(changes: dict | None):
         position, attitude = integrate(simulated, begin, begin + 2 * rate)
         assert position < 0.5e-3
         assert attitude < 2e-4
-
-
-def test_the_stamp_is_the_centre_of_the_sample():
-    simulated = simulate_arm(ArmSimulation.preset("clean", repetitions=1), 0)
-    begin = round(3.7 * 80)
-    right = integrate(simulated, begin, begin + 160)[0]
-    for half_sample in (-0.5 / 80, 0.5 / 80):
-        assert integrate(simulated, begin, begin + 160, half_sample)[0] > 20 * right
-
-
-def test_at_rest_the_accelerometer_shows_gravity_upwards():
-    simulated = simulate_arm(ArmSimulation.preset("clean", still_all=True, repetitions=1), 0)
-    acc, truth = simulated.recording.imu.acc, simulated.recording.truth
-    up = rotations(truth).apply(acc)
-    np.testing.assert_allclose(up, -np.tile(simulated.parameters["gravity"], (len(up), 1)), atol=1e-6)
-    np.testing.assert_allclose(simulated.recording.imu.gyro, 0, atol=1e-9)
-    np.testing.assert_allclose(np.ptp(truth.position, axis=0), 0, atol=1e-12)
-    assert not simulated.occluded.any()
 
 
 @pytest.mark.slow
@@ -159,17 +140,6 @@ def test_truth_fits_the_calibration(side: str):
     assert outward * truth.joints["shoulder"][:, 0].mean() > 0
     assert outward * truth.joints["elbow"][40, 0] > outward * truth.joints["shoulder"][40, 0] + 0.15
     assert R_K_F[0, 2] < -0.8  # on the left arm z is the little finger's side, so again -x
-
-
-def test_camera_frames_are_the_same_motion_in_other_axes():
-    kinect, optical, zup = (
-        simulate_arm(
-            ArmSimulation.preset("clean", repetitions=1, camera_frame=frame), 3
-        ).recording.truth.position
-        for frame in ("kinect", "optical", "zup")
-    )
-    np.testing.assert_allclose(optical, kinect * [-1, -1, 1], atol=1e-12)
-    np.testing.assert_allclose(zup, kinect[:, [2, 0, 1]], atol=1e-12)
 
 
 SHORT = {"protocol": "random", "duration_s": 8.0, "occlusion_lengths_s": ()}

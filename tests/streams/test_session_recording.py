@@ -208,25 +208,3 @@ def test_one_recording_one_file_of_figures_and_every_line_names_its_arm(both, tm
     arms = {each["side"]: each for each in json.loads(figures.read_text())["arms"]}
     assert list(arms) == list(SIDES)
     assert arms["left"]["skeleton"]["count"] == arms["right"]["skeleton"]["count"] > 100
-
-
-def test_what_a_person_gets_wrong(both, capsys):
-    def sentence(*arguments: str, code: int = 2) -> str:
-        capsys.readouterr()
-        assert run(["live", *arguments]) == code
-        said = capsys.readouterr().err
-        assert said.count("\n") == 1
-        return said
-
-    played = ("--replay", str(both))
-    assert "'three' is not one of 'one', 'both'" in sentence(*played, "--arms", "three")
-    places = "of right, right-upper-arm, right-hand, left, left-upper-arm, left-hand"
-    for imu in ("wrist", "up=wrist", "hand=a"):
-        assert places in sentence("--arms", "both", "--imu", imu)
-    assert "once for each place, of upper-arm, hand" in sentence("--imu", "a", "--imu", "b")
-    assert "once for each place" in sentence("--imu", "hand=a", "--imu", "hand=b")
-    assert "of upper-arm, hand" in sentence("--imu", "leg=a")
-    assert "a further --imu is of a stream" in sentence(*played, "--imu", "hand=a")
-    same = ("--imu", "right=/imu/forearm_left", "--imu", "left=/imu/forearm_left")
-    said = sentence(*played, "--arms", "both", "--speed", "0", *same, code=1)
-    assert "/imu/forearm_left" in said or "which IMU is on which arm" in said
