@@ -134,22 +134,11 @@ def test_what_belongs_to_another_recording_is_refused(behind: SolvedArm):
     short = replace(behind.recording, imu=behind.recording.imu.select(slice(0, 500)))
     with pytest.raises(SolveError, match="another recording"):
         scenes_of(short, behind.graph)
+    with pytest.raises(UnoccludeError, match="hold has no option boundary_s"):
+        recover(behind.recording, behind.graph, "hold", "vqf", {"boundary_s": 1.0})
     nothing = replace(behind.graph, position=np.full_like(behind.graph.position, np.nan))
     with pytest.raises(SolveError, match="never overlap"):
         scenes_of(behind.recording, nothing)
-
-
-@pytest.mark.parametrize(
-    ("arguments", "text"),
-    [
-        (("magic",), "there is no method 'magic'; baselines: rts"),
-        (("hold", "compass"), "there is no orientation 'compass'; choose one of: vqf"),
-        (("hold", "vqf", {"boundary_s": 1.0}), "hold has no option boundary_s"),
-    ],
-)
-def test_wrong_names_are_refused_in_a_sentence(behind: SolvedArm, arguments: tuple, text: str):
-    with pytest.raises(UnoccludeError, match=text):
-        recover(behind.recording, behind.graph, *arguments)
 
 
 def test_an_answer_repeats_what_is_the_graphs(behind: SolvedArm):

@@ -156,64 +156,8 @@ def test_sides():
         one.arm("up")
 
 
-@pytest.mark.parametrize(
-    ("text", "message"),
-    [
-        ("x = ", "is not TOML"),
-        ("version = 1", "is not a calibration"),
-        ('format = "other"\nversion = 1', "is not a calibration"),
-        ('format = "unocclude calibration"', "version must be a whole number"),
-        ('format = "unocclude calibration"\nversion = 1.0', "version must be a whole number"),
-        ('format = "unocclude calibration"\nversion = true', "version must be a whole number"),
-        ('format = "unocclude calibration"\nversion = 0', "version must be a whole number"),
-        ('format = "unocclude calibration"\nversion = 2\narm = 3', "has version 2 .* update unocclude"),
-        (HEAD + "arm = 3", "arm must be a table"),
-        (HEAD + "typo = 3", "typo is not a key"),
-        (HEAD + "[arm.both]", r"arm\.both is not one of right, left, any"),
-        (HEAD + "[arm]\nright = 3", r"arm\.right must be a table"),
-        (HEAD + "[arm.right]\nuper_arm_m = 0.3", r"arm\.right\.uper_arm_m: this key is not known"),
-        (HEAD + "[arm.right]\nupper_arm_m = 0.3", "upper_arm_m and upper_arm_sigma_m must be given together"),
-        (
-            HEAD + "[arm.right]\nupper_arm_m = 0.3\nupper_arm_sigma_m = 0",
-            r"upper_arm_sigma_m: .*greater than 0",
-        ),
-        (HEAD + "[arm.right]\nupper_arm_m = nan\nupper_arm_sigma_m = 1", r"arm\.right\.upper_arm_m: .*"),
-        (HEAD + '[arm.right]\nupper_arm_m = "0.3"\nupper_arm_sigma_m = 1', r"upper_arm_m: .*number"),
-        (HEAD + "[arm.right]\nR_F_A = [1, 1, 0, 0]", "R_F_A must be a unit quaternion"),
-        (HEAD + "[arm.right]\nR_F_A = [1, 0, 0]", r"R_F_A: this list is too short"),
-        (HEAD + "[arm.right]\ngyroscope_bias = [1, 0, inf]", r"gyroscope_bias\.2: .*finite"),
-        (HEAD + "[arm.right]\naccelerometer_bias = [1, 0, true]", r"accelerometer_bias\.2: .*number"),
-        (
-            HEAD + "[arm.right.lever_arm.elbow]\nposition_m = [0, 0, 0]",
-            r"lever_arm\.elbow\.sigma_m: this key is missing",
-        ),
-        (
-            HEAD + "[arm.left.lever_arm.elbow]\nposition_m = [0, 0, 0]\nsigma_m = [1, 1, -1]",
-            r"arm\.left\.lever_arm\.elbow\.sigma_m\.2: .*greater than 0",
-        ),
-        (HEAD + "[arm.right.lever_arm]\nelbow = 3", r"lever_arm\.elbow: this must be a table"),
-        (
-            HEAD + "[arm.right.lever_arm.knee]\nposition_m = [0, 0, 0]\nsigma_m = [1, 1, 1]",
-            r"lever_arm\.knee: .*'elbow', 'wrist' or 'hand'",
-        ),
-    ],
-)
-def test_refusals_name_file_and_key(tmp_path: Path, text: str, message: str):
-    path = tmp_path / "cal.toml"
-    path.write_text(text)
-    with pytest.raises(CalibrationError, match=message) as caught:
-        read_calibration(path)
-    assert str(path) in str(caught.value)
-    assert "\n" not in str(caught.value)
-    assert "_ArmSection" not in str(caught.value)
-
-
-def test_what_is_no_calibration_is_neither_read_nor_written_over(tmp_path: Path):
-    (tmp_path / "binary.toml").write_bytes(b"\xff\xfe\x00")
+def test_what_is_no_calibration_is_not_written_over(tmp_path: Path):
     (tmp_path / "thesis.toml").write_text("mine = true\n")
-    for name, why in (("absent", "No such file"), ("", "cannot be read"), ("binary", "is not TOML")):
-        with pytest.raises(CalibrationError, match=why):
-            read_calibration(tmp_path / (name and f"{name}.toml"))
     with pytest.raises(CalibrationError, match="is not a calibration"):
         write_calibration(tmp_path / "thesis.toml", CalibrationFile())
     assert (tmp_path / "thesis.toml").read_text() == "mine = true\n"

@@ -9,7 +9,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 from commands import done, refused
-from simulated_points import PointSimulation, simulate_point
 
 from calib import CalibrationFile, read_calibration, sigma_factor, write_calibration
 from calib.file import sigma_factors_of
@@ -101,26 +100,6 @@ def test_the_command(arm: SimulatedArm, file: Path, tmp_path: Path, capsys: pyte
         *("calibrate", "motion", file, "-o", cal, "--json", tmp_path / "figures.json", "--processes", "1"),
     )
     assert "--force" in said
-
-
-def test_refusals(file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
-    strap = tmp_path / "strap.mcap"
-    write_recording(simulate_point(PointSimulation(duration_s=10), 1).recording, strap)
-    bad = tmp_path / "bad.toml"
-    bad.write_text("x = 1\n")
-    cases = [
-        ((strap, "-o", tmp_path / "c.toml"), 1, "there is no lever arm to find"),
-        ((file, file, "-o", tmp_path / "c.toml"), 2, "is named twice"),
-        ((file, "-o", file), 1, "is read by this command"),
-        ((file, "-o", bad), 1, "is not a calibration"),
-        ((tmp_path / "none.mcap", "-o", tmp_path / "c.toml"), 1, "none.mcap"),
-    ]
-    for arguments, code, sentence in cases:
-        assert command(*arguments) == code
-        error = capsys.readouterr().err
-        assert sentence in error and error.count("\n") == 1, error
-    assert not (tmp_path / "c.toml").exists()
-    assert bad.read_text() == "x = 1\n"
 
 
 FRAMES = dict.fromkeys(("shoulder", "elbow", "wrist", "hand", "strap", "upper_arm"), 500)

@@ -78,6 +78,28 @@ _SESSIONS = (
     "file,person,session\np1/s0.mcap,p1,1\np1/s1.mcap,p1,1\n",
     'file,person,session\n"p1/s0.mcap',
 )
+#: Calibrations that are none.
+_HEAD = 'format = "unocclude calibration"\nversion = 1\n'
+_CALIBRATIONS = (
+    'format = "other"\nversion = 1\n',
+    'format = "unocclude calibration"\n',
+    _HEAD.replace("1", "1.0"),
+    _HEAD.replace("1", "true"),
+    _HEAD.replace("1", "2") + "arm = 3\n",
+    _HEAD + "arm = 3\n",
+    _HEAD + "typo = 3\n",
+    _HEAD + "[arm.both]\n",
+    _HEAD + "[arm]\nright = 3\n",
+    _HEAD + "[arm.right]\nuper_arm_m = 0.3\n",
+    _HEAD + "[arm.right]\nupper_arm_m = 0.3\n",
+    _HEAD + "[arm.right]\nupper_arm_m = nan\nupper_arm_sigma_m = 1\n",
+    _HEAD + "[arm.right]\nR_F_A = [1, 1, 0, 0]\n",
+    _HEAD + "[arm.right]\nR_F_A = [1, 0, 0]\n",
+    _HEAD + "[arm.right]\naccelerometer_bias = [1, 0, true]\n",
+    _HEAD + "[arm.left.lever_arm.elbow]\nposition_m = [0, 0, 0]\nsigma_m = [1, 1, -1]\n",
+    _HEAD + "[arm.right.lever_arm]\nelbow = 3\n",
+    _HEAD + "[arm.right.lever_arm.knee]\nposition_m = [0, 0, 0]\nsigma_m = [1, 1, 1]\n",
+)
 
 
 def bad_inputs(folder: Path) -> None:
@@ -86,6 +108,7 @@ def bad_inputs(folder: Path) -> None:
     `result.mcap` is a right arm recovered; in `study` are two persons with three sessions.
     """
     tables = {f"sessions{number}.csv": text for number, text in enumerate(_SESSIONS)}
+    tables |= {f"calibration{number}.toml": text for number, text in enumerate(_CALIBRATIONS)}
     for name, text in (_TEXTS | tables).items():
         path = folder / name
         path.parent.mkdir(exist_ok=True)
@@ -104,6 +127,9 @@ def bad_inputs(folder: Path) -> None:
     write_recording(file, folder / "no_imu.mcap")
     file.imus = [*imus, replace(imus[0], topic="/imu/base")]
     write_recording(file, folder / "two_imus.mcap")
+    strap = simulate_arm(ArmSimulation(repetitions=1, strap=True), 1).recording
+    hidden = strap.arm.hide(np.ones(len(strap.arm), bool), ("shoulder", "elbow", "wrist", "hand"))
+    write_recording(replace(strap, arm=hidden), folder / "strap.mcap")
     angle = np.arange(len(imus[0].acc)) / 50.0
     file.imus = [replace(imus[0], mag=np.column_stack([np.cos(angle), np.sin(angle), 0 * angle]))]
     write_recording(file, folder / "flat.mcap")

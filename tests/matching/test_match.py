@@ -162,8 +162,6 @@ def test_a_long_recording_is_read_in_excerpts() -> None:
 def test_what_cannot_be_used() -> None:
     people = scene()
     places, streams = limbs(people), imus(people)
-    with pytest.raises(UnoccludeError, match="no method 'best'"):
-        match_imus(streams, places, DOWN, "best")
     with pytest.raises(UnoccludeError, match="state the camera's frame"):
         match_imus(streams, places, None, "joint-likelihood")
     short = [replace(limb, tracks=limb.tracks.select(slice(0, 10))) for limb in places]

@@ -43,21 +43,6 @@ def test_what_each_changes(recording: Recording) -> None:
     assert ALL.options == expected
 
 
-@pytest.mark.parametrize(
-    "wrong",
-    [
-        {"mirror": "left"},
-        {"swap": ("elbow",)},
-        {"swap": ("elbow", "elbow")},
-        {"swap": ("elbow", "strap")},
-        {"negate": ("magnetometer",)},
-    ],
-)
-def test_what_cannot_be_undone_is_refused(wrong: dict) -> None:
-    with pytest.raises(RecordingError, match="not '"):
-        Remedy(**wrong)
-
-
 def test_left_and_right_are_swapped_as_a_file_is_read(recording: Recording, tmp_path: Path) -> None:
     path = tmp_path / "arm.mcap"
     write_recording(recording, path)

@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 from commands import done, refused
 from mcap_messages import every
-from pydantic import ValidationError
 from scipy.spatial.transform import Rotation
 
 from smoother.cli.run import run
@@ -73,14 +72,6 @@ def test_spots_that_are_added():
     assert bright(PanelSimulation()) == 4
     assert bright(PanelSimulation(distractors=2)) == 6
     assert bright(PanelSimulation(marker_shape="sphere")) == 4
-
-
-@pytest.mark.slow
-def test_settings_that_cannot_be():
-    with pytest.raises(ValidationError, match="outside the panel"):
-        PanelSimulation(markers=((0, 0), (0.9, 0), (0.2, 0), (0, 0.3)))
-    with pytest.raises(ValueError, match="does not fit"):
-        simulate_panel(PanelSimulation.ideal(distance_m=(0.4, 0.4), width=96, height=80), 0)
 
 
 SMALL = [*("--set", "width=128", "--set", "height=106", "--set", "focal_px=91"), "--set=distortion=0,0,0,0,0"]
@@ -161,8 +152,7 @@ def test_folder_and_recording_hold_the_session(tmp_path: Path):
 @pytest.mark.slow
 def test_folder_is_whole_or_not_there(tmp_path: Path, capsys: pytest.CaptureFixture):
     folder = tmp_path / "session"
-    said = refused(capsys, "simulate", "panel", "-o", folder, *SMALL, "--set", "distance_m=0.35,0.36")
-    assert "does not fit" in said
+    refused(capsys, "simulate", "panel", "-o", folder, *SMALL, "--set", "distance_m=0.35,0.36")
     assert list(tmp_path.iterdir()) == []
     arguments = ["simulate", "panel", "-o", str(folder), *SMALL]
     done(*arguments)
@@ -173,4 +163,3 @@ def test_folder_is_whole_or_not_there(tmp_path: Path, capsys: pytest.CaptureFixt
     (folder / "truth.toml").unlink()
     assert run([*arguments, "--force"]) == 1 and "other things" in capsys.readouterr().err
     assert [path.name for path in tmp_path.iterdir()] == ["session"]
-    assert run(["simulate", "panel", "-o", str(folder), "--set", "tilt_deg=steep"]) == 2
