@@ -1,15 +1,12 @@
-"""A lab's network on this computer, for tests: outlets that play a recording, and a reader, as programs.
+"""A lab's network on this computer, for tests: each function is run as a program of its own.
 
-python lsl_lab.py play REC.mcap IMU SKELETON [--late S] [--bare | --halves | --both]
-python lsl_lab.py read NAME SECONDS [--least SAMPLES]
-python lsl_lab.py again    (prints what an inlet says of an outlet that comes back, then with another unit)
-python lsl_lab.py send SOURCE_ID UNIT
+python -c "import lsl_lab; lsl_lab.play('REC.mcap', 'wrist', 'kinect')"
 """
 
 from __future__ import annotations
 
-import argparse
 import json
+import signal
 import subprocess
 import sys
 import time
@@ -25,6 +22,12 @@ import numpy as np
 #: A stream is looked for so long: a machine with other work to do may need a while, s.
 PATIENCE_S = 30.0
 JOINTS = ("shoulder", "elbow", "wrist", "hand", "strap")
+
+
+def program_of(function: str, *given: object, **options: object) -> list[str]:
+    """The command that runs a function of this file."""
+    words = [*map(repr, given), *(f"{name}={value!r}" for name, value in options.items())]
+    return [sys.executable, "-c", f"import lsl_lab; lsl_lab.{function}({', '.join(words)})"]
 
 
 def config(folder: Path, session: str) -> Path:
@@ -98,23 +101,31 @@ def events_of(path: Path, late_s: float, sides: tuple[str, ...] = ()):
     return sorted([*samples, *frames], key=lambda event: event[0])
 
 
-def play(options: argparse.Namespace) -> None:
+def play(
+    path: str,
+    imu: str,
+    skeleton: str,
+    late_s: float = 0.1,
+    bare: bool = False,
+    halves: bool = False,
+    both: bool = False,
+) -> None:
     """The recording again and again from the line `go` on, until stdin ends.
 
     A line KIND SECONDS takes an outlet away for a time.
     """
     import pylsl
 
-    sides = ("right", "left") if options.both else ()
-    events = events_of(options.recording, options.late, sides)
+    sides = ("right", "left") if both else ()
+    events = events_of(Path(path), late_s, sides)
     make = {
-        "imu": lambda: Halves(options.imu) if options.halves else imu_outlet(options.imu, options.bare),
-        "skeleton": lambda: skeleton_outlet(options.skeleton, *sides),
+        "imu": lambda: Halves(imu) if halves else imu_outlet(imu, bare),
+        "skeleton": lambda: skeleton_outlet(skeleton, *sides),
     }
     if sides:
         kinds = {kind for _, kind, *_ in events} - {"skeleton"}
         make = {"skeleton": make["skeleton"]}
-        make |= {kind: lambda kind=kind: imu_outlet(f"{options.imu}_{kind}") for kind in sorted(kinds)}  # type: ignore[misc]
+        make |= {kind: lambda kind=kind: imu_outlet(f"{imu}_{kind}") for kind in sorted(kinds)}  # type: ignore[misc]
     outlets = {kind: outlet() for kind, outlet in make.items()}
     back_at: dict[str, float] = {}
     commands: SimpleQueue[str] = SimpleQueue()
@@ -140,12 +151,13 @@ def play(options: argparse.Namespace) -> None:
                 outlets[kind].push_sample(row, begin + turn * lasts + t)
 
 
-def read(options: argparse.Namespace) -> None:
+def read(name: str, seconds: float, least: int = 0) -> None:
+    """Print what a stream says of itself, and all that it sent; on until there are so many samples."""
     import pylsl
 
-    found = pylsl.resolve_byprop("name", options.name, 1, PATIENCE_S)
+    found = pylsl.resolve_byprop("name", name, 1, PATIENCE_S)
     if not found:
-        sys.exit(f"no stream {options.name}")
+        sys.exit(f"no stream {name}")
     inlet = pylsl.StreamInlet(found[0])
     info = inlet.info(PATIENCE_S)
     labels, channel = [], info.desc().child("channels").child("channel")
@@ -154,9 +166,7 @@ def read(options: argparse.Namespace) -> None:
         channel = channel.next_sibling("channel")
     samples, stamps, ages = [], [], []
     began = time.monotonic()
-    while (after := time.monotonic() - began) < options.seconds or (
-        len(samples) < options.least and after < PATIENCE_S
-    ):
+    while (after := time.monotonic() - began) < seconds or (len(samples) < least and after < PATIENCE_S):
         values, t_s = inlet.pull_chunk(timeout=0.2, min_samples=1, as_numpy=True)
         now = pylsl.local_clock()
         samples += np.asarray(values).tolist()
@@ -167,9 +177,9 @@ def read(options: argparse.Namespace) -> None:
     )
 
 
-def send(options: argparse.Namespace) -> None:
+def send(source_id: str, unit: str) -> None:
     """Send for ever."""
-    outlet = imu_outlet("wrist", unit=options.unit, source_id=options.source_id)
+    outlet = imu_outlet("wrist", unit=unit, source_id=source_id)
     while True:
         outlet.push_sample([0.0] * 6)
         time.sleep(0.02)
@@ -181,7 +191,7 @@ def sent(source_id: str, unit: str) -> Iterator[None]:
 
     Destroying an outlet crashes liblsl 1.18 now and then.
     """
-    program = subprocess.Popen([sys.executable, __file__, "send", source_id, unit])
+    program = subprocess.Popen(program_of("send", source_id, unit))
     try:
         yield
     finally:
@@ -189,7 +199,8 @@ def sent(source_id: str, unit: str) -> Iterator[None]:
         program.wait()
 
 
-def again(_: argparse.Namespace) -> None:
+def again() -> None:
+    """Print what an inlet says of an outlet that comes back, then with another unit."""
     from smoother.errors import UnoccludeError
     from smoother.streams.lsl import LslInlet
 
@@ -219,31 +230,16 @@ def again(_: argparse.Namespace) -> None:
     print(json.dumps(said))
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser()
-    commands = parser.add_subparsers(required=True)
-    player = commands.add_parser("play")
-    player.add_argument("recording", type=Path)
-    player.add_argument("imu")
-    player.add_argument("skeleton")
-    player.add_argument("--late", type=float, default=0.1)
-    player.add_argument("--bare", action="store_true")
-    player.add_argument("--halves", action="store_true")
-    player.add_argument("--both", action="store_true")
-    player.set_defaults(run=play)
-    reader = commands.add_parser("read")
-    reader.add_argument("name")
-    reader.add_argument("seconds", type=float)
-    reader.add_argument("--least", type=int, default=0, help="go on until there are so many samples")
-    reader.set_defaults(run=read)
-    commands.add_parser("again").set_defaults(run=again)
-    sender = commands.add_parser("send")
-    sender.add_argument("source_id")
-    sender.add_argument("unit")
-    sender.set_defaults(run=send)
-    options = parser.parse_args()
-    options.run(options)
+def live(*arguments: str, echo: bool = False) -> None:
+    """`unocclude`; or a stand-in answers for the live smoother."""
+    # ignored where a shell runs the tests in the background: the child inherits that
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+    if echo:
+        from live_engine import CameraEcho
 
+        import smoother.live.smoother
 
-if __name__ == "__main__":
-    main()
+        smoother.live.smoother.LiveSmoother = CameraEcho  # type: ignore[misc]
+    from smoother.cli.run import run
+
+    sys.exit(run(["live", *arguments]))

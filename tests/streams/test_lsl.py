@@ -6,7 +6,6 @@ import json
 import os
 import signal
 import subprocess
-import sys
 import threading
 import time
 import uuid
@@ -16,7 +15,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from lsl_lab import JOINTS, config
+from lsl_lab import JOINTS, config, program_of
 
 from smoother.cli.run import run
 from smoother.io import read_recording
@@ -49,24 +48,29 @@ class Lab:
         self.environment["PYTHONPATH"] = os.pathsep.join(path for path in paths if path)
         self.programs: list[subprocess.Popen] = []
 
-    def start(self, script: str, *arguments: object) -> subprocess.Popen:
-        command = [sys.executable, str(HELPERS / script), *map(str, arguments)]
+    def start(self, function: str, *given: object, **options: object) -> subprocess.Popen:
         pipe = subprocess.PIPE
         program = subprocess.Popen(
-            command, env=self.environment, stdin=pipe, stdout=pipe, stderr=pipe, text=True, cwd=self.folder
+            program_of(function, *given, **options),
+            env=self.environment,
+            stdin=pipe,
+            stdout=pipe,
+            stderr=pipe,
+            text=True,
+            cwd=self.folder,
         )
         self.programs.append(program)
         return program
 
-    def outlets(self, *arguments: object) -> subprocess.Popen:
+    def outlets(self, recording: Path, *names: str, **options: bool) -> subprocess.Popen:
         """Outlets of IMU and skeleton that wait for the word to begin."""
-        program = self.start("lsl_lab.py", "play", *arguments)
+        program = self.start("play", str(recording), *names, **options)
         lines_until(program, "ready")
         return program
 
-    def printed(self, *arguments: object) -> Any:
+    def printed(self, function: str, *given: object, **options: object) -> Any:
         """What a program of the lab says in JSON."""
-        program = self.start("lsl_lab.py", *arguments)
+        program = self.start(function, *given, **options)
         said, errors = program.communicate(timeout=120)
         assert program.returncode == 0, errors
         return json.loads(said)
@@ -118,12 +122,12 @@ def test_two_outlets_in_and_one_out(lab, tmp_path):
     arguments = ["--imu", "wrist", "--skeleton", "kinect", "--lsl-out", "arm", "--record", "session.mcap"]
     # with the arm's calibration half a minute of motion suffices
     arguments += ["--calibration", str(DEMO.with_name("demo_calibration.toml"))]
-    live = lab.start("live_program.py", "live", *arguments, "--json", "session.json")
+    live = lab.start("live", *arguments, "--json", "session.json")
     lines_until(live, "LSL: streams arm and arm_settled, for this computer")
     tell(outlets, "go")
     lines_until(live, "  visible")
     # a machine with other work to do takes fewer, longer steps
-    sent = lab.printed("read", "arm", 6, "--least", 200)
+    sent = lab.printed("read", "arm", 6, least=200)
     tell(outlets, "imu 2")
     lines_until(live, "back, after")
     time.sleep(0.3)
@@ -170,9 +174,9 @@ def test_two_outlets_in_and_one_out(lab, tmp_path):
 @pytest.mark.slow
 @pytest.mark.parametrize("named", [(), ("--gyro", "wrist")])
 def test_accelerometer_and_gyroscope_in_two_streams(lab, tmp_path, named):
-    outlets = lab.outlets(DEMO, "wrist", "kinect", "--halves")
+    outlets = lab.outlets(DEMO, "wrist", "kinect", halves=True)
     arguments = ["--imu", "wrist", "--record", "session.mcap", *named]
-    live = lab.start("live_program.py", "--echo", "live", *arguments)
+    live = lab.start("live", *arguments, echo=True)
     lines_until(live, "calibrating")
     tell(outlets, "go")
     for _ in range(3):  # a line every two seconds
@@ -194,16 +198,16 @@ def test_both_arms_and_imus_on_the_upper_arms(lab, tmp_path):
     made = ["--arms", "both", "--set", "imus=wrist,upper-arm", "--set", "protocol=random"]
     made += ["--set", "duration_s=8"]
     assert run(["simulate", "arm", "-o", str(both), *made]) == 0
-    outlets = lab.outlets(both, "imu", "kinect", "--both")
+    outlets = lab.outlets(both, "imu", "kinect", both=True)
     arguments = ["--arms", "both", "--imu", "right=imu_right", "--imu", "left=imu_left"]
     arguments += ["--imu", "right-upper-arm=imu_right_upper_arm"]
     arguments += ["--imu", "left-upper-arm=imu_left_upper_arm", "--skeleton", "kinect"]
     arguments += ["--lsl-out", "arm", "--record", "session.mcap", "--json", "session.json"]
-    live = lab.start("live_program.py", "--echo", "live", *arguments)
+    live = lab.start("live", *arguments, echo=True)
     lines_until(live, "LSL: streams arm_left and arm_left_settled, for this computer")
     tell(outlets, "go")
     lines_until(live, "left arm: visible")
-    sent = lab.printed("read", "arm_left", 3, "--least", 30)
+    sent = lab.printed("read", "arm_left", 3, least=30)
     interrupted(live)
     assert sent["labels"][0][0] == "imu_left_x" and len(sent["samples"]) > 20
     arms = {each["side"]: each for each in json.loads((tmp_path / "session.json").read_text())["arms"]}
@@ -227,10 +231,10 @@ def test_both_arms_and_imus_on_the_upper_arms(lab, tmp_path):
 
 @pytest.mark.slow
 def test_streams_that_cannot_be_used(lab, tmp_path):
-    lab.outlets(DEMO, "wrist", "kinect", "--bare")  # never begins: it shows before its first sample
+    lab.outlets(DEMO, "wrist", "kinect", bare=True)  # never begins: it shows before its first sample
 
     def refused(*arguments: str) -> str:
-        live = lab.start("live_program.py", "live", *arguments)
+        live = lab.start("live", *arguments)
         _, said = live.communicate(timeout=40)
         assert live.returncode == 1
         assert said.count("\n") == 1, said
