@@ -71,9 +71,9 @@ def test_a_truth_of_markers(everything, ten_seconds: Path, tmp_path: Path, capsy
 
 
 def test_a_recording_without_gaps_is_compared_as_a_whole(tmp_path: Path, capsys):
-    from simulated_points import PointSimulation, simulate_point
+    from scenes import point
 
-    made = simulate_point(PointSimulation.preset("white", duration_s=8.0, occlusion_lengths_s=()), seed=2)
+    made = point(2, duration_s=8.0, occlusion_lengths_s=())
     write_recording(made.recording, tmp_path / "p.mcap")
     done(
         *("compare", tmp_path / "p.mcap", "--methods", "hold,graph", "--processes", 1),

@@ -14,7 +14,7 @@ import pytest
 from arms import make_recording, make_truth
 from commands import done
 from results import made
-from simulated_points import PointSimulation, simulate_point
+from scenes import point
 
 import smoother.runtime.store
 from calib.file import corrected, read_calibration
@@ -74,7 +74,7 @@ def test_what_is_given_is_not_called_found(frozen, tmp_path, capsys):
 
 
 def test_a_strap_that_is_the_imu(tmp_path, capsys):
-    recording = written(simulate_point(PointSimulation(duration_s=20), 1).recording, tmp_path / "rec.mcap")
+    recording = written(point(1, duration_s=20.0).recording, tmp_path / "rec.mcap")
     figures = smoothed(recording, tmp_path)
     assert figures["found"]["lever_arms"] == {} and figures["not_determined"] == []
     assert "Lever arms" not in capsys.readouterr().out
@@ -90,7 +90,7 @@ def test_a_strap_beside_the_imu(tmp_path):
     """The camera sees a point 3 cm beside the IMU."""
     from scipy.spatial.transform import Rotation
 
-    simulated = simulate_point(PointSimulation(duration_s=30), 2)
+    simulated = point(2)
     recording, true = simulated.recording, np.array([0.02, -0.02, 0.01])
     truth, arm = recording.truth, recording.arm
     nearest = np.clip(np.searchsorted(truth.t_s, arm.t_s), 0, len(truth) - 1)

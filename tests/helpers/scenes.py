@@ -13,7 +13,6 @@ from unittest.mock import patch
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation, Slerp
-from simulated_points import PointSimulation, simulate_point
 
 from smoother import Config, Recovery
 from smoother.array_types import BoolArray, FloatArray
@@ -67,8 +66,19 @@ def moving(
     return arm(seed, preset, protocol="random", duration_s=duration_s, **changes)
 
 
+@cache
 def point(seed: int = 0, preset: str = "white", **changes: Any) -> SimulatedArm:
-    return simulate_point(PointSimulation.preset(preset, **changes), seed=seed)
+    """A point that carries an IMU, in a frame with z up: an arm of which the camera finds the strap alone."""
+    often = {"occlusion_lengths_s": (0.5, 1.0, 2.0, 3.0), "occlusion_every_s": 6.0, "camera_frame": "zup"}
+    made = moving(seed, preset, **(often | {"strap": True} | changes))
+    seen, truth = made.recording.arm, made.recording.truth
+    recording = replace(
+        made.recording,
+        arm=seen.hide(np.ones(len(seen), bool), ("shoulder", "elbow", "wrist", "hand")),
+        side="",
+        truth=replace(truth, joints={"strap": truth.position}),
+    )
+    return replace(made, recording=recording, calibration=ArmCalibration())
 
 
 def answer(recording: Recording, calibration: ArmCalibration | None = None, **more: Any) -> Recovery:

@@ -10,8 +10,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from scenes import moving
-from simulated_points import PointSimulation, simulate_point
+from scenes import moving, point
 
 from smoother.measurements.allowance import allowance
 from smoother.measurements.visibility import (
@@ -105,7 +104,7 @@ def never(recording: Recording, *joints: str) -> Recording:
         (lambda r: replace(r, arm=r.arm.hide(r.arm.t_s > r.arm.t_s[0] + 3.0)), None, "in view for 3 s"),
         (lambda r: never(r, *FOREARM_JOINTS), False, "never tracked"),
         (lambda r: replace(r, arm=replace(r.arm, t_s=r.arm.t_s + 1e3)), False, "in common"),
-        (lambda r: simulate_point(PointSimulation(duration_s=20.0), 1).recording, True, ""),  # it is no arm
+        (lambda r: point(1, duration_s=20.0).recording, True, ""),  # it is no arm
     ],
 )
 def test_what_a_recording_allows(

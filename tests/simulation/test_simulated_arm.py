@@ -14,7 +14,6 @@ import numpy as np
 import pytest
 from scipy.interpolate import make_interp_spline
 from scipy.spatial.transform import Rotation
-from simulated_points import PointSimulation, simulate_point
 
 from calib import read_calibration
 from smoother.cli.run import run
@@ -82,16 +81,12 @@ def integrate(simulated: SimulatedArm, begin: int, end: int) -> tuple[float, flo
         {"side": "left", "camera_frame": "optical"},
         pytest.param({"wobble_deg": 3, "camera_frame": "zup", "imu_rate_hz": 200}, marks=pytest.mark.slow),
         pytest.param({"protocol": "random", "duration_s": 20}, marks=pytest.mark.slow),
-        pytest.param(None, marks=pytest.mark.slow),
     ],
-    ids=["left, optical", "wobbling strap, z up, 200 Hz", "random", "point"],
+    ids=["left, optical", "wobbling strap, z up, 200 Hz", "random"],
 )
-def test_integrated_samples_reproduce_the_truth(changes: dict | None):
+def test_integrated_samples_reproduce_the_truth(changes: dict):
     """Sub-millimetre over 2 s in motion: forces, rates, gravity, frames and stamps all agree."""
-    if changes is None:
-        simulated = simulate_point(PointSimulation.preset("clean", duration_s=20, tilt_deg=5), 4)
-    else:
-        simulated = simulate_arm(ArmSimulation.preset("clean", **({"repetitions": 1} | changes)), 1)
+    simulated = simulate_arm(ArmSimulation.preset("clean", **({"repetitions": 1} | changes)), 1)
     rate = round(simulated.ideal_imu.rate_hz)
     for start_s in (3.7, 8.6, 11.5):  # the movements of `behind` (and any time of the others)
         begin = round(start_s * rate)
