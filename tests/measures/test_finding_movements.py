@@ -125,14 +125,6 @@ def test_a_motion_that_does_not_come_again_has_no_repetitions():
     assert "Too few repetitions" in measures.by_key["repetition_duration_s"].note
 
 
-def test_the_simulated_protocol_is_done_twice():
-    measures = measure(simulated(0))
-    assert measures.by_key["repetition_count"].value == 2.0
-    first, second = measures.repetitions
-    assert 9.0 < first.length_s < 15.0 and 9.0 < second.length_s < 15.0
-    assert second.start_s >= first.end_s - 2.0
-
-
 #: The worked example that the authors publish with their own program: a Gaussian speed profile at 100 Hz.
 BELL = np.exp(-5.0 * np.arange(-1.0, 1.0, 0.01) ** 2)
 

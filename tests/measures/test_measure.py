@@ -356,14 +356,6 @@ def test_the_simulated_protocol_goes_behind_head_and_back(side: str):
     assert 0.1 < rows["elbow_trunk_distance_mean_m"].value < rows["elbow_trunk_distance_max_m"].value < 0.65
 
 
-def test_an_arm_that_hangs_reaches_nothing():
-    rows = measure(simulated(1, protocol="hang", duration_s=10.0)).by_key
-    assert not any(
-        rows[f"{key}_reached"].value for key in ("hand_to_mouth", "hand_to_head", "hand_behind_back")
-    )
-    assert rows["movement_count"].value == 0.0
-
-
 def test_without_shoulder_nothing_is_said_of_zones():
     joints = {"wrist": np.tile([0.0, 0.0, 2.0], (len(HELD_T), 1)) + 0.1 * np.sin(HELD_T)[:, None]}
     rows = measure(recovery_of(HELD_T, joints)).by_key

@@ -391,24 +391,6 @@ def apart(preset: str, duration_s: float, seed: int, offset_s: float) -> tuple[R
     return later(made, offset_s), offset_s + made.parameters["clock_offset_s"]
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("preset", "duration_s", "offset_s"),
-    [
-        ("white", 24.0, 0.6),
-        ("realistic", 32.0, -1.4),
-        ("azure", 24.0, 0.6),
-        ("azure", 45.0, 6.0),
-        ("realistic", 60.0, -12.0),
-    ],
-)
-def test_irregular_motion_tells(preset: str, duration_s: float, offset_s: float) -> None:
-    for seed in (0, 1):
-        recording, true_s = apart(preset, duration_s, seed, offset_s)
-        # the fine search reaches 0.4 s; what is left here is what smoothed speeds on a 50 Hz grid are good to
-        assert coarse_offset(recording, 0.4) == pytest.approx(true_s, abs=0.1)
-
-
 def test_a_measured_clock_is_not_looked_for() -> None:
     recording, true_s = apart("realistic", 24.0, 2, 3.0)
     measured = Clock(np.array([10.0]), np.array([true_s]), 0.001, skew=1e-4)

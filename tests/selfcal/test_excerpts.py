@@ -275,33 +275,6 @@ def long() -> tuple[list[Segment], ArmCalibration]:
 
 
 @pytest.mark.slow
-def test_a_coarse_round_changes_little(
-    long: tuple[list[Segment], ArmCalibration], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    excerpts, given = long
-    read: list[int] = []
-    original = rounds.solve_round
-
-    def cut(segments: dict, *others: object) -> object:
-        read.append(len(segments))
-        starts = [segment.start_s for segment in segments.values()]
-        assert starts == sorted(starts)  # the clock's wander is followed in time
-        return original(segments, *others)
-
-    monkeypatch.setattr(rounds, "solve_round", cut)
-    with Pool(1, 0) as workers:
-        coarse = rounds.self_calibrate(excerpts, given, Config(), workers)
-        assert read[0] == len(excerpts) // 2 and set(read[1:]) == {len(excerpts)}
-        monkeypatch.setattr(rounds, "_every_second", lambda excerpts: list(range(len(excerpts))))
-        whole = rounds.self_calibrate(excerpts, given, Config(), workers)
-    # rounds end when nothing moves by more than 0.4 sigma; the windows solve all of it again
-    for joint, lever in coarse.estimate.lever_arms.items():
-        moved_m = lever.position_m - whole.estimate.lever_arms[joint].position_m
-        assert (np.abs(moved_m) < 0.5 * lever.sigma_m).all(), joint
-    assert abs(coarse.clock.mean_s - whole.clock.mean_s) < 0.5 * whole.clock.sigma_s
-
-
-@pytest.mark.slow
 def test_a_half_that_cannot_be_used_is_no_reason_to_refuse(
     long: tuple[list[Segment], ArmCalibration], monkeypatch: pytest.MonkeyPatch
 ) -> None:

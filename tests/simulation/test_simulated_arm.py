@@ -33,13 +33,6 @@ from smoother.simulation import (
 from smoother.simulation.mocap import MarkerCapture
 from smoother.simulation.motion import optical_axes
 
-SEEDS = range(25)
-
-
-@pytest.fixture(scope="module")
-def people() -> list[SimulatedArm]:
-    return [simulate_arm(ArmSimulation.preset("clean"), seed) for seed in SEEDS]
-
 
 def rotations(truth: Truth) -> Rotation:
     return Rotation.from_quat(np.roll(truth.quaternion, -1, axis=1))
@@ -93,22 +86,6 @@ def test_integrated_samples_reproduce_the_truth(changes: dict):
         position, attitude = integrate(simulated, begin, begin + 2 * rate)
         assert position < 0.5e-3
         assert attitude < 2e-4
-
-
-@pytest.mark.slow
-def test_two_occlusions_a_repetition_of_one_to_three_seconds(people: list[SimulatedArm]):
-    for person in people:
-        gaps = runs(person.occluded)
-        assert len(gaps) == 4
-        for gap in gaps:
-            assert 1.0 <= (gap.stop - gap.start) / 30 <= 3.0
-        tracks, hidden = person.recording.arm, person.occluded
-        for joint in ("wrist", "hand"):
-            np.testing.assert_array_equal(tracks.tracked(joint), ~hidden)
-        # The elbow may stay a little longer, never come back earlier.
-        assert (tracks.tracked("elbow") & hidden).sum() <= 4 * 3
-        assert tracks.tracked("shoulder").all()
-        assert np.isnan(tracks.joint("wrist")[hidden]).all()
 
 
 @pytest.mark.parametrize("side", ["right", "left"])
