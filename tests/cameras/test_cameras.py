@@ -17,7 +17,8 @@ from calib.intrinsics import calibrate_cameras, camera_poses, with_camera_poses
 from smoother.baselines.registry import recover
 from smoother.baselines.scene import of_best_camera
 from smoother.cameras.joining import join_cameras, placed_camera
-from smoother.cameras.keypoint_places import placed_keypoints
+from smoother.cameras.keypoint_places import clock_of_known_place, placed_keypoints
+from smoother.cameras.placing import CAUCHY, weights
 from smoother.cameras.rig import RelativeClock, candidate_offsets, depth_by_rays
 from smoother.cli.run import run
 from smoother.errors import CalibrationError, SolveError
@@ -69,6 +70,15 @@ def test_with_realistic_errors_they_are_within_what_is_stated(seed: int) -> None
     assert off_m < 4.0 * row.pose.sigma_m
     assert abs(late_s) < 0.005
     assert turned_deg < 1.2
+
+
+def test_weights_are_those_of_a_sigma_that_outliers_do_not_move() -> None:
+    residual, both = 0.01 * np.random.default_rng(0).normal(size=(4000, 5, 3)), np.ones((4000, 5), bool)
+    residual[::20], both[:, 3] = residual[::20] + 1.0, False
+    size = np.linalg.norm(residual, axis=2) / 0.01
+    expected = np.where(both, 1.0 / (1.0 + (size / CAUCHY) ** 2) / 0.01**2, 0.0)
+    # one in twenty moves the median by some per cent
+    np.testing.assert_allclose(weights(residual, both), expected, rtol=0.15)
 
 
 def test_clocks_that_are_seconds_apart_are_found() -> None:
@@ -197,6 +207,14 @@ def test_rays_of_two_cameras_meet_in_the_joints() -> None:
 
 
 @pytest.mark.slow
+def test_the_clock_of_a_camera_whose_place_is_known() -> None:
+    simulated = keypoints("all")
+    clock, misfit_m = clock_of_known_place(simulated.recording.cameras[0], simulated.recording.arm)
+    assert abs(clock.offset_s - simulated.parameters["cameras"]["camera_2"]["offset_s"]) < 0.005
+    assert misfit_m < 0.04
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize("fault", ["other_person", "mirrored", "moved"])
 def test_a_wrong_one_of_two_without_depth_is_refused_by_name(fault: str) -> None:
     simulated = keypoints("all", camera_fault=fault, seed=932)
@@ -294,6 +312,19 @@ def test_an_imu_of_another_motion_is_refused() -> None:
     )
     with pytest.raises(SolveError, match="does not turn as the IMU does"):
         join_cameras(replace(other.recording, imu=one.recording.imu, truth=None))
+
+
+@pytest.mark.slow
+def test_start_depths_are_those_of_the_forearm_that_was_assumed() -> None:
+    simulated = keypoints("all", seed=944, cameras=())
+    recording, truth = simulated.recording, simulated.recording.truth
+    true_m = float(np.median(np.linalg.norm(truth.joints["wrist"] - truth.joints["elbow"], axis=1)))
+    started, rig = join_cameras(recording, forearm_m=1.1 * true_m)
+    assert rig is None
+    t = started.arm.t_s + simulated.parameters["clock_offset_s"]
+    for joint in ("elbow", "wrist"):
+        there = np.interp(t, truth.t_s, truth.joints[joint][:, 2])
+        assert np.nanmedian(started.arm.joint(joint)[:, 2] / there) == pytest.approx(1.1, abs=0.06)
 
 
 @pytest.mark.slow
