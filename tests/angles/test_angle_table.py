@@ -90,9 +90,33 @@ def some(count: int, seed: int = 1, **fixed: float) -> dict[str, FloatArray]:
     }
 
 
-def test_the_angles_are_those_that_the_bones_were_turned_by() -> None:
+def mirrored(made: Recovery) -> Recovery:
+    """The left arm that is a right one's mirror image; a rotation in it turns the other way."""
+    mirror = np.diag([-1.0, 1.0, 1.0])
+    R = np.asarray(Rotation.from_quat(made.quaternion, scalar_first=True).as_matrix())
+    assert made.calibration is not None
+    levers = {
+        name: replace(lever, position_m=lever.position_m @ mirror)
+        for name, lever in made.calibration.lever_arms.items()
+    }
+    # of the forearm's axes z changes sides too: to the little finger
+    R_F = np.diag([1.0, 1.0, -1.0]) @ R_F_A @ mirror
+    return replace(
+        made,
+        side="left",
+        joints={name: place @ mirror for name, place in made.joints.items()},
+        position=made.position @ mirror,
+        gravity_direction=DOWN @ mirror,
+        quaternion=Rotation.from_matrix(mirror @ R @ mirror).as_quat(scalar_first=True),
+        calibration=replace(made.calibration, lever_arms=levers, R_F_A=R_F),
+    )
+
+
+@pytest.mark.parametrize("side", ["right", "left"])
+def test_the_angles_are_those_that_the_bones_were_turned_by(side: str) -> None:
     true = some(50)
-    table = arm(50, **true).angles()
+    made = arm(50, **true)
+    table = (mirrored(made) if side == "left" else made).angles()
     for name, of in zip(ALWAYS, ("flexion", "plane", "elevation", "rotation", "turn"), strict=True):
         np.testing.assert_allclose(wrapped_deg(table.values[name] - true[of]), 0.0, atol=1e-7)
     assert set(table.reasons) == {f"shoulder_{kind}_trunk" for kind in ("plane", "elevation", "rotation")}
@@ -234,24 +258,7 @@ def test_what_is_not_known_is_empty_with_a_reason() -> None:
 def test_the_forearm_that_turned_far_shows_how_the_imu_sits(side: str, seed: int) -> None:
     true = some(1500, seed=seed)
     made = arm(1500, seed=seed, **true)
-    if side == "left":  # the mirror image: a rotation in it turns the other way
-        mirror = np.diag([-1.0, 1.0, 1.0])
-        R = np.asarray(Rotation.from_quat(made.quaternion, scalar_first=True).as_matrix())
-        made = replace(
-            made,
-            side=side,
-            joints={name: place @ mirror for name, place in made.joints.items()},
-            position=made.position @ mirror,
-            gravity_direction=DOWN @ mirror,
-            quaternion=Rotation.from_matrix(mirror @ R @ mirror).as_quat(scalar_first=True),
-            calibration=replace(
-                made.calibration,
-                lever_arms={
-                    name: replace(lever, position_m=lever.position_m @ mirror)
-                    for name, lever in made.calibration.lever_arms.items()
-                },
-            ),
-        )
+    made = mirrored(made) if side == "left" else made
     table = replace(made, calibration=replace(made.calibration, R_F_A=None)).angles()
     off = wrapped_deg(table.values["pronation"] - true["turn"])
     assert np.abs(off).max() < 12.0  # 10 to 160 degrees: hardly anything is left open
