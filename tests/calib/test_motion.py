@@ -133,46 +133,43 @@ HARDLY = "hardly moved while it was visible"
 POINT = Evidence(20.0, {"strap": 500, "elbow": 0, "upper_arm": 0}, 2.0, float("nan"))
 
 
+UNSEEN = {"frames": FRAMES | {"elbow": 0, "hand": 4, "upper_arm": 0}}
+UNSEEN_SAYS = (
+    "the elbow was tracked in 0",
+    "the hand was tracked in 4",
+    "need both elbow and wrist",
+    "upper arm needs",
+)
+ROUGH_SAYS = (
+    ROLL,
+    "wrist is known only roughly in the IMU's axes: x to 12 mm, y to 12 mm, z to 12",
+    "is left open",
+)
+
+
 @pytest.mark.parametrize(
     ("arm", "changes", "words"),
     [
         (an_arm(), {}, ()),
-        (
-            WRIST_ALONE,
-            {"frames": FRAMES | {"elbow": 0, "hand": 4, "upper_arm": 0}},
-            (
-                "the elbow was tracked in 0 frames only: its lever arm is not determined",
-                "the hand was tracked in 4 frames only",
-                "R_F_A) need both elbow and wrist",
-                "seen together in 0 frames only: the upper arm needs more",
-            ),
-        ),
+        (WRIST_ALONE, UNSEEN, UNSEEN_SAYS),
         (
             an_arm(0.012),
             {"axial_rad": np.radians(20)},
-            (
-                f"{ROLL}: the forearm turned by 20 degrees about its own axis, and the IMU was",
-                "the wrist is known only roughly in the IMU's axes: x to 12 mm, y to 12 mm, z to 12 mm",
-                "R_F_A is left open",
-            ),
+            (*ROUGH_SAYS, "turned by 20 degrees about its own axis"),
         ),
         (an_arm(0.012), {}, (ROLL,)),
         (an_arm(0.03), {}, ("R_F_A is left open",)),
-        (
-            an_arm(distance_m=0.006),
-            {},
-            ("roll is not known", "found 6 mm from the line"),
-        ),
+        (an_arm(distance_m=0.006), {}, ("roll is not known", "found 6 mm from the line")),
         (ONE_ROUGH_AXIS, {}, ("the elbow is known only roughly in the IMU's axes: z to 20 mm",)),
         (
             an_arm(),
             {"visible_s": 4.0, "turning_rad_s": 0.05},
-            ("was visible for 4 s only", f"the forearm {HARDLY} (3 degrees/s on average)"),
+            ("visible for 4 s only", f"the forearm {HARDLY}"),
         ),
         (an_arm(), {"frames": FRAMES | {"upper_arm": 5}}, ("together in 5 frames only",)),
         (replace(an_arm(), upper_arm=Length(0.3, 0.04)), {}, ("length is known to 40 mm only",)),
         (NOTHING, vars(POINT), ()),
-        (NOTHING, vars(POINT) | {"turning_rad_s": 0.01}, (f"the sensor {HARDLY} (1 degrees/s on average)",)),
+        (NOTHING, vars(POINT) | {"turning_rad_s": 0.01}, (f"the sensor {HARDLY}",)),
     ],
 )
 def test_what_is_not_determined_is_said(arm: ArmCalibration, changes: dict, words: tuple[str, ...]):
