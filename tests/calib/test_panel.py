@@ -134,50 +134,34 @@ def test_markers_are_told_at_any_roll_among_other_spots(roll, tilt, to, z, order
     np.testing.assert_allclose(reading.places, pose.points(PANEL.markers_P), atol=1e-5)
 
 
+MARKERS, POSE = PANEL.markers_P, held(20, 10, 40)
+MIRRORED = [Panel(each, PANEL.extent_P) for each in (MARKERS * [1, -1], MARKERS * [-1, 1], MARKERS[:, ::-1])]
+#: A fifth spot makes a second L of it: the first one turned by 180 degrees about the middle of its long arm.
+TWICE = Panel(np.array([[0, 0], [0.25, 0], [0.5, 0], [0, 0.35]]), PANEL.extent_P)
+SECOND = np.concatenate([TWICE.markers_P, [[0.5, -0.35]]])
+#: So flat that the depth is that of what lies behind, or lost; among other spots, too.
+FLAT, BESIDE = held(20, 88, 40), np.concatenate([MARKERS, [[0.3, 0.2]]])
+
+
 @pytest.mark.parametrize(
-    "mirrored", [PANEL.markers_P * [1, -1], PANEL.markers_P * [-1, 1], PANEL.markers_P[:, ::-1]]
+    ("error", "words", "pose", "spots_P", "depth_m", "panel"),
+    [
+        *((NotSeen, "mirror image", held(75, 15, 10), MARKERS, None, panel) for panel in MIRRORED),
+        (NotIdentified, "more than one way", POSE, SECOND, None, TWICE),
+        (NotIdentified, "three bright spots are", POSE, MARKERS[:3], None, PANEL),
+        (NotIdentified, "no bright spot is", POSE, MARKERS[:0], None, PANEL),
+        (NotSeen, "depth is missing", POSE, MARKERS, np.nan, PANEL),
+        (NotIdentified, "no four have the distances", POSE, 1.2 * MARKERS, None, PANEL),
+        (NotSeen, "edge-on", held(20, 80, 40), 1.3 * MARKERS, None, PANEL),
+        *((NotSeen, "edge-on", FLAT, spots, m, PANEL) for spots in (MARKERS, BESIDE) for m in (2.5, np.nan)),
+    ],
 )
-def test_a_mirrored_definition_is_refused(mirrored: FloatArray):
-    pose = held(75, 15, 10)
-    panel = Panel(mirrored, PANEL.extent_P)
-    with pytest.raises(NotSeen, match="mirror image"):
-        identify_spots(blobs_of(pose.points(PANEL.markers_P)), pose.depth(), LENS.ray_image(), panel, "view")
-
-
-def test_a_fifth_spot_that_makes_a_second_panel_is_refused():
-    """The second L is the first one turned by 180 degrees about the middle of its long arm."""
-    panel = Panel(np.array([[0, 0], [0.25, 0], [0.5, 0], [0, 0.35]]), PANEL.extent_P)
-    pose = held(20, 10, 40)
-    points = pose.points(np.concatenate([panel.markers_P, [[0.5, -0.35]]]))
-    with pytest.raises(NotIdentified, match="more than one way"):
-        identify_spots(blobs_of(points), pose.depth(), LENS.ray_image(), panel, "view")
-
-
-def test_what_cannot_be_told_is_refused_in_words():
-    pose = held(20, 10, 40)
-    rays, depth = LENS.ray_image(), pose.depth()
-    right = blobs_of(pose.points(PANEL.markers_P))
-    with pytest.raises(NotIdentified, match="three bright spots are"):
-        identify_spots(blobs_of(pose.points(PANEL.markers_P[:3])), depth, rays, PANEL, "view")
-    with pytest.raises(NotIdentified, match="no bright spot is"):
-        identify_spots(blobs_of(np.empty((0, 3))), depth, rays, PANEL, "view")
-    with pytest.raises(NotSeen, match="depth is missing"):
-        identify_spots(right, np.full_like(depth, np.nan), rays, PANEL, "view")
-    with pytest.raises(NotIdentified, match="no four have the distances"):
-        identify_spots(blobs_of(pose.points(1.2 * PANEL.markers_P)), depth, rays, PANEL, "view")
-    flat = held(20, 80, 40)
-    with pytest.raises(NotSeen, match="edge-on"):
-        identify_spots(blobs_of(flat.points(1.3 * PANEL.markers_P)), flat.depth(), rays, PANEL, "view")
-
-
-@pytest.mark.parametrize("behind_m", [2.5, np.nan])
-@pytest.mark.parametrize("further", [[], [[0.3, 0.2]]])
-def test_a_panel_seen_so_flat_that_its_depth_is_lost_is_edge_on(behind_m: float, further: list[list[float]]):
-    flat = held(20, 88, 40)
-    depth = np.full_like(flat.depth(), behind_m)  # of a panel less than a pixel thick
-    spots = blobs_of(flat.points(np.concatenate([PANEL.markers_P, np.reshape(further, (-1, 2))])))
-    with pytest.raises(NotSeen, match="edge-on"):
-        identify_spots(spots, depth, LENS.ray_image(), PANEL, "view")
+def test_what_cannot_be_told_is_refused_in_words(
+    error: type[Exception], words: str, pose: Held, spots_P: FloatArray, depth_m: float | None, panel: Panel
+):
+    depth = pose.depth() if depth_m is None else np.full_like(pose.depth(), depth_m)
+    with pytest.raises(error, match=words):
+        identify_spots(blobs_of(pose.points(spots_P)), depth, LENS.ray_image(), panel, "view")
 
 
 @settings(max_examples=25, deadline=None)

@@ -76,6 +76,13 @@ def test_the_upper_arms_pose_mounting_and_clock(made: SimulatedArm, scene: Scene
         assert np.mean((off / sigmas[name][raised]) ** 2) < 1.5
 
 
+def test_its_clock_beside_a_camera_that_is_seconds_off(made: SimulatedArm) -> None:
+    arm = made.recording.arm
+    found = answer(replace(made.recording, arm=replace(arm, t_s=arm.t_s + 3.0)))
+    assert found.clock_offset_s == pytest.approx(made.parameters["clock_offset_s"] - 3.0, abs=0.005)
+    assert found.upper.clock_offset_s - found.clock_offset_s == pytest.approx(0.08, abs=0.006)
+
+
 @pytest.mark.slow
 def test_better_than_one_and_as_good_where_it_is_calibrated(made: SimulatedArm, scene: Scene) -> None:
     one, calibrated = one_imu(made), recovered(made)

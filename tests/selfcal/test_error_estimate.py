@@ -14,14 +14,23 @@ from scipy.signal import lfilter
 from scipy.spatial.transform import Rotation
 
 from smoother.array_types import FloatArray
+from smoother.body import UPPER_ARM
 from smoother.calibration import ArmCalibration
 from smoother.cameras import join_cameras
 from smoother.config import Config
+from smoother.measurements.clock import constant_clock
 from smoother.measurements.outliers import JointNoise, reject_by_camera
 from smoother.measurements.segment import Timeline
-from smoother.recording import JOINTS
+from smoother.recording import JOINTS, ImuStream
 from smoother.runtime.pool import Pool
-from smoother.selfcal.camera_noise import SMALLEST_SIGMA_M, in_common, joint_noise, sigma_by_joint
+from smoother.selfcal import camera_noise
+from smoother.selfcal.camera_noise import (
+    SMALLEST_SIGMA_M,
+    in_common,
+    joint_noise,
+    sigma_by_camera,
+    sigma_by_joint,
+)
 from smoother.selfcal.error_estimate import (
     FEWEST_SAMPLES,
     JOINT_M,
@@ -32,7 +41,8 @@ from smoother.selfcal.error_estimate import (
     well_seen_joints,
 )
 from smoother.selfcal.excerpts import informative_excerpts
-from smoother.selfcal.rounds import self_calibrate
+from smoother.selfcal.further_imu import FurtherImu
+from smoother.selfcal.rounds import SelfCalibration, self_calibrate
 from smoother.simulation import SimulatedArm
 from smoother.window.problem import JointMeasurements, Priors, Window
 from smoother.window.shared import (
@@ -167,6 +177,21 @@ def test_corrected_data_are_the_right_ones() -> None:
     start_s = np.linspace(segment.signal.start_s, segment.signal.end_s - 0.1, 100)
     means = [signal.mean(start_s, start_s + 0.1) for signal in (segment.signal, clean.signal)]
     np.testing.assert_allclose(*means, atol=1e-4 * np.abs(means[0]).max())  # errors of 0.5 %, to first order
+
+
+def test_a_further_imus_samples_are_corrected_and_held_a_little_at_both_ends() -> None:
+    rng, t = np.random.default_rng(0), np.arange(0.0, 20.0, 0.01)
+    true = rng.normal(size=(2, len(t), 3)) + np.array([[[0.0, 9.8, 0.0]], [[0.0, 0.0, 0.0]]])
+    errors = 0.003 * rng.normal(size=(2, 3, 3))
+    acc, gyro = true @ np.swapaxes(np.eye(3) + errors, 1, 2)
+    model = cast("SelfCalibration", SimpleNamespace(errors=ConstantErrors(errors)))
+    further = FurtherImu(UPPER_ARM, ImuStream("", t, acc, gyro), model, constant_clock(0.0))
+    (run,) = further.runs(5.0, 10.0)
+    inside = (run.t_s > 4.995) & (run.t_s < 9.995)
+    np.testing.assert_allclose(run.acc[inside], true[0, 500:1000], atol=1e-3)  # to first order: 0.01 % of g
+    np.testing.assert_allclose(run.gyro[inside], true[1, 500:1000], atol=1e-3)
+    np.testing.assert_allclose(np.diff(run.t_s), 0.01, atol=1e-9)
+    assert not inside[[0, -1]].any() and (run.acc[0] == run.acc[inside][0]).all()
 
 
 def test_a_joint_alone_has_no_error() -> None:
@@ -383,6 +408,35 @@ def test_outliers_few_samples_and_a_perfect_camera() -> None:
     assert noise_in({"wrist": np.zeros((100, 3))})["wrist"].effective_m == SMALLEST_SIGMA_M
     few = noise_in({"wrist": np.cumsum(np.full((5, 3), 0.001), axis=0)})["wrist"]  # they tell no memory
     assert few.effective_m == few.sample_m and few.memory_m == 0.0
+
+
+@pytest.mark.parametrize(("share", "hidden"), [(0.6, 0.0), (0.5, 0.2), (0.3, 0.1), (0.0, 0.1)])
+@pytest.mark.parametrize("tau_s", camera_noise.TIMES_S[[7, 9]])
+def test_the_memory_behind_an_exact_autocorrelation(share: float, hidden: float, tau_s: float) -> None:
+    """Of noise of which a part was followed and a share of the rest is exp(-lag / tau)."""
+    lag, ratio = np.arange(1, 46), memory_of(tau_s)
+    rho = np.concatenate([[1.0], (share * ratio**lag - hidden) / (1.0 - hidden)])
+    found = camera_noise._fitted(rho, np.full(46, 1e5), STEP_S)
+    if share:
+        assert found.long_run == pytest.approx(1.0 + 2.0 * share * ratio / (1.0 - ratio), rel=1e-6)
+        assert found.hidden == pytest.approx(1.0 / (1.0 - hidden), rel=1e-6)
+    else:
+        assert (found.long_run, found.hidden, found.neighbours) == (1.0, 1.0, 0.0)
+
+
+def test_each_camera_has_a_noise_of_its_own_and_one_that_saw_nothing_that_of_the_others() -> None:
+    noise = {"wrist": JointNoise(0.01, 0.02, 0.0), "wrist@1": JointNoise(0.01, 0.03, 0.0)}
+    np.testing.assert_allclose(sigma_by_camera(noise, 0.5, 3)[:, 1], [0.02, 0.03, 0.02])
+
+
+def test_noise_across_a_ray_is_that_of_an_axis() -> None:
+    """It has two directions of three: nothing is seen along the ray."""
+    sight, noise = sight_of("wrist", np.arange(3000)), np.random.default_rng(1).normal(size=(3000, 3))
+    sight = replace(sight, origin_m=np.zeros(3))
+    seen = cast("Solution", SimpleNamespace(residuals={sight.key: 0.008 * noise * [1.0, 1.0, 0.0]}))
+    assert joint_noise([window_of(sight)], [seen])[sight.key].sample_m == pytest.approx(
+        0.008, rel=0.08
+    )  # some are clipped
 
 
 def test_the_shoulder_is_as_good_as_the_best() -> None:
