@@ -33,7 +33,7 @@ from smoother.graph.columns import constant_error_columns, evidence, stamp_colum
 from smoother.graph.linear_system import Jacobian
 from smoother.graph.sampling import sample_window
 from smoother.graph.shared_prior import gravity_axes, have_turned, shared_jacobian
-from smoother.graph.solve import TIGHTEN, solve
+from smoother.graph.solve import NEAR_S, TIGHTEN, solve
 from smoother.graph.solved import SolvedWindow, levers_of
 from smoother.linalg import unit
 from smoother.recording import JOINTS
@@ -382,6 +382,17 @@ def test_between_computed_covariances_it_errs_on_the_careful_side(monkeypatch: p
     ratio = sigmas[0] / sigmas[1]
     assert ratio.min() > 0.85 and 1.0 < ratio.mean() < 1.15 and ratio.max() < 1.7
     np.testing.assert_allclose(ratio[[0, -1]], 1.0)
+
+
+def test_covariances_are_computed_close_together_in_and_near_gaps() -> None:
+    t = 0.05 * np.arange(401)
+    in_gap = (t[:-1] > 7.99) & (t[1:] < 10.01)
+    chosen = t[smoother.graph.solve._spaced(t, in_gap, 1.0, 0.2)]
+    assert np.isin([0.0, 20.0], chosen).all() and all(np.abs(chosen - at).min() < 1e-9 for at in (8.0, 10.0))
+    apart, middle = np.diff(chosen), 0.5 * (chosen[1:] + chosen[:-1])
+    near = (middle > 8.0 - NEAR_S) & (middle < 10.0 + NEAR_S)
+    assert apart[near].max() < 0.21 and apart[~near].max() < 1.01
+    assert apart[(middle < 7.8 - NEAR_S) | (middle > 11.0 + NEAR_S)].min() > 0.5
 
 
 def test_a_prior_that_alone_holds_the_orientation_is_tightened(monkeypatch: pytest.MonkeyPatch) -> None:
