@@ -10,11 +10,13 @@ import pytest
 from scenes import arm, first_window
 from small_window import small_window
 
+from smoother.array_types import FloatArray, IntArray
 from smoother.graph import changes
 from smoother.graph.build import build
-from smoother.graph.changes import SLOW_M, Cells, block_columns, block_shifts
+from smoother.graph.changes import SLOW_M, WIDTH, Cells, block_columns, block_shifts, step_columns
+from smoother.graph.linear_system import Jacobian
 from smoother.graph.solve import optimise_window, solution_of
-from smoother.graph.solved import SolvedWindow
+from smoother.graph.solved import SolvedWindow, levers_of
 from smoother.window.problem import Window
 
 
@@ -54,6 +56,38 @@ def test_shifts_are_those_of_dense_least_squares(monkeypatch: pytest.MonkeyPatch
         np.testing.assert_allclose(shift.shift_m, expected, atol=1e-4 + 1e-3 * np.abs(expected).max())
         score = expected @ np.linalg.solve(covariance, expected) / 3.0
         assert shift.score == pytest.approx(score, rel=0.02, abs=1e-3)
+
+
+def test_columns_of_steps_are_the_derivative_of_the_data() -> None:
+    """The camera turned and moved, the sensor turned and shifted on the arm, from either of two moments on."""
+    window = replace(small_window(upper=False)[0], considered=None)
+    window = replace(window, noise=replace(window.noise, cauchy=1e6))  # weights that stay
+    built = build(window)
+    solved, by = SolvedWindow(window, *built), 1e-4 * np.random.default_rng(2).normal(size=(2, WIDTH))
+    by[:, 12] = 0.0  # the clock's is `stamp_columns`
+    states, levers = solved.states["forearm"], levers_of(solved.shared, window.priors.layout)
+    at_s, centre = window.t[[3, 6]] - 1e-6, states.p.mean(axis=0)
+
+    def seen(position: FloatArray, nodes: IntArray, joint: str) -> FloatArray:
+        position = position.copy()
+        for k, node in enumerate(nodes):
+            if window.t[node] > at_s[0]:
+                turn, move, mount, off, _ = np.split(by[int(window.t[node] > at_s[1])], [3, 6, 9, 12])
+                R, lever = states.R[node], levers.get(joint, np.zeros(3))
+                place = solved.shoulder[node] if joint == "shoulder" else states.p[node] + R @ lever
+                position[k] -= np.cross(turn, place - centre) + move
+                position[k] -= R @ (np.cross(mount, lever) + off) if joint in levers else 0.0
+        return position
+
+    measured = [replace(x, position=seen(x.position, x.node, x.joint)) for x in window.joint_measurements]
+    shoulder = replace(
+        window.shoulder, position=seen(window.shoulder.position, window.shoulder.node, "shoulder")
+    )
+    moved = replace(window, joint_measurements=tuple(measured), shoulder=shoulder)
+    change = solved.jacobian.rhs - Jacobian.of(build(moved).graph, built.values).rhs
+    np.testing.assert_allclose(
+        step_columns(solved, at_s) @ by.ravel(), change, atol=1e-6 * np.abs(change).max()
+    )
 
 
 def test_a_block_that_was_moved_is_found_and_none_in_a_sound_window(window: Window) -> None:
