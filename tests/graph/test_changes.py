@@ -13,7 +13,17 @@ from small_window import small_window
 from smoother.array_types import FloatArray, IntArray
 from smoother.graph import changes
 from smoother.graph.build import build
-from smoother.graph.changes import SLOW_M, WIDTH, Cells, block_columns, block_shifts, step_columns
+from smoother.graph.changes import (
+    APART_S,
+    ENDS_S,
+    SLOW_M,
+    WIDTH,
+    Cells,
+    block_columns,
+    block_shifts,
+    moments,
+    step_columns,
+)
 from smoother.graph.linear_system import Jacobian
 from smoother.graph.solve import optimise_window, solution_of
 from smoother.graph.solved import SolvedWindow, levers_of
@@ -59,7 +69,7 @@ def test_shifts_are_those_of_dense_least_squares(monkeypatch: pytest.MonkeyPatch
 
 
 def test_columns_of_steps_are_the_derivative_of_the_data() -> None:
-    """The camera turned and moved, the sensor turned and shifted on the arm, from either of two moments on."""
+    """Camera turned and moved, sensor turned and shifted on the arm, from either of two moments on."""
     window = replace(small_window(upper=False)[0], considered=None)
     window = replace(window, noise=replace(window.noise, cauchy=1e6))  # weights that stay
     built = build(window)
@@ -88,6 +98,27 @@ def test_columns_of_steps_are_the_derivative_of_the_data() -> None:
     np.testing.assert_allclose(
         step_columns(solved, at_s) @ by.ravel(), change, atol=1e-6 * np.abs(change).max()
     )
+
+
+def test_steps_are_looked_for_in_the_middle_of_gaps_where_the_shoulder_jumps_and_now_and_then(
+    window: Window,
+) -> None:
+    seen = window.joint_measurements
+    t = np.unique(np.concatenate([each.t_s for each in seen]))
+    hidden = int(np.argmax(np.diff(t)))
+    (at_s,) = moments(window)
+    assert at_s == pytest.approx(0.5 * (t[hidden] + t[hidden + 1]))
+    long = tuple(replace(each, t_s=10.0 * each.t_s) for each in seen)
+    many = moments(replace(window, joint_measurements=long, shoulder=None))
+    assert len(many) > 5 and np.abs(many - 10.0 * at_s).min() < 1e-9
+    assert np.diff(many).max() < 2.0 * APART_S
+    assert 10.0 * t[0] + ENDS_S < many[0] and many[-1] < 10.0 * t[-1] - ENDS_S
+    knots, position = window.t[window.shoulder.node], window.shoulder.position.copy()
+    jump = int(np.searchsorted(knots, t[hidden] + 0.5))
+    position[jump:] += 0.3
+    jumped = moments(replace(window, shoulder=replace(window.shoulder, position=position)))
+    assert np.abs(jumped - 0.5 * (knots[jump - 1] + knots[jump])).min() < 1e-9
+    assert abs(at_s - 0.5 * (knots[jump - 1] + knots[jump])) > 0.1
 
 
 def test_a_block_that_was_moved_is_found_and_none_in_a_sound_window(window: Window) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
+from itertools import pairwise
 from unittest.mock import patch
 
 import numpy as np
@@ -19,7 +20,7 @@ from smoother.measurements.visibility import Rejection
 from smoother.recording import JOINTS, ImuStream, JointState, Recording
 from smoother.recovery import imu_signs as module
 from smoother.recovery.camera_blocks import Excluded, Suspect, left_out
-from smoother.recovery.change_signs import changed_for_good, imu_lies_still
+from smoother.recovery.change_signs import BATCH_S, OVERLAP_S, _batches, changed_for_good, imu_lies_still
 from smoother.recovery.imu_signs import clock_steps, doubtful_scale, force_scale, lost_samples, wrong_scale
 from smoother.result import Estimates, Recovery
 from smoother.result.verdict import EVER, finding
@@ -205,6 +206,17 @@ def test_an_imu_that_was_taken_off_is_named_from_when_on() -> None:
     (found,) = imu_lies_still(recovery, taken_off(recording, 14.0), NO_BIAS)
     assert found.severity == "times" and "is still" in found.sentence
     assert found.start_s == pytest.approx(14.0, abs=0.3) and found.end_s > 24.0
+
+
+def test_a_long_recording_is_looked_at_in_batches_that_overlap_and_end_at_pauses() -> None:
+    t = np.arange(0.0, 200.0, 0.1)
+    t[1500:] += 30.0
+    batches = list(_batches(ImuStream("imu", t, np.zeros((2000, 3)), np.zeros((2000, 3)))))
+    assert {row for first, last in batches for row in range(first, last)} == set(range(2000))
+    assert not any(first < 1500 < last for first, last in batches)
+    assert all(t[last - 1] - t[first] <= BATCH_S for first, last in batches)
+    for (_, last), (first, _) in pairwise(batches):
+        assert first == last == 1500 or t[last - 1] - t[first] == pytest.approx(OVERLAP_S, abs=0.11)
 
 
 SHOULDER, ELBOW, WRIST, HAND = (JOINTS.index(joint) for joint in ("shoulder", "elbow", "wrist", "hand"))

@@ -54,7 +54,7 @@ def test_a_shoulder_that_wanders_faster_than_usual(walk: float, is_used: bool) -
     rng, t = np.random.default_rng(1), np.arange(9000) / 30.0
     position, state = np.full((9000, 5, 3), np.nan), np.zeros((9000, 5), np.int8)
     position[:, SHOULDER] = np.cumsum(walk * rng.normal(size=(9000, 3)) / np.sqrt(30.0), axis=0)
-    position[4000:, SHOULDER] += 1.0
+    position[4000:, SHOULDER] += 20.0
     state[:, SHOULDER] = JointState.TRACKED
     tracks = JointTracks("camera", t, position, state)
     found = with_measured_shoulder(CONFIG, tracks).arm.shoulder_walk
