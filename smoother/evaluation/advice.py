@@ -69,8 +69,12 @@ _said = partial(said, "advice")
 
 
 def advice(recovery: Recovery) -> list[str]:
-    """What to do better next time, one sentence each; what the motion left open is said elsewhere."""
-    return list(_advice(recovery)) or [_said("nothing")]
+    """What to do better next time, one sentence each; nothing where the set-up itself is in doubt."""
+    found = recovery.estimates
+    if found.trusted is False:  # what the camera then seems to do wrong has that cause
+        return []
+    doubts = found.cautions or found.untrusted
+    return list(_advice(recovery)) or ([] if doubts else [_said("nothing")])
 
 
 def _advice(recovery: Recovery) -> Iterator[str]:

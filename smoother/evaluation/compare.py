@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
@@ -135,6 +135,7 @@ def compare(
 
     ranked = dict(sorted(found.items(), key=lambda each: _rms_m(each[1], of_graph.point)))
     lags, notes = _camera_lag(recording, truth), _notes(found, alignment, graph, truth)
+    of_graph = replace(of_graph, notes=tuple(dict.fromkeys([*of_graph.notes, *notes])))
     return Comparison(ranked, graph, of_graph, lags, truth, notes)
 
 

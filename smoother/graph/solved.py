@@ -144,7 +144,7 @@ class SolvedWindow:
         return LinearSystem(self.jacobian, node_of_variables(self.window), extra)
 
     def system_as_known(self, extra: Sequence[FloatArray]) -> LinearSystem:
-        """The same for covariances: what a camera's joints err together, they tell less of."""
+        """The same for covariances: the camera's variance is inflated where its joints err together."""
         scale = np.ones(len(self.jacobian.rhs))
         for group in self.groups:
             if group.kind == "camera":

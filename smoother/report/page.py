@@ -149,7 +149,7 @@ class _ArmReport:
         """All else about the arm, for those who look for it."""
         recovery, estimates = self.recovery, self.estimates
         is_trusted = recovery.estimates.trusted is not False
-        if len(recovery) and is_trusted:
+        if len(recovery):
             yield PageSection("For the next recording", sentences=advice(recovery))
         errors = () if self.validation is None else self.validation.gaps
         true = {gap.start_s: figures.position_p95_m for gap, figures in errors}

@@ -44,19 +44,19 @@ def joint_noise(windows: list[Window], solutions: list[Solution]) -> dict[str, J
 
 
 def in_common(windows: list[Window], solutions: list[Solution]) -> float:
-    """The variance of the sum of a camera's joints, by what it is where they err independently; at least 1.
+    """Variance of the sum of a camera's joint errors over that of independent errors; at least 1.
 
-    A skeleton that is fitted to an image errs as a whole, and so does all that a camera sees which somebody
-    holds. Elbow and wrist of a Kinect v1 correlate by 0.1 to 0.8, independent errors by -0.2 to 0.
+    A skeleton that is fitted to an image is displaced as a whole. Residuals of elbow and wrist of a Kinect v1
+    correlate by 0.1 to 0.8; those of independent errors by -0.2 to 0.
     """
     together = apart = 0.0
     for window, solution in zip(windows, solutions, strict=True):
         for camera in {measured.camera for measured in window.joint_measurements}:
             own = [measured for measured in window.joint_measurements if measured.camera == camera]
             whitened = [solution.residuals[each.key] / each.sigma_m[:, None] for each in own]
-            clipped = [np.clip(x / _robust(x), -CLIP, CLIP) for x in whitened if len(x)]
+            clipped = [np.clip(x / _robust(x), -CLIP, CLIP) for x in whitened]
             _, frame = np.unique(np.concatenate([each.t_s for each in own]), return_inverse=True)
-            total = np.zeros((frame.max(initial=-1) + 1, 3))
+            total = np.zeros((frame.max() + 1, 3))
             np.add.at(total, frame, np.vstack(clipped))
             together += float((total**2).sum())
             apart += sum(float((x**2).sum()) for x in clipped)

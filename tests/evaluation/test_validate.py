@@ -321,7 +321,8 @@ class TestCompare:
         assert order[0] == "graph" and order[-1] == "broken"
         assert errors == sorted(errors)
         assert found.methods["broken"] == "it had no wish to"
-        assert any("broken could not recover it" in note for note in found.notes)
+        assert any("broken could not recover it" in note for note in found.of_graph.notes), "for the page"
+        assert set(found.notes) <= set(found.of_graph.notes)
         # white noise of 5 mm per axis is 8.7 mm of distance; some 360 samples in the gaps
         assert errors[0] == pytest.approx(0.005 * np.sqrt(3), rel=0.1)
 

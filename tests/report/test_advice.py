@@ -99,6 +99,13 @@ def test_what_is_good_or_would_not_help_asks_for_nothing():
     nothing = ["No changes recommended: record the next one in the same way."]
     assert advice(result()) == advice(hidden(Gap(5.0, 7.0), 0.08)) == nothing, "short gaps need nothing"
     assert "for a moment" not in "\n".join(advice(hidden(Gap(5.0, 9.0), 0.02)))
+    jumping = with_reason("jump: far", "hand", MANY)
+    for recovery, found in (
+        (jumping, Estimates(trusted=False)),
+        (result(), Estimates(trusted=True, cautions=("the clocks drift",))),
+        (result(), Estimates(trusted=True, untrusted=(UntrustedInterval(5.0, 7.0, ("it jumps",)),))),
+    ):
+        assert advice(replace(recovery, estimates=found)) == [], "the verdict says what to do"
 
 
 def test_what_a_recovery_shows_and_what_was_given():

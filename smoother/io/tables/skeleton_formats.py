@@ -515,7 +515,7 @@ def _read_kinect_json(path: Path) -> list[SkeletonTable]:
     ]
     if not any(isinstance(frame, Mapping) and _first(frame, _BODIES) for frame in frames):
         raise RecordingError(
-            f"{path} should be {_KINECT_EXPECTED}, and has no list of frames; export it again."
+            f"{path} should be {_KINECT_EXPECTED}, and has no frame with a body; export it again."
         )
     order = [str(name) for name in names] if isinstance(names, list) and names else None
     rows: list[_Row] = []

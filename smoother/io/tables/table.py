@@ -238,7 +238,8 @@ class DeviceTable:
 
     def above_rate_hz(self) -> float | None:
         """The rate that a line above the table states, by its word or as a number alone (Vicon); or None."""
-        plain = (line.strip().lower() for line in self.preamble)
+        comma = r"(?!)" if self.separator == "," else r"(?<=\d),(?=\d)(?!000)"  # of decimals
+        plain = (re.sub(comma, ".", line.strip().lower()) for line in self.preamble)
         lines = [line for line in plain if not re.search(_OTHER_RATES, line)]
         found = (re.search(form, line) for form, line in product(_RATE_LINES, lines))
         return next((float(number[1]) or None for number in found if number), None)

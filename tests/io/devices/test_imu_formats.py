@@ -287,6 +287,9 @@ def test_mtw_with_empty_columns_and_without_a_rate(tmp_path: Path):
     body = [f"{k:05d}\t\t\t{row}" for k, row in enumerate(rows(ACC, GYRO, TWO, separator="\t"))]
     lines = ("// Update Rate: 100.0Hz", "\t".join(names), *body)
     check(tables(written(tmp_path, *lines), "xsens-mt")[0], printed(ACC), printed(GYRO))
+    for stated, rate_hz in (("62,5Hz", 62.5), ("1,000 Hz", None), ("100.0Hz", 100.0)):
+        (table,) = tables(written(tmp_path, f"// Update Rate: {stated}", *lines[1:]), "xsens-mt")
+        assert table.rate_hz == rate_hz
     (table,) = tables(written(tmp_path, "// General information:", *lines[1:]), "xsens-mt")
     with pytest.raises(RecordingError, match="neither times nor a rate"):
         repaired_imu(table, "a")
