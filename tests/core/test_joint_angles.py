@@ -1,11 +1,15 @@
-"""Angles of elbow and shoulder: against scipy's Euler angles, known postures, and drawn errors."""
+"""Angles of elbow and shoulder: known postures, and what soft tissue adds to their sigmas."""
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
+from arms import make_recording, make_recovery
 from scipy.spatial.transform import Rotation
 
+from smoother.angles import shoulder_angles
 from smoother.angles.definitions import (
     ANGLES,
     arm_angles,
@@ -13,6 +17,8 @@ from smoother.angles.definitions import (
     forearm_axes,
     torso_axes,
 )
+from smoother.calibration import SegmentMounting
+from smoother.result import SegmentMotion
 
 DOWN = np.array([0.0, -1.0, 0.0])  # a level Kinect: x to the camera's left, y up, z away from it
 RIGHT_OF_PERSON, UP, TO_CAMERA = np.eye(3)[0], np.eye(3)[1], -np.eye(3)[2]
@@ -78,3 +84,31 @@ def test_what_is_missing_is_nan_and_singular_postures_are_marked():
     scaled[1], scaled[2] = np.nan, 0.0  # without an orientation there are none
     axes = forearm_axes(scaled, R_F_A.as_matrix())
     assert np.allclose(axes[0], (R_K_A[0] * R_F_A.inv()).as_matrix()) and np.isnan(axes[1:]).all()
+
+
+def test_soft_tissue_widens_the_shoulders_angles_and_what_is_not_known_is_not_said() -> None:
+    made = make_recovery(make_recording()).rows(slice(0, 3))
+    R = Rotation.from_euler("yxy", [40.0, 70.0, -25.0], degrees=True)
+    R_bone = Rotation.from_rotvec([0.3, -0.8, 0.5])
+    quaternion = np.tile((R * R_bone).as_quat(scalar_first=True), (3, 1))
+    quaternion[1] = np.nan
+    # rad: about the bone alone
+    upper = SegmentMotion(np.zeros((3, 3)), quaternion, np.zeros((3, 6, 6)), np.array([0.0, 0.1, 0.0]))
+    mountings = {"upper_arm": SegmentMounting({}, R_bone=R_bone.as_matrix())}
+    made = replace(
+        made,
+        segments={"upper_arm": upper},
+        calibration=replace(made.calibration, mountings=mountings),
+        gravity_direction=DOWN,
+    )
+    angles, sigmas = shoulder_angles(made)
+    np.testing.assert_array_equal(np.isnan(angles["shoulder_plane"]), [False, True, False])
+    for name, expected in (("rotation", np.degrees(0.1)), ("plane", 0.0), ("elevation", 0.0)):
+        np.testing.assert_allclose(sigmas[f"shoulder_{name}"][[0, 2]], expected, rtol=1e-3, atol=0.01)
+    for less in (
+        replace(made, segments={}),
+        replace(made, calibration=replace(made.calibration, mountings={})),
+        replace(made, gravity_direction=np.full(3, np.nan)),
+    ):
+        angles, sigmas = shoulder_angles(less)
+        assert all(np.isnan(values).all() for values in (*angles.values(), *sigmas.values()))

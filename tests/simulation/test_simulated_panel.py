@@ -150,6 +150,11 @@ def test_folder_and_recording_hold_the_session(tmp_path: Path):
 
 
 @pytest.mark.slow
+def test_a_marker_beside_the_panel_is_refused():
+    with pytest.raises(ValueError, match="outside the panel"):
+        PanelSimulation(markers=((0, 0), (0.9, 0), (0.2, 0), (0, 0.3)))
+
+
 def test_folder_is_whole_or_not_there(tmp_path: Path, capsys: pytest.CaptureFixture):
     folder = tmp_path / "session"
     refused(capsys, "simulate", "panel", "-o", folder, *SMALL, "--set", "distance_m=0.35,0.36")

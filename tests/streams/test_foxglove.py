@@ -152,6 +152,10 @@ def head(*lines: str) -> bytes:
         (("host: 127.0.0.1", "oRIGIN: http://localhost:3000"), True),
         (("Host: 127.0.0.1:8765", "Origin: https://evil.example"), False),
         (("Host: 127.0.0.1", "Origin: https://app.foxglove.dev", "Origin: https://evil.example"), False),
+        (("Host: localhost:8765", "Origin: file://"), True),
+        (("Host: 127.0.0.1:8765", "Origin: https://app.foxglove.dev.evil.example"), False),
+        (("Host: 127.0.0.1:8765", "Origin: null"), False),
+        (("Host: evil.example:8765",), False),  # a name that points at this computer
         ((), False),
     ],
 )
