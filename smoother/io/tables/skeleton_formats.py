@@ -528,8 +528,9 @@ def _read_kinect_json(path: Path) -> list[SkeletonTable]:
         of_frame = _first_number(frame, ("frame_id", "frame_number"), at)
         for body in there:
             number = next((body[name] for name in _BODY if name in body), 0)
-            of_body = _number(number % 2**32 if isinstance(number, int) and number >= 2**53 else number)
-            value = next((body[name] for name in _POSITIONS if name in body), [])
+            whole = int(number) if str(number).isdigit() else 0  # a Kinect v2's, as a number or as text
+            of_body = _number(whole % 2**32 if whole >= 2**53 else number)
+            value = _first(body, _POSITIONS) or []
             count = max(count, len(value))
             points = _points_by_name(value, order or (KINECT_V2 if len(value) == len(KINECT_V2) else None))
             known = (*_CONFIDENCES, "keypoint_confidence")
