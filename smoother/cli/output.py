@@ -172,9 +172,13 @@ def show(table: Table, most: int | None = None, rest: str = "rows more; --json h
 
     cells = [[printable(cell_text(value), lines=True) for value in row] for row in table.rows[:most]]
     grid, screen = Grid(), console()
-    for place, column in enumerate(table.columns):
-        side: Any = "right" if all(_is_number(row[place]) for row in cells) else "left"
-        grid.add_column(Text(printable(column), style="bold"), justify=side, overflow="fold")
+    texts = [(printable(name), *own) for name, *own in zip(table.columns, *cells, strict=True)]
+    words = (max((len(word) for text in own for word in text.split()), default=0) for own in texts)
+    fits = sum(words) + 3 * len(texts) + 1 <= screen.width  # else words are broken, and none is cut off
+    for name, *own in texts:
+        side: Any = "right" if all(map(_is_number, own)) else "left"
+        whole = fits and not any(" " in text for text in (name, *own))
+        grid.add_column(Text(name, style="bold"), justify=side, overflow="fold", no_wrap=whole)
     for row in cells:
         grid.add_row(*map(Text, row))
     screen.print(Text(printable(table.title), style="bold"))

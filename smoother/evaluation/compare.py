@@ -53,7 +53,8 @@ class Comparison:
                 row |= vars(found) | {"visible_m": seen and seen.position_rms_m, "lag_s": each.lag_s}
                 row |= {f"{joint}_m": parts[part].position_rms_m for joint, parts in each.points.items()}
             rows.append(row)
-        joints = [joint for joint in self.of_graph.points if joint != self.point]
+        # the shoulder of all methods but the graph is the camera's
+        joints = [joint for joint in self.of_graph.points if joint not in (self.point, "shoulder")]
         columns: dict[str, str | Callable[[Any], object]] = {"method": "method", "rms, cm": "position_rms_m"}
         columns |= {"95 %": "position_p95_m", "max": "position_max_m", "rms, deg": "orientation_rms_deg"}
         columns |= {"NEES": "nees", "inside 95 %": "coverage_95", "visible": "visible_m"}
