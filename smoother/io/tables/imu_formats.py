@@ -421,7 +421,7 @@ def _by_device(table: DeviceTable, imu: ImuSamples) -> list[ImuSamples]:
     plain = [re.sub(r"[^a-z]", "", label) for label in table.labels]
     at = next((plain.index(word) for word in _DEVICE if word in plain), None)
     cells = [] if at is None else table.texts(at)
-    if not 1 < len(set(cells)) <= 30:  # of a recording
+    if "" in cells or not 1 < len(set(cells)) <= 30:  # of a recording
         return [imu]
     own = {name: np.array([cell == name for cell in cells]) for name in dict.fromkeys(cells)}
     return [replace(rows_of(imu, rows), topic=name, notes=list(imu.notes)) for name, rows in own.items()]

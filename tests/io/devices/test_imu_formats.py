@@ -379,6 +379,7 @@ ABOVE = {
         [TIME, 1000 * ACC[::-1] / G, 1000 * ACC / G, DEG, DEG[::-1]],
     ),
     "rows by device": (BY_ROWS, [LEFT, TWICE, np.repeat(ACC / G, 2, axis=0), np.repeat(DEG, 2, axis=0)]),
+    "a device in some rows": (BY_ROWS, [np.resize(["wrist", ""], COUNT), TIME, ACC / G, DEG]),
     "a rate in words": (("Low-pass: 20 Hz", "GT9X v1.7 at 100 Hz", "---", f"{A3},{G3}"), [ACC / G, DEG]),
 }  # fmt: skip
 
