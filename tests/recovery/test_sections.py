@@ -288,9 +288,11 @@ def test_the_answer_is_the_same_on_any_number_of_processes(monkeypatch: pytest.M
     with suppress(Found), patch("smoother.smoothing.solve_sections", listen):
         answer(made.recording, made.calibration, draws=3)
     ((sections, task),) = given
+    together = Task.of(made.recording, sections, replace(task.model, in_common=2.0), task.config)
+    assert together.noise.in_common == 2.0, "of the self-calibration, for all sections"
     alone = [asdict(solved) for data in sections if (solved := solve_section(data, task)) is not None]
     assert len(alone) == len(sections) == 3 and alone[0]["draws"] is not None
     for processes in (1, 2):
         with Pool(processes, 1_000_000) as workers:
-            together = [asdict(solved) for solved in solve_sections(sections, task, workers)]
-        np.testing.assert_equal(together, alone)
+            answers = [asdict(solved) for solved in solve_sections(sections, task, workers)]
+        np.testing.assert_equal(answers, alone)
