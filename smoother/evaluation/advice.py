@@ -69,15 +69,16 @@ _said = partial(said, "advice")
 
 
 def advice(recovery: Recovery) -> list[str]:
-    """What to do better next time, one sentence each; nothing where the set-up itself is in doubt."""
+    """What to do better next time, one sentence each, where the verdict does not say it already."""
     found = recovery.estimates
-    if found.trusted is False:  # what the camera then seems to do wrong has that cause
+    if found.trusted is False:  # what follows from a wrong set-up is no fault of the view or the camera
         return []
-    doubts = found.cautions or found.untrusted
-    return list(_advice(recovery)) or ([] if doubts else [_said("nothing")])
+    return list(_advice(recovery)) or ([] if found.cautions else [_said("nothing")])
 
 
 def _advice(recovery: Recovery) -> Iterator[str]:
+    if causes := dict.fromkeys(why for each in recovery.estimates.untrusted for why in each.reasons):
+        yield _said("avoid", reasons="; ".join(causes))
     gaps = [each for each in gap_summaries(recovery) if each.trusted is not False]
     if open_ended := [each for each in gaps if each.one_sided]:
         yield _said("one_sided", times=_times(open_ended))

@@ -47,6 +47,9 @@ def test_tables_fit_and_numbers_stand_to_the_right(monkeypatch: pytest.MonkeyPat
         text = "\n".join(lines)
         assert "│ 1.5 │" in text and "│   - │" in text and "│ hand  │" in text
         assert "".join(re.findall(r"[/\w.]+", text)).count("x") == 60
+    monkeypatch.setattr(output, "console", lambda: Console(width=80))
+    show(Table("Wide", [*"abcdefghijklm"], [["gaussian-process", *[15.84] * 12]]))
+    assert capsys.readouterr().out.count("15.84") == 12
 
 
 def test_sentences_break_between_words_on_a_terminal_only(monkeypatch: pytest.MonkeyPatch, capsys) -> None:

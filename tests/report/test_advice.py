@@ -71,6 +71,11 @@ def noisy() -> Recovery:
     return replace(result(), estimates=Estimates(camera_sigma_m={"elbow": 0.008, "wrist": 0.021}))
 
 
+def pushed() -> Recovery:
+    push = UntrustedInterval(9.0, 12.0, ("a push",))
+    return replace(result(), estimates=Estimates(trusted=True, untrusted=(push,)))
+
+
 #: What is said of a recovery.
 CASES: dict[str, Callable[[], Recovery]] = {
     "hidden from 0.0 s on was seen from one side": lambda: hidden(Gap(0.0, 2.0, open_start=True), 0.08),
@@ -84,6 +89,7 @@ CASES: dict[str, Callable[[], Recovery]] = {
     "Stand a little sideways": lambda: with_reason("viewing ray: misjudged", "wrist", MANY),
     "samples repeated the one before": lambda: with_reason("frozen: it stands", "elbow", MANY),
     "were not on the arm": lambda: with_reason("jump: far", "hand", MANY),
+    "causes of the parts that are not to be trusted: a push": pushed,
     "without loose sleeves: the wrist jittered by 2.1 cm": noisy,
     "30 frames per second: it gave 10": slow_camera,
     "80 samples per second or more: it gave 27": lambda: replace(result(), t_s=3.0 * result().t_s),
@@ -103,7 +109,6 @@ def test_what_is_good_or_would_not_help_asks_for_nothing():
     for recovery, found in (
         (jumping, Estimates(trusted=False)),
         (result(), Estimates(trusted=True, cautions=("the clocks drift",))),
-        (result(), Estimates(trusted=True, untrusted=(UntrustedInterval(5.0, 7.0, ("it jumps",)),))),
     ):
         assert advice(replace(recovery, estimates=found)) == [], "the verdict says what to do"
 
