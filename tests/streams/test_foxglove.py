@@ -149,6 +149,7 @@ def head(*lines: str) -> bytes:
     [
         (("Host: 127.0.0.1:8765",), True),  # a program
         (("Host: localhost:8765", "Origin: https://app.foxglove.dev"), True),
+        (("Host: localhost:8765", "Origin: file://"), True),
         (("host: 127.0.0.1", "oRIGIN: http://localhost:3000"), True),
         (("Host: 127.0.0.1:8765", "Origin: https://evil.example"), False),
         (("Host: 127.0.0.1", "Origin: https://app.foxglove.dev", "Origin: https://evil.example"), False),
