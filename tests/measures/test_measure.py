@@ -352,6 +352,7 @@ def test_where_the_hand_is(place: tuple[float, float, float], reached: set[str],
 @pytest.mark.parametrize("side", ["right", "left"])
 def test_the_simulated_protocol_goes_behind_head_and_back(side: str):
     rows = measure(simulated(1, side)).by_key
+    assert rows["repetition_count"].value == 2.0
     assert rows["hand_behind_back_reached"].value == 1.0 and rows["hand_to_head_reached"].value == 1.0
     assert 0.1 < rows["elbow_trunk_distance_mean_m"].value < rows["elbow_trunk_distance_max_m"].value < 0.65
 

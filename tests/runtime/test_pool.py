@@ -8,10 +8,12 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 from pool_jobs import answer_half, die_always, wait_long
+from scenes import point
 from studies import is_alive, until
 from threadpoolctl import threadpool_info, threadpool_limits
 
@@ -19,6 +21,17 @@ from smoother.cli.run import explain
 from smoother.errors import UnoccludeError
 from smoother.runtime import pool
 from smoother.runtime.pool import THREADS, Pool, one_blas_thread
+from smoother.smoothing import smooth
+
+
+@pytest.mark.slow
+def test_two_processes_give_the_same_bytes(monkeypatch: pytest.MonkeyPatch) -> None:
+    recording = replace(point(5, duration_s=130.0).recording, truth=None)  # two sections
+    alone = smooth(recording, processes=1)
+    monkeypatch.setattr(pool, "WORTH_FRAMES", 10)
+    together = smooth(recording, processes=2)
+    for name in ("position", "quaternion", "pose_covariance"):
+        assert getattr(alone, name).tobytes() == getattr(together, name).tobytes(), name
 
 
 def test_a_small_job_starts_no_process() -> None:
