@@ -88,6 +88,16 @@ def test_integrated_samples_reproduce_the_truth(changes: dict):
         assert attitude < 2e-4
 
 
+def test_two_occlusions_a_repetition_of_one_to_three_seconds():
+    simulated = simulate_arm(ArmSimulation.preset("clean", repetitions=1), 1)
+    tracks, hidden = simulated.recording.arm, simulated.occluded
+    gaps = runs(hidden)
+    assert len(gaps) == 2 and all(30 <= gap.stop - gap.start <= 90 for gap in gaps)
+    np.testing.assert_array_equal(tracks.tracked("wrist"), ~hidden)
+    # the elbow may stay a little longer, never come back earlier
+    assert (tracks.tracked("elbow") & hidden).sum() <= 2 * 3 and tracks.tracked("elbow")[~hidden].all()
+
+
 @pytest.mark.parametrize("side", ["right", "left"])
 def test_truth_fits_the_calibration(side: str):
     simulated = simulate_arm(ArmSimulation.preset("clean", side=side, repetitions=1), 5)
