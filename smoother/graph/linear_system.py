@@ -220,20 +220,39 @@ class LinearSystem:
 
         `own_follow` (d, e) is how they follow the considered errors beyond what the equations say.
         """
-        place = self._places(keys)
-        group = np.searchsorted(self._bounds, place[:, 0], side="right") - 1
-        scale, rows = self._scale[place], place - self._bounds[group, None]
-        own = self._diagonal[group[:, None, None], rows[:, :, None], rows[:, None, :]]
-        follows, shared = self._solved[place, : len(self._border)], self._shared_covariance
+        follows = self._solved[self._places(keys), : len(self._border)]
+        shared = self._shared_covariance
         if held:
             free = np.setdiff1d(np.arange(len(self._border)), self.border_rows(held))
             follows, shared = follows[:, :, free], scaled_inverse(self.information[np.ix_(free, free)])
-        across = follows @ shared @ np.swapaxes(follows, 1, 2)
-        covariance = own * scale[:, :, None] * scale[:, None, :] + across
+        covariance = self._given_border(keys) + follows @ shared @ np.swapaxes(follows, 1, 2)
         if self.considered is not None:
             errors = self.sensitivities(keys, self.follows) + (0.0 if own_follow is None else own_follow)
             covariance = covariance + errors @ self.considered @ np.swapaxes(errors, 1, 2)
         return np.asarray(covariance)
+
+    def end_covariances(self, keys: Sequence[int], slope: FloatArray, lever: int) -> FloatArray:
+        """Covariances (k, 3, 3) of a slope (3, d) times variables in time plus a lever of the border.
+
+        As `covariances`, with what variables in time and the border's variable have in common.
+        """
+        rows, eye = self.border_rows([lever]), np.eye(3)
+        covariance = slope @ self._given_border(keys) @ slope.T
+        follows = -slope @ self._solved[self._places(keys), : len(self._border)]
+        follows[:, :, rows] += eye
+        covariance += follows @ self._shared_covariance @ np.swapaxes(follows, 1, 2)
+        if self.considered is not None:
+            errors = slope @ self.sensitivities(keys, self.follows) + self.follows[rows]
+            covariance += errors @ self.considered @ np.swapaxes(errors, 1, 2)
+        return np.asarray(covariance)
+
+    def _given_border(self, keys: Sequence[int]) -> FloatArray:
+        """Covariances (k, d, d) of variables in time, the border held."""
+        place = self._places(keys)
+        group = np.searchsorted(self._bounds, place[:, 0], side="right") - 1
+        scale, rows = self._scale[place], place - self._bounds[group, None]
+        own = self._diagonal[group[:, None, None], rows[:, :, None], rows[:, None, :]]
+        return np.asarray(own * scale[:, :, None] * scale[:, None, :])
 
     def sensitivities(self, keys: Sequence[int], shared: FloatArray) -> FloatArray:  # shared (b, e)
         """How variables in time, all of one dimension, follow the first e extra quantities, (k, d, e)."""

@@ -15,7 +15,7 @@ import numpy as np
 from gtsam.symbol_shorthand import S, V, X
 
 from ..array_types import FloatArray
-from ..body import SEGMENTS
+from ..body import FOREARM, SEGMENTS
 from ..linalg import interpolate
 from ..window.draw_plan import DrawPlan, root_of
 from ..window.problem import Window
@@ -78,6 +78,10 @@ def sample_window(
         velocity=of([V(i) for i in count]),
         shoulder=shoulder,
         shared_covariance=shared,
+        levers={
+            joint: given[:, system.border_rows([keys_of(FOREARM.name).lever_of(joint)])]
+            for joint in window.priors.layout.joints
+        },
         turns={name: _turns(solved, name, plan, of) for name in window.priors.layout.further},
     )
 

@@ -10,7 +10,7 @@ from gtsam.symbol_shorthand import S
 from ..array_types import BoolArray, FloatArray, IntArray
 from ..body import FOREARM
 from ..errors import SolveError
-from ..linalg import interpolate
+from ..linalg import interpolate, skew
 from ..window.draw_plan import DrawPlan
 from ..window.problem import Window, joints_at_start
 from ..window.shared import STRAP_PLACE
@@ -173,7 +173,7 @@ def _read(
         if window.noise.in_common > 1.0:
             system = optimised.system_as_known(extra)
         _consider(optimised, system, knots)
-        bodies = [_with_covariance(body, system, window) for body in optimised.bodies]
+        bodies = [_with_covariance(body, system, window, solution.levers) for body in optimised.bodies]
         pose = bodies[0].pose_covariance
         assert pose is not None
         lost = _lost_to_tightening(pose[:, 3:, 3:], window, TIGHTEN[optimised.tighten])
@@ -217,7 +217,9 @@ def _consider(optimised: WindowOptimum, system: LinearSystem, knots: FloatArray)
     system.consider(covariance, pull)
 
 
-def _with_covariance(body: SegmentSolution, system: LinearSystem, window: Window) -> SegmentSolution:
+def _with_covariance(
+    body: SegmentSolution, system: LinearSystem, window: Window, levers: dict[str, FloatArray]
+) -> SegmentSolution:
     """The covariances of an IMU's states at the nodes, of (position, rotation) in {K}."""
     t, keys, is_forearm = window.t, keys_of(body.segment), body.segment == FOREARM.name
     nodes, at_strap = _covariance_nodes(window), None
@@ -226,6 +228,7 @@ def _with_covariance(body: SegmentSolution, system: LinearSystem, window: Window
         at_strap = np.zeros((6, len(system.considered)))
         at_strap[3:, STRAP_PLACE] = np.eye(3)  # its place is p + R l, and l may be l + dl
     pose, velocity = np.full((len(t), 6, 6), np.nan), None
+    joints: dict[str, FloatArray] = {}
     for run in window.runs(body.segment):
         rows = np.arange(run.first, run.nodes.stop)
         own = np.union1d(nodes[(nodes >= rows[0]) & (nodes <= rows[-1])], rows[[0, -1]])
@@ -234,7 +237,13 @@ def _with_covariance(body: SegmentSolution, system: LinearSystem, window: Window
     if is_forearm:
         velocities = system.covariances([keys.velocity + i for i in nodes.tolist()])
         velocity = interpolate(t[nodes], velocities, t)
-    return replace(body, pose_covariance=pose, velocity_covariance=velocity)
+        poses = [keys.pose + i for i in nodes.tolist()]
+        for joint in window.priors.layout.joints:
+            # p + R l in the IMU's axes follows the pose's columns, turn and place, by this
+            slope = np.concatenate([-skew(levers[joint]), np.eye(3)], axis=1)
+            at_end = system.end_covariances(poses, slope, keys.lever_of(joint))
+            joints[joint] = interpolate(t[nodes], at_end, t)
+    return replace(body, pose_covariance=pose, velocity_covariance=velocity, joint_covariance=joints)
 
 
 def _in_camera(covariance: FloatArray, R: FloatArray) -> FloatArray:

@@ -66,7 +66,6 @@ def sample_draws(
     r += delay * turning(imu_t, R_at_samples)[samples][:, None]
     # 4. Joints follow the pose; their lever arms have errors of their own.
     columns = {"position": p, "rotation": r}
-    levers = lever_errors(model, layout, drawn.shared_covariance, plan)
     turns = {
         name: _turns(_nodes_first(drawn.turns[name]), motion, t)
         for name in drawn.turns
@@ -79,8 +78,11 @@ def sample_draws(
         elif lever_of(model.estimate, joint) is not None:
             arm = R @ solution.lever(joint)
             columns[JOINT + joint] = p + _crossed(r, arm)
-            if joint in levers:
-                columns[JOINT + joint] += _turned(R, levers[joint])
+            if joint in drawn.levers:
+                columns[JOINT + joint] += _turned(R, drawn.levers[joint])
+            elif joint in model.estimate.lever_arms:  # no window has it
+                sigma_m = model.estimate.lever_arms[joint].sigma_m
+                columns[JOINT + joint] += _turned(R, sigma_m * plan.once(f"lever {joint}", 3))
             spread_m = moves_by(joint, [body.segment for body in solution.bodies], model)
             if spread_m:
                 columns[JOINT + joint] += spread_m * plan.once(f"moves {joint}", 3)
@@ -107,26 +109,6 @@ def sample_draws(
     columns |= {SEGMENTS[name].prefix + TURN: turned for name, turned in turns.items()}
     draws = {name: values.astype(np.float32) for name, values in columns.items()}
     return replace(answer, drawn=samples, draws=draws)
-
-
-def lever_errors(
-    model: SelfCalibration, layout: SharedLayout, covariance: FloatArray, plan: DrawPlan
-) -> dict[str, FloatArray]:
-    """Errors of the lever arms by joint (k, 3), m in {A}, drawn once, with the sigmas that are stated."""
-    constants = layout.constants.start
-    scale = np.sqrt(np.diag(covariance))
-    correlation = (covariance / scale / scale[:, None])[constants:, constants:]
-    own = plan.once("levers", len(correlation)) @ root_of(correlation)
-    common = plan.once("joints", 3)
-    errors = {}
-    for joint in layout.joints:
-        sigma_m = model.estimate.lever_arms[joint].sigma_m
-        shared_m = np.minimum(model.joint_bias.sigma_m, sigma_m)
-        rows = slice(layout.lever(joint).start - constants, layout.lever(joint).stop - constants)
-        errors[joint] = shared_m * common + np.sqrt(sigma_m**2 - shared_m**2) * own[:, rows]
-    for joint in model.estimate.lever_arms.keys() - errors.keys():  # of joints that no window has
-        errors[joint] = model.estimate.lever_arms[joint].sigma_m * plan.once(f"lever {joint}", 3)
-    return errors
 
 
 def _nodes_first(drawn: FloatArray) -> FloatArray:

@@ -42,6 +42,7 @@ class WindowDraws:
     velocity: FloatArray  # (k, n, 3) m/s: in {K}
     shoulder: FloatArray | None  # (k, n, 3) m
     shared_covariance: FloatArray  # (s, s): of the shared vector
+    levers: dict[str, FloatArray]  # (k, 3) m by joint of the forearm, in the IMU's axes
     # dict of (k, n, 3) rad: Rotation of each further IMU in {K} by its segment, nan where it has no samples
     turns: dict[str, FloatArray] = field(default_factory=dict)
 
@@ -58,6 +59,8 @@ class SegmentSolution:
     # (n, 6, 6) m^2, m rad, rad^2: of (position, rotation vector) in {K}; None where not asked for
     pose_covariance: FloatArray | None = None
     velocity_covariance: FloatArray | None = None  # (n, 3, 3) m^2/s^2: in {K}, of the forearm
+    # (n, 3, 3) m^2: Of joints whose lever arms the window has, in the IMU's axes; of the forearm
+    joint_covariance: dict[str, FloatArray] = field(default_factory=dict)
 
     def of_nodes(self, nodes: slice) -> SegmentSolution:
         """States at some of the nodes."""
