@@ -173,7 +173,7 @@ def _read(
         if window.noise.in_common > 1.0:
             system = optimised.system_as_known(extra)
         _consider(optimised, system, knots)
-        bodies = [_with_covariance(body, system, window, solution.levers) for body in optimised.bodies]
+        bodies = [_with_covariance(body, system, window, optimised.shared) for body in optimised.bodies]
         pose = bodies[0].pose_covariance
         assert pose is not None
         lost = _lost_to_tightening(pose[:, 3:, 3:], window, TIGHTEN[optimised.tighten])
@@ -218,31 +218,32 @@ def _consider(optimised: WindowOptimum, system: LinearSystem, knots: FloatArray)
 
 
 def _with_covariance(
-    body: SegmentSolution, system: LinearSystem, window: Window, levers: dict[str, FloatArray]
+    body: SegmentSolution, system: LinearSystem, window: Window, shared: FloatArray
 ) -> SegmentSolution:
-    """The covariances of an IMU's states at the nodes, of (position, rotation) in {K}."""
+    """The covariances of an IMU's states at the nodes, and of joints that have a lever arm on it."""
     t, keys, is_forearm = window.t, keys_of(body.segment), body.segment == FOREARM.name
     nodes, at_strap = _covariance_nodes(window), None
     is_strap = is_forearm and any(is_place(each.joint, window) for each in window.joint_measurements)
     if is_strap and system.considered is not None:
         at_strap = np.zeros((6, len(system.considered)))
         at_strap[3:, STRAP_PLACE] = np.eye(3)  # its place is p + R l, and l may be l + dl
+    levers = {joint: shared[rows] for joint, rows in window.priors.layout.levers(body.segment).items()}
     pose, velocity = np.full((len(t), 6, 6), np.nan), None
-    joints: dict[str, FloatArray] = {}
+    joints = {joint: np.full((len(t), 3, 3), np.nan) for joint in levers}
     for run in window.runs(body.segment):
         rows = np.arange(run.first, run.nodes.stop)
         own = np.union1d(nodes[(nodes >= rows[0]) & (nodes <= rows[-1])], rows[[0, -1]])
-        in_body = system.covariances([keys.pose + i for i in own.tolist()], own_follow=at_strap)
+        poses = [keys.pose + i for i in own.tolist()]
+        in_body = system.covariances(poses, own_follow=at_strap)
         pose[rows] = interpolate(t[own], _in_camera(in_body, body.states.R[own]), t[rows])
+        for joint, lever in levers.items():
+            # p + R l in the IMU's axes follows the pose's columns, turn and place, by this
+            slope = np.concatenate([-skew(lever), np.eye(3)], axis=1)
+            at_end = system.end_covariances(poses, slope, keys.lever_of(joint))
+            joints[joint][rows] = interpolate(t[own], at_end, t[rows])
     if is_forearm:
         velocities = system.covariances([keys.velocity + i for i in nodes.tolist()])
         velocity = interpolate(t[nodes], velocities, t)
-        poses = [keys.pose + i for i in nodes.tolist()]
-        for joint in window.priors.layout.joints:
-            # p + R l in the IMU's axes follows the pose's columns, turn and place, by this
-            slope = np.concatenate([-skew(levers[joint]), np.eye(3)], axis=1)
-            at_end = system.end_covariances(poses, slope, keys.lever_of(joint))
-            joints[joint] = interpolate(t[nodes], at_end, t)
     return replace(body, pose_covariance=pose, velocity_covariance=velocity, joint_covariance=joints)
 
 

@@ -271,11 +271,12 @@ def _joint(
         return nothing
     spread_m = moves_by(joint, [body.segment for body in motion.bodies], model)
     lever_covariance = None if lever is None else np.diag(lever.sigma_m**2 + spread_m**2)
-    if joint in motion.forearm.joint_covariance:
+    body = motion.of(segment_of(joint, [each.segment for each in motion.bodies]))
+    if body is not None and joint in body.joint_covariance:
         # with what pose and lever arm have in common; beside it counts by what the pose's was widened
-        in_A = interpolate(motion.t, motion.forearm.joint_covariance[joint], t)
+        in_A = interpolate(motion.t, body.joint_covariance[joint], t)
         lever_covariance = in_A + spread_m**2 * np.eye(3)
-        pose_covariance = pose_covariance - motion.forearm.pose_covariance_at(t)
+        pose_covariance = pose_covariance - body.pose_covariance_at(t)
     return joint_from_pose(states.R, states.p, pose_covariance, motion.lever(joint), lever_covariance)
 
 

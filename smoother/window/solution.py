@@ -59,7 +59,7 @@ class SegmentSolution:
     # (n, 6, 6) m^2, m rad, rad^2: of (position, rotation vector) in {K}; None where not asked for
     pose_covariance: FloatArray | None = None
     velocity_covariance: FloatArray | None = None  # (n, 3, 3) m^2/s^2: in {K}, of the forearm
-    # (n, 3, 3) m^2: Of joints whose lever arms the window has, in the IMU's axes; of the forearm
+    # (n, 3, 3) m^2: Of joints that have a lever arm on it, in the IMU's axes
     joint_covariance: dict[str, FloatArray] = field(default_factory=dict)
 
     def of_nodes(self, nodes: slice) -> SegmentSolution:

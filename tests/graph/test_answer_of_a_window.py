@@ -35,7 +35,7 @@ from smoother.graph.sampling import sample_window
 from smoother.graph.shared_prior import gravity_axes, have_turned, shared_jacobian
 from smoother.graph.solve import NEAR_S, TIGHTEN, solve
 from smoother.graph.solved import SolvedWindow, levers_of
-from smoother.linalg import unit
+from smoother.linalg import skew, unit
 from smoother.recording import JOINTS
 from smoother.units import GRAVITY
 from smoother.window.draw_plan import DrawPlan, samples_apart
@@ -356,6 +356,11 @@ def test_considered_errors_widen_the_covariance(rows: int) -> None:
         total = best.of(X(i)) + own @ window.considered.covariance @ own.T
         like(found.forearm.pose_covariance[i], in_camera(best.R[i], total), 5e-3)
         assert np.trace(total) > 1.01 * np.trace(best.of(X(i)))
+        for joint, key in (("elbow", L(ELBOW)), ("wrist", L(WRIST))):  # what pose and lever have in common
+            slope = np.hstack([-skew(found.levers[joint]), np.eye(3), np.eye(3)])
+            own = slope @ np.vstack([follows[best.columns[X(i)]], follows[best.columns[key]]])
+            total = slope @ best.of(X(i), key) @ slope.T + own @ window.considered.covariance @ own.T
+            like(found.forearm.joint_covariance[joint][i], total, 5e-3)
     own = follows[best.columns[S(2)]]
     total = best.of(S(2)) + own @ window.considered.covariance @ own.T
     like(found.shoulder_covariance[window.shoulder.node[2]], total, 7e-3)
