@@ -160,6 +160,10 @@ def _is_number(text: str) -> bool:
     return False
 
 
+#: Tables with more columns do without space beside their cells where words would be broken.
+_MANY_COLUMNS = 10
+
+
 def show(table: Table, most: int | None = None, rest: str = "rows more; --json has them all") -> None:
     """Print the first `most` rows of a table at the terminal's width; nothing without rows.
 
@@ -171,10 +175,12 @@ def show(table: Table, most: int | None = None, rest: str = "rows more; --json h
     from rich.text import Text
 
     cells = [[printable(cell_text(value), lines=True) for value in row] for row in table.rows[:most]]
-    grid, screen = Grid(), console()
+    screen = console()
     texts = [(printable(name), *own) for name, *own in zip(table.columns, *cells, strict=True)]
-    words = (max((len(word) for text in own for word in text.split()), default=0) for own in texts)
-    fits = sum(words) + 3 * len(texts) + 1 <= screen.width  # else words are broken, and none is cut off
+    words = sum(max((len(word) for text in own for word in text.split()), default=0) for own in texts)
+    pad = int(len(texts) <= _MANY_COLUMNS or words + 3 * len(texts) + 1 <= screen.width)
+    fits = words + (2 * pad + 1) * len(texts) + 1 <= screen.width  # else words are broken, none is cut off
+    grid = Grid(padding=(0, pad))
     for name, *own in texts:
         side: Any = "right" if all(map(_is_number, own)) else "left"
         whole = fits and not any(" " in text for text in (name, *own))
