@@ -246,11 +246,11 @@ def test_errors_that_are_larger_than_stated_ask_for_more(
 ) -> None:
     monkeypatch.setattr(sigma_factor, "ENOUGH_GAPS", FEW)
     sound = calibrated.calibration.sigma_factors
-    assert sound is not None and all(row.factor < 2.0 for row in sound.by_length)
+    assert sound is not None and all(row.factor < 2.5 for row in sound.by_length)  # of four gaps each
     calibration = replace(calibrated.calibration, sigma_factors=None)
     wrong = hidden_gap_factors([displaced(one, 0.12) for one in trials], calibration, Config())
     assert wrong is not None and [row.length_s for row in wrong.by_length] == [0.5, 1.0]
-    assert all(row.factor > 2.0 and row.gaps == FEW for row in wrong.by_length)
+    assert all(row.factor > 3.0 and row.gaps == FEW for row in wrong.by_length)
 
 
 @pytest.mark.slow
