@@ -25,7 +25,7 @@ from smoother.measurements.segment import Segment, split_into_segments
 from smoother.recording import Recording
 from smoother.runtime.pool import Pool
 
-from .file import CalibrationFile, Section, checked
+from .file import CalibrationFile, FileSection, checked
 from .protocol import Answer, Check
 
 if TYPE_CHECKING:
@@ -602,7 +602,7 @@ UNKNOWN_PPM = 499.0
 TYPICAL_PPM = 50.0
 
 
-class _MeasuredLink(Section):
+class _MeasuredLink(FileSection):
     """What is read of a link in the file."""
 
     model_config = ConfigDict(strict=True)

@@ -45,14 +45,14 @@ _AccBias = Annotated[list[Annotated[float, Field(ge=-10.0, le=10.0)]], _THREE]
 _GyroBias = Annotated[list[Annotated[float, Field(ge=-5.0, le=5.0)]], _THREE]
 
 
-class Section(BaseModel):
+class FileSection(BaseModel):
     """A table of a file, whose numbers are finite; further keys are for people."""
 
     # built where a file is read: most commands read none
     model_config = ConfigDict(allow_inf_nan=False, defer_build=True)
 
 
-class _Section(Section):
+class _Section(FileSection):
     """A table whose keys are all known, and whose numbers are numbers."""
 
     model_config = ConfigDict(extra="forbid", strict=True)
@@ -357,7 +357,7 @@ def toml_document(path: Path, named: str) -> dict[str, Any]:
 TABLE = "sigma"
 
 
-class _Gap(Section):
+class _Gap(FileSection):
     """Gaps of one length."""
 
     length_s: float = Field(gt=0)
@@ -365,7 +365,7 @@ class _Gap(Section):
     count: int = Field(ge=1)
 
 
-class _SigmaTable(Section):
+class _SigmaTable(FileSection):
     """The whole table."""
 
     gaps: list[_Gap] = Field(min_length=1)
@@ -402,7 +402,7 @@ def with_sigma_table(
 _SAMPLES = 65536
 
 
-class Correction(Section):
+class Correction(FileSection):
     """What is read of a sensor's table, corrected = matrix (raw - offset)."""
 
     offset: Vector | None = None
@@ -427,7 +427,7 @@ class Correction(Section):
         return left if self.matrix is None else left @ np.array(self.matrix).T
 
 
-class SensorCalibration(Section):
+class SensorCalibration(FileSection):
     """Corrections of one sensor."""
 
     accelerometer: Correction = Field(default_factory=Correction)

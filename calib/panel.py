@@ -25,7 +25,7 @@ from smoother.array_types import BoolArray, FloatArray
 from smoother.errors import CalibrationError
 from smoother.linalg import nearest_rotation, skew, unit
 
-from .file import CalibrationFile, Section, checked, toml_document
+from .file import CalibrationFile, FileSection, checked, toml_document
 from .images import (
     Blobs,
     Frame,
@@ -48,7 +48,7 @@ LARGEST_M, NEAREST_M = 5.0, 0.02
 _Pair = Annotated[list[float], Field(min_length=2, max_length=2)]
 
 
-class _PanelSection(Section):
+class _PanelSection(FileSection):
     markers: Annotated[list[_Pair], Field(min_length=4, max_length=4)]
     extent: Annotated[list[_Pair], Field(min_length=2, max_length=2)]
     marker_height: float = Field(default=0.0, ge=0.0, le=0.1)

@@ -21,7 +21,7 @@ from smoother.linalg import nearest_rotation, skew, unit
 from smoother.recording import CameraFrame, ImuStream, Recording
 from smoother.rotation import chained
 
-from .file import CalibrationFile, Section, Vector, checked, corrected_streams, sensor_of
+from .file import CalibrationFile, FileSection, Vector, checked, corrected_streams, sensor_of
 from .images import Panel, View
 from .imu import Rests, find_rests
 from .intrinsics import Intrinsics
@@ -571,7 +571,7 @@ def world_answer(calibration: WorldCalibration) -> Answer:
     return Answer(grade, sentence, checks, CalibrationFile(tables=tables), dict(tables))
 
 
-class CameraFromBase(Section):
+class CameraFromBase(FileSection):
     """The base IMU on the camera, as a file has it; camera optical, x right, y down, z forward."""
 
     rotation: Annotated[list[float], Field(min_length=4, max_length=4)]  # base IMU axes to camera axes

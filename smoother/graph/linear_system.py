@@ -236,10 +236,10 @@ class LinearSystem:
 
         As `covariances`, with what variables in time and the border's variable have in common.
         """
-        rows, eye = self.border_rows([lever]), np.eye(3)
+        rows = self.border_rows([lever])
         covariance = slope @ self._given_border(keys) @ slope.T
         follows = -slope @ self._solved[self._places(keys), : len(self._border)]
-        follows[:, :, rows] += eye
+        follows[:, :, rows] += np.eye(3)
         covariance += follows @ self._shared_covariance @ np.swapaxes(follows, 1, 2)
         if self.considered is not None:
             errors = slope @ self.sensitivities(keys, self.follows) + self.follows[rows]

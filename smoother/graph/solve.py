@@ -160,7 +160,9 @@ def _read(
     if with_blocks:
         cells = Cells.of_window(window)
         extra.append(block_columns(optimised, cells))
-    system = optimised.system(extra)
+    in_common = window.noise.in_common if with_covariance else 1.0
+    if in_common == 1.0 or with_blocks or with_offset or with_evidence:
+        system = optimised.system(extra)
     if with_blocks:
         solution = replace(solution, shifts=tuple(block_shifts(system, considered, cells)))
     if with_offset:
@@ -170,8 +172,8 @@ def _read(
         found = evidence(optimised, system, optimised.given.priors.shared)
         solution = replace(solution, evidence=found)
     if with_covariance:
-        if window.noise.in_common > 1.0:
-            system = optimised.system_as_known(extra)
+        if in_common != 1.0:  # covariances alone count what a camera's joints err together
+            system = optimised.system(extra, in_common)
         _consider(optimised, system, knots)
         bodies = [_with_covariance(body, system, window, optimised.shared) for body in optimised.bodies]
         pose = bodies[0].pose_covariance

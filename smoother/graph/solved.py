@@ -139,18 +139,16 @@ class SolvedWindow:
         """The whitened Jacobian of the graph."""
         return Jacobian.of(self.graph, self.values)
 
-    def system(self, extra: Sequence[FloatArray] = ()) -> LinearSystem:
-        """The normal equations, with columns of further quantities."""
-        return LinearSystem(self.jacobian, node_of_variables(self.window), extra)
-
-    def system_as_known(self, extra: Sequence[FloatArray]) -> LinearSystem:
-        """The same for covariances: the camera's variance is inflated where its joints err together."""
-        scale = np.ones(len(self.jacobian.rhs))
-        for group in self.groups:
-            if group.kind == "camera":
-                scale[group.rows] = self.window.noise.in_common**-0.5
-        columns = [scale[:, None] * each for each in extra]
-        return LinearSystem(self.jacobian.scaled(scale), node_of_variables(self.window), columns)
+    def system(self, extra: Sequence[FloatArray] = (), in_common: float = 1.0) -> LinearSystem:
+        """The normal equations, with columns of further quantities; camera variances times a number."""
+        jacobian = self.jacobian
+        if in_common != 1.0:
+            scale = np.ones(len(jacobian.rhs))
+            for group in self.groups:
+                if group.kind == "camera":
+                    scale[group.rows] = in_common**-0.5
+            jacobian, extra = jacobian.scaled(scale), [scale[:, None] * each for each in extra]
+        return LinearSystem(jacobian, node_of_variables(self.window), extra)
 
 
 def levers_of(shared: FloatArray, layout: SharedLayout) -> dict[str, FloatArray]:

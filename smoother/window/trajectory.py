@@ -34,8 +34,7 @@ def joint_from_pose(
     """A joint's position and covariance from the IMU's pose and the joint's lever arm.
 
     First-order propagation of `p + R l` with a rotation error in {K}: J = [I, -[R l]x] (Barfoot, State
-    Estimation for Robotics, 2017, section 7.2); the lever arm's error is taken as independent
-    of the pose's.
+    Estimation for Robotics, 2017, section 7.2); what is given of the lever arm is added as independent.
     """
     arm = np.einsum("nij,nj->ni", R, np.broadcast_to(lever, p.shape))
     jacobian = np.concatenate([np.tile(np.eye(3), (len(p), 1, 1)), -skew(arm)], axis=2)
