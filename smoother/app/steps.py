@@ -105,7 +105,7 @@ def import_steps(folder: AppFolder, place: Path) -> list[Step]:
     if kept.choices.imu_starts_at_s is not None:
         end = ["--imu-starts-at", repr(float(kept.choices.imu_starts_at_s)), *end]
     if is_described:
-        words += ["csv", "files", *_templates(folder), "-o", target, "--force"]
+        words += ["csv", "files", "-o", target, "--force"]
     elif film:
         model = model_of(folder, files)
         if not model:

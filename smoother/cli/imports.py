@@ -37,7 +37,6 @@ def csv(
     folder: Annotated[Path, o.argument("FOLDER", "Folder with recording.toml and its tables.")],
     output: o.Output,
     out: Out,
-    template: o.Templates = None,
     outside: Annotated[bool, o.rare("Also read files outside FOLDER.", "--outside")] = False,
 ) -> None:
     """Import recording.toml with skeleton and IMU tables.
@@ -56,11 +55,9 @@ def csv(
       file = "truth.csv"          # t_s, x, y, z, qw, qx, qy, qz
     """
     from ..io import open_csv
-    from ..io.tables.recording_toml import read_templates
 
-    templates = read_templates(template or [])
     out.check([output], _inside([folder]))
-    write_imported(open_csv(folder, outside=outside, templates=templates), output, out)
+    write_imported(open_csv(folder, outside=outside), output, out)
 
 
 def _inside(paths: Iterable[Path]) -> list[Path]:

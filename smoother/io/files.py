@@ -34,7 +34,15 @@ from .tables.imu import paired
 from .tables.markers import MARKER_FORMATS, read_markers
 from .tables.skeletons import PIXELS, SkeletonTable
 from .tables.table import Format, first_rows, read_head
-from .tables.times import Timed, check_one_session, count_from_zero, repaired_imu, repaired_skeleton, shifts
+from .tables.times import (
+    Timed,
+    check_one_session,
+    count_from_zero,
+    of_one_length,
+    repaired_imu,
+    repaired_skeleton,
+    shifts,
+)
 
 
 @dataclass(frozen=True)
@@ -44,6 +52,7 @@ class ImuFiles:
     paths: tuple[Path, ...]  # One file, or one of the accelerometer and one of the gyroscope
     name: str = ""  # As in recording.toml (`forearm_right`); "" leaves it to the motion
     sensor: str = ""  # Of a file that contains several sensors, the one to take; "" = all
+    formats: tuple[Format, ...] = ()  # How each file is read, where that is stated
 
 
 @dataclass
@@ -71,20 +80,25 @@ def import_files(
     one_session: bool = False,
     cameras: Sequence[str] = (),
     lenses: Mapping[str, CameraFile] | None = None,
+    formats: Sequence[Format] = (),  # How each skeleton's file is read, where that is stated
+    one_clock: bool = False,  # All streams are on one
+    one_recorder: bool = False,  # Has written what is equally long
 ) -> tuple[RecordingFile, list[FileReport]]:
     """Make a recording of device files."""
     if not skeletons and not imus:
         raise RecordingError("There is nothing to import: name files with --skeleton and --imu.")
     reader = reader or FileReader(imu_format, skeleton_format)
     reports: list[FileReport] = []
-    bodies = [_skeleton(reader, path, reports) for path in skeletons]
+    stated = [*formats, *[None] * len(skeletons)]
+    bodies = [_skeleton(reader, *each, reports) for each in zip(skeletons, stated, strict=False)]
     sensors = _named([row for files in imus for row in _sensors(reader, files, reports)])
     streams = [Timed(report.path, _all_times(tables), False, report.path) for tables, report in bodies]
     streams += [Timed(topic, times_of(table), True, report.path) for topic, table, report in sensors]
     if one_session:
         check_one_session(streams)
-    shift, sentences = shifts(streams, imu_starts_at_s)
-    if imu_starts_at_s is None and not sentences and count_from_zero(streams):
+    shift, sentences = shifts([] if one_clock else streams, imu_starts_at_s)
+    is_known = one_clock or imu_starts_at_s is not None or (one_recorder and of_one_length(streams))
+    if not is_known and not sentences and count_from_zero(streams):
         sentences = [
             "Camera and IMU both count from about zero, so only the motion shows their offset and whether"
             " they belong together (or --imu-starts-at S, if known)."
@@ -93,6 +107,7 @@ def import_files(
     first = skeletons[0] if skeletons else imus[0].paths[0]
     file = RecordingFile(first, notes=sentences)
     file.clocks_unrelated = imu_starts_at_s is None and bool(sentences)
+    shift = shift or [0.0] * len(streams)
     for number, (tables, report) in enumerate(bodies):
         name, is_flat = cameras[number] if number < len(cameras) else "", tables[0].units == PIXELS
         known = _known_lens(report.path, number, cameras, lenses or {}) if is_flat else None
@@ -123,10 +138,10 @@ def _known_lens(
 
 
 def _skeleton(
-    reader: FileReader, path: Path, reports: list[FileReport]
+    reader: FileReader, path: Path, stated: Format | None, reports: list[FileReport]
 ) -> tuple[list[SkeletonTable], FileReport]:
     """The bodies of a file with corrected times, and the report of it."""
-    importer = reader.format_of(path, "skeleton")
+    importer = stated or reader.format_of(path, "skeleton")
     tables = [t for t in reader.read(path, importer) if isinstance(t, SkeletonTable)]
     if not tables:
         raise RecordingError(f"{path} ({importer.title}) has no skeleton; name it with --imu alone.")
@@ -149,8 +164,9 @@ def _sensors(
 ) -> list[tuple[str, ImuSamples, FileReport]]:
     """The sensors of files that belong together, with corrected times, and the name that each is to have."""
     parts: list[ImuSamples] = []
-    for path in files.paths:
-        importer = reader.format_of(path, "imu")
+    stated = [*files.formats, *[None] * len(files.paths)]
+    for path, of in zip(files.paths, stated, strict=False):
+        importer = of or reader.format_of(path, "imu")
         tables = [t for t in reader.read(path, importer) if isinstance(t, ImuSamples)]
         if files.sensor:
             named = [_of_name(path, name.strip("# /"), tables) for name in files.sensor.split(",")]

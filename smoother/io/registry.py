@@ -125,7 +125,7 @@ class FileReader:
         try:
             tables = of.read(path)
         except RecordingError as error:
-            if missing := _missing(path, of.kind):
+            if not of.described and (missing := _missing(path, of.kind)):
                 raise _lacks(path, of, missing) from error
             raise
         except UnoccludeError:  # a package or a model that is not there is no fault of the file
@@ -137,7 +137,7 @@ class FileReader:
             ) from error
         if not tables:
             raise RecordingError(f"{path} ({of.title}) has no rows; export it again.")
-        if of not in self._templates and (missing := _missing(path, of.kind)):  # those name their columns
+        if not of.described and (missing := _missing(path, of.kind)):
             halves = [t for t in tables if isinstance(t, ImuSamples) and (t.acc is None or t.gyro is None)]
             if of.kind == "skeleton" or halves:
                 raise _lacks(path, of, missing)

@@ -44,7 +44,7 @@ from smoother.app.steps import (
 )
 from smoother.cli.app import app
 from smoother.errors import RecordingError, UnoccludeError
-from smoother.io import open_csv, open_recording
+from smoother.io import open_recording
 from smoother.io.registry import FileReader, format_named
 from smoother.io.tables.recording_toml import read_templates
 from smoother.io.tables.table import read_head
@@ -266,32 +266,21 @@ def test_a_template_that_cannot_be(tmp_path: Path, change: tuple[str, str], sent
         read_templates([tmp_path / "lab.toml"])
 
 
-def test_a_template_reads_the_tables_of_a_described_folder(tmp_path: Path, session_files: dict[str, Path]):
-    """`import csv --template`: recording.toml names the file, the template says what its columns are."""
+def test_a_template_reads_the_tables_that_have_its_columns(tmp_path: Path, session_files: dict[str, Path]):
     (tmp_path / "lab.toml").write_text(BLOCK)
     (template,) = templates = read_templates([tmp_path / "lab.toml"])
     table = own_table(tmp_path / "sensor.csv", session_files["imu"])
     assert template.recognises(read_head(table)) and not template.recognises(read_head(session_files["imu"]))
-    description = tmp_path / "recording.toml"
-    description.write_text('[imu.forearm_right]\nfile = "sensor.csv"\n')
     (theirs,) = FileReader().read(session_files["imu"], format_named("shimmer"))
-    with pytest.raises(RecordingError, match=r"sensor\.csv"):
-        open_csv(tmp_path)
-    (imu,) = open_csv(tmp_path, templates=templates).imus
-    assert imu.topic == "/imu/forearm_right"
+    reader = FileReader(templates=templates)
+    (imu,) = reader.read(table, reader.format_of(table, "imu"))
     assert np.allclose(imu.acc, theirs.acc) and np.allclose(imu.gyro, theirs.gyro)
     output, lab = str(tmp_path / "o.mcap"), str(tmp_path / "lab.toml")
-    words = ["import", "csv", str(tmp_path), "--template", lab, "-o", output]
+    words = ["import", "files", "--imu", str(table), "--template", lab, "-o", output]
     assert CliRunner().invoke(app, words).exit_code == 0 and open_recording(output).imus
     (tmp_path / "linked.mcap").hardlink_to(lab)
     refused = CliRunner().invoke(app, [*words[:-1], str(tmp_path / "linked.mcap"), "--force"])
     assert "is read by this command" in str(refused.exception) and Path(lab).read_text() == BLOCK
-    description.write_text(description.read_text() + 'gyroscope_unit = "mdps"\n')
-    (imu,) = open_csv(tmp_path, templates=templates).imus
-    assert np.allclose(1000 * imu.gyro, theirs.gyro), "what recording.toml says itself counts"
-    (tmp_path / "sensor.csv").unlink()
-    with pytest.raises(RecordingError, match=r"sensor\.csv does not exist"):
-        open_csv(tmp_path, templates=templates)
 
 
 #: A recovery of 33 s with measures, two at a time on a busy machine.

@@ -38,6 +38,11 @@ class TableKeys(BaseModel):
     time_unit: Literal["s", "ms", "us", "ns", "ticks of 100 ns", "days", "iso", "counter"] = "s"
     rate_hz: float | None = Field(None, gt=0)  # Of a table without times, or of a counter
 
+    @property
+    def is_plain(self) -> bool:
+        """Whether the file is one with the product's own columns."""
+        return not self.model_fields_set & (LAYOUT_KEYS | {"states"})
+
 
 class ImuKeys(TableKeys):
     """Files of an IMU; units count for all of them."""
@@ -54,8 +59,8 @@ class ImuKeys(TableKeys):
 
     @property
     def is_plain(self) -> bool:
-        """Whether the file is one with the product's own columns."""
-        return isinstance(self.file, str) and not self.model_fields_set & LAYOUT_KEYS
+        """As of any table; there is one file."""
+        return isinstance(self.file, str) and super().is_plain
 
 
 class CameraKeys(TableKeys):
@@ -91,8 +96,8 @@ class CameraKeys(TableKeys):
 
     @property
     def is_plain(self) -> bool:
-        """Whether the file is a skeleton with the product's own columns."""
-        return self.keypoints is None and not self.model_fields_set & (LAYOUT_KEYS | {"states"})
+        """As of any table; it is a skeleton."""
+        return self.keypoints is None and super().is_plain
 
 
 def _laid_out(path: Path, keys: TableKeys, strict: bool, expected: str = "") -> DeviceTable:
@@ -183,20 +188,17 @@ def _times(
 IMU_COLUMNS = ("t", "ax", "ay", "az", "gx", "gy", "gz", "mx", "my", "mz")
 
 
-def read_imu_columns(folder: Path, keys: ImuKeys) -> list[ImuSamples]:
-    """The tables of an IMU, one per file, in SI units."""
-    files = keys.files
-    given = keys.columns if isinstance(keys.columns, list) else [keys.columns or {}] * len(files)
-    if len(given) != len(files):
+def read_imu_columns(path: Path, keys: ImuKeys, number: int = 0) -> ImuSamples:
+    """The table of an IMU's file, in SI units; of several files of a section the one of that number."""
+    files, given = keys.files, keys.columns
+    if isinstance(given, list) and len(given) != len(files):
         raise RecordingError(
-            f"{folder}/recording.toml: {len(files)} files have {len(given)} tables of columns; give one each."
+            f"{path.parent}/recording.toml: {len(files)} files have {len(given)} tables of columns; give one"
+            " each."
         )
-    tables = []
-    for file, columns in zip(files, given, strict=True):
-        _refuse_others(folder / file, columns, IMU_COLUMNS)
-        table = _laid_out(folder / file, keys, keys.is_plain)
-        tables.append(imu_by_columns(table, columns, keys, len(files) > 1))
-    return tables
+    columns = given[number] if isinstance(given, list) else given or {}
+    _refuse_others(path, columns, IMU_COLUMNS)
+    return imu_by_columns(_laid_out(path, keys, keys.is_plain), columns, keys, len(files) > 1)
 
 
 def imu_by_columns(
@@ -234,7 +236,7 @@ def imu_by_columns(
 def read_imu_table(path: str | os.PathLike[str], name: str) -> ImuStream:
     """Read `t_s, ax, ay, az, gx, gy, gz [, mx, my, mz]`: s, m/s^2, rad/s, any unit for the field."""
     path = Path(path)
-    (table,) = read_imu_columns(path.parent, ImuKeys.model_validate({"file": path.name}))
+    table = read_imu_columns(path, ImuKeys.model_validate({"file": path.name}))
     assert table.t_s is not None and table.acc is not None and table.gyro is not None
     if len(table) < 2 or not (np.diff(table.t_s) > 0).all():
         raise RecordingError(f"{path}: t_s must increase from row to row and have at least two rows.")

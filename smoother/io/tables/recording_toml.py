@@ -18,21 +18,22 @@ it by the table's columns:
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Annotated, Any, TypeVar
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
+from calib.intrinsics import CameraFile, Intrinsics
+
 from ...array_types import FloatArray
 from ...errors import RecordingError
 from ...runtime.inputs import check_input, inside, read_toml
-from ..files import add_imu, add_skeleton, times_of
+from ..files import ImuFiles, import_files
 from ..mcap.messages import nanoseconds
 from ..recording.keypoints import direction_of, lens_from_plain
-from ..recording.streams import ImuSamples, KnownLens, PoseSamples, RecordingFile
+from ..recording.streams import ImuSamples, PoseSamples, RecordingFile
 from ..registry import FileReader, recognise
 from .columns import (
     LAYOUT_KEYS,
@@ -44,10 +45,8 @@ from .columns import (
     read_keypoint_columns,
     read_skeleton_columns,
 )
-from .imu import paired
 from .skeletons import SkeletonTable
 from .table import Format, Tables, read_head, shown
-from .times import Timed, count_from_zero, of_one_length, repaired_imu, repaired_skeleton, shifts
 from .units import ACCELERATION, ANGULAR_VELOCITY, METRES
 
 _LAST_S = 9.2e9  # beyond it, nanoseconds do not fit into 64 bits
@@ -126,20 +125,12 @@ class _Written(_Strict):
     camera: dict[str, Any] | None = None
 
 
-@dataclass(frozen=True)
-class TableTemplate(Format):
-    """The format of one layout, as a template describes it."""
-
-    path: Path  # The template
-    keys: dict[str, Any]  # Of recording.toml's section, without the file
-
-
-def read_templates(paths: Sequence[Path]) -> list[TableTemplate]:
+def read_templates(paths: Sequence[Path]) -> list[Format]:
     """The templates of files."""
     return [_template(path) for path in paths]
 
 
-def _template(path: Path) -> TableTemplate:
+def _template(path: Path) -> Format:
     written = _checked(path, _Written, _toml(path, "; check the name."))
     if (written.imu is None) == (written.camera is None):
         raise RecordingError(f"{path}: a template describes one table: give [imu] or [camera].")
@@ -156,36 +147,19 @@ def _template(path: Path) -> TableTemplate:
     def read(file: Path) -> Tables:
         own = of(file.name)
         if isinstance(own, ImuKeys):
-            return read_imu_columns(file.parent, own)
+            return [read_imu_columns(file, own)]
         return read_skeleton_columns(file, own)
 
     of("")  # refused now rather than at the first file
-    return TableTemplate(
+    return Format(
         f"template:{path.stem}",
         written.template.title or path.stem,
         "imu" if written.camera is None else "skeleton",
         f"the columns {shown(', '.join(names), 120)}" if names else f"{width} columns",
         lambda head: head.table is not None and (head.table.names, head.table.width) == (names, width),
         read,
-        path,
-        keys,
+        described=True,
     )
-
-
-Keys = TypeVar("Keys", ImuKeys, CameraKeys)
-
-
-def _with_template(keys: Keys, folder: Path, templates: Sequence[TableTemplate]) -> Keys:
-    """A section of recording.toml without its table's columns, with a template for that table."""
-    kind, name = ("imu", keys.file) if isinstance(keys, ImuKeys) else ("skeleton", keys.skeleton)
-    if not templates or not isinstance(name, str) or not keys.is_plain:
-        return keys
-    head = read_head(folder / name)
-    own = next((each for each in templates if each.kind == kind and each.recognises(head)), None)
-    if own is None:
-        return keys
-    section = "imu." if kind == "imu" else "camera."
-    return _checked(own.path, type(keys), {**own.keys, **keys.model_dump(exclude_unset=True)}, section)
 
 
 def template_text(
@@ -202,31 +176,54 @@ def template_text(
 # ----------------------------------------------------------------------------------------------- the folder
 
 
-def open_csv(
-    folder: str | os.PathLike[str], *, outside: bool = False, templates: Sequence[TableTemplate] = ()
-) -> RecordingFile:
+def open_csv(folder: str | os.PathLike[str], *, outside: bool = False) -> RecordingFile:
     """Read all streams of a folder of plain files, for `write_recording` or `select_recordings`."""
     folder = Path(folder)
     if folder.name == "recording.toml" and folder.is_file():  # as shells complete it
         folder = folder.parent
     description = read_description(folder)
     _check_places(folder, description, outside)
-    imus = {name: _with_template(keys, folder, templates) for name, keys in description.imu.items()}
-    camera = description.camera and _with_template(description.camera, folder, templates)
-    file, toml = RecordingFile(folder), folder / "recording.toml"
+    toml, camera = folder / "recording.toml", description.camera
+    cameras = {**({} if camera is None else {"": camera}), **description.cameras}
+    if cameras.keys() == {""} and cameras[""].file is None:
+        cameras = {}  # IMUs alone can still be calibrated
+    lenses, of_cameras, files = {}, [], []
+    for name, keys in cameras.items():
+        section = f"camera.{shown(name, 40)}" if name else "camera"
+        if keys.file is None:
+            raise RecordingError(
+                f"{toml}: [{section}] names no skeleton; give skeleton or keypoints = a file."
+            )
+        if name and any(mark in name for mark in "/\\ "):
+            raise RecordingError(f"{toml}: [{section}] is not a camera's name; use letters and digits.")
+        if keys.keypoints is not None:
+            lenses[name] = CameraFile(_lens(keys, toml, section))
+        of_cameras.append(_camera_format(keys, toml, section))
+        files.append(folder / keys.file)
+    imus = [
+        ImuFiles(
+            tuple(folder / file for file in keys.files),
+            name,
+            formats=tuple(_imu_format(keys, name, number) for number in range(len(keys.files))),
+        )
+        for name, keys in description.imu.items()
+    ]
+    all_keys: list[TableKeys] = [*description.imu.values(), *([camera] if camera else [])]
+    described = [keys for keys in all_keys if not keys.is_plain]
+    file, _ = import_files(
+        files,
+        imus,
+        formats=of_cameras,
+        cameras=list(cameras),
+        lenses=lenses,
+        one_clock=not described,  # as the product's own tables have
+        one_recorder=True,
+    )
+    file.path = folder
+    # what is counted at a rate has no clock at all
+    file.clocks_unrelated |= any(keys.rate_hz is not None for keys in described)
     if camera is not None:
-        file.camera_frame, file.gravity_hint = camera.frame, _down(camera.gravity, folder, "camera")
-    _add_streams(file, folder, camera, imus)
-    for name, further in description.cameras.items():
-        if further.file is None:
-            raise RecordingError(
-                f"{toml}: [camera.{name}] names no skeleton; give skeleton or keypoints = a file."
-            )
-        if not name or any(mark in name for mark in "/\\ "):
-            raise RecordingError(
-                f"{toml}: [camera.{shown(name, 40)}] is not a camera's name; use letters and digits."
-            )
-        _add_camera(file, folder, name, further, _bodies(file, folder / further.file, further))
+        file.camera_frame, file.gravity_hint = camera.frame, _down(camera.gravity, toml, "camera")
     if description.truth is not None:
         file.poses.append(read_pose_table(folder / description.truth.file))
     return file
@@ -258,72 +255,22 @@ def _check_places(folder: Path, description: _Description, outside: bool) -> Non
         check_input(folder / name, RecordingError)
 
 
-def _down(gravity: list[float] | None, folder: Path, section: str) -> FloatArray | None:
+def _down(gravity: list[float] | None, toml: Path, section: str) -> FloatArray | None:
     """The direction of down that a section of recording.toml states."""
     try:
         return None if gravity is None else direction_of(gravity)
     except ValueError as error:
         raise RecordingError(
-            f"{folder}/recording.toml: [{section}] {error}; give the direction of down, as in [0, -1, 0]."
+            f"{toml}: [{section}] {error}; give the direction of down, as in [0, -1, 0]."
         ) from None
 
 
-def _add_camera(
-    file: RecordingFile,
-    folder: Path,
-    name: str,  # "" of the first camera
-    keys: CameraKeys,
-    bodies: list[SkeletonTable],
-    shift_s: float = 0.0,
-) -> None:
-    """A camera's bodies; further cameras are on their own clocks and in their own frames."""
-    section = f"camera.{name}" if name else "camera"
-    bodies[0].gravity_hint = _down(keys.gravity, folder, section)
-    known = _known_lens(keys, folder, section)
-    add_skeleton(file, bodies, str(folder), shift_s, int(bool(name)), name, known)
+def _imu_format(keys: ImuKeys, name: str, number: int) -> Format:
+    """How a file of a section is read; its units count for files of other kinds as well."""
 
-
-def _add_streams(
-    file: RecordingFile, folder: Path, camera: CameraKeys | None, imus: dict[str, ImuKeys]
-) -> None:
-    """The first camera and the IMUs, their times corrected, on one clock."""
-    bodies: list[SkeletonTable] = []
-    if camera is not None and camera.file is not None:  # IMUs alone can still be calibrated
-        bodies = _bodies(file, folder / camera.file, camera)
-    sensors = {}
-    for name, keys in imus.items():
-        source = f"[imu.{name}] of {folder / 'recording.toml'}"
-        sensors[name] = paired([repaired_imu(each, source) for each in _sensors(folder, name, keys)], source)
-        file.notes += [f"imu.{name}: {note}" for note in sensors[name].notes]
-    shift = [0.0] * (len(bodies) + len(sensors))
-    all_keys: list[ImuKeys | CameraKeys] = [*imus.values(), *([camera] if camera else [])]
-    described = [keys for keys in all_keys if not keys.is_plain]
-    if described:  # the product's own tables have one clock
-        streams = [Timed(table.units, times_of(table), False) for table in bodies]
-        streams += [Timed(f"imu.{name}", times_of(table), True) for name, table in sensors.items()]
-        shift, sentences = shifts(streams)
-        file.notes += sentences
-        if own_starts := count_from_zero(streams) and not of_one_length(streams):
-            file.notes.append(
-                "Camera and IMU both count from about zero and differ in length, so only the motion shows"
-                " their offset and whether they belong together."
-            )
-        # what is counted at a rate has no clock at all
-        counted = any(keys.rate_hz is not None for keys in described)
-        file.clocks_unrelated = bool(sentences) or own_starts or counted
-    if camera is not None and bodies:
-        _add_camera(file, folder, "", camera, bodies, shift[0])
-    for (name, table), moved_s in zip(sensors.items(), shift[len(bodies) :], strict=True):
-        add_imu(file, f"/imu/{name}", table, str(folder), moved_s)
-
-
-def _sensors(folder: Path, name: str, keys: ImuKeys) -> list[ImuSamples]:
-    """The tables of a section, whose units count for files of other kinds as well."""
-    files = [folder / file for file in keys.files]
-    if not any(map(_is_container, files)):
-        return read_imu_columns(folder, keys)
-    parts: list[ImuSamples] = []
-    for path in files:
+    def read(path: Path) -> Tables:
+        if not _is_container(path):
+            return [read_imu_columns(path, keys, number)]
         tables = [table for table in _contained(path, "imu", keys) if isinstance(table, ImuSamples)]
         named = [table for table in tables if name == table.topic.rpartition("/")[2]]
         if len(tables) > 1 and len(named) != 1:
@@ -332,45 +279,56 @@ def _sensors(folder: Path, name: str, keys: ImuKeys) -> list[ImuSamples]:
                 f"{path} contains {len(tables)} sensors ({listed}); take one with `unocclude import files"
                 f" --imu {name}={path}#{tables[0].topic}`."
             )
-        parts += named if len(tables) > 1 else tables
-    for table in parts:
-        units = table.units.split(", ")
-        if table.acc is not None and "accelerometer_unit" in keys.model_fields_set:
-            table.acc = table.acc * (ACCELERATION[keys.accelerometer_unit] / ACCELERATION[units[0]])
-        if table.gyro is not None and "gyroscope_unit" in keys.model_fields_set:
-            table.gyro = table.gyro * (ANGULAR_VELOCITY[keys.gyroscope_unit] / ANGULAR_VELOCITY[units[-1]])
-    return parts
-
-
-def _bodies(file: RecordingFile, path: Path, keys: CameraKeys) -> list[SkeletonTable]:
-    """The bodies of a section's file with corrected times, in metres; of keypoints u, v and score."""
-    if keys.keypoints is not None:
-        tables = read_keypoint_columns(path, keys)
-    elif not _is_container(path):
-        tables = read_skeleton_columns(path, keys)
-    else:
-        tables = [table for table in _contained(path, "skeleton", keys) if isinstance(table, SkeletonTable)]
-        if not tables:
-            raise RecordingError(f"{path} has no skeleton; name the camera's file.")
+        tables = named if len(tables) > 1 else tables
         for table in tables:
-            if "position_unit" in keys.model_fields_set:
-                factor = METRES[keys.position_unit] / METRES.get(table.units, 1.0)
-                table.position = {joint: place * factor for joint, place in table.position.items()}
-            table.frame = keys.frame
-    tables = [repaired_skeleton(table, str(path)) for table in tables]
-    file.notes += [f"{path.name}: {note}" for note in dict.fromkeys(n for t in tables for n in t.notes)]
-    return tables
+            units = table.units.split(", ")
+            if table.acc is not None and "accelerometer_unit" in keys.model_fields_set:
+                table.acc = table.acc * (ACCELERATION[keys.accelerometer_unit] / ACCELERATION[units[0]])
+            if table.gyro is not None and "gyroscope_unit" in keys.model_fields_set:
+                table.gyro = table.gyro * (
+                    ANGULAR_VELOCITY[keys.gyroscope_unit] / ANGULAR_VELOCITY[units[-1]]
+                )
+        return tables
+
+    return _section(f"imu.{name}", "imu", read, number)
 
 
-def _known_lens(keys: CameraKeys, folder: Path, section: str) -> KnownLens | None:
+def _section(name: str, kind: str, read: Callable[[Path], Tables], number: int = 0) -> Format:
+    """The format of a file that a section describes."""
+    title = f"[{name}] of recording.toml"
+    return Format(f"{name} {number}", title, kind, title, lambda head: False, read, described=True)
+
+
+def _camera_format(keys: CameraKeys, toml: Path, section: str) -> Format:
+    """How the bodies of a section's file are read: in metres; of keypoints u, v and score."""
+
+    def read(path: Path) -> Tables:
+        if keys.keypoints is not None:
+            tables = read_keypoint_columns(path, keys)
+        elif not _is_container(path):
+            tables = read_skeleton_columns(path, keys)
+        else:
+            tables = [t for t in _contained(path, "skeleton", keys) if isinstance(t, SkeletonTable)]
+            if not tables:
+                raise RecordingError(f"{path} has no skeleton; name the camera's file.")
+            for table in tables:
+                if "position_unit" in keys.model_fields_set:
+                    factor = METRES[keys.position_unit] / METRES.get(table.units, 1.0)
+                    table.position = {joint: place * factor for joint, place in table.position.items()}
+                table.frame = keys.frame
+        tables[0].gravity_hint = _down(keys.gravity, toml, section)
+        return tables
+
+    return _section(section, "skeleton", read)
+
+
+def _lens(keys: CameraKeys, toml: Path, section: str) -> Intrinsics:
     """The lens of a section with keypoints."""
-    if keys.keypoints is None:
-        return None
     try:
-        return KnownLens(lens_from_plain(keys.intrinsics or {}))
+        return lens_from_plain(keys.intrinsics or {})
     except (ValueError, TypeError, KeyError) as error:
         raise RecordingError(
-            f"{folder / 'recording.toml'}: [{section}] intrinsics are not whole ({error}); keypoints need"
+            f"{toml}: [{section}] intrinsics are not whole ({error}); keypoints need"
             " intrinsics = {width, height, fx, fy, cx, cy [, k1, k2, p1, p2, k3]}."
         ) from error
 

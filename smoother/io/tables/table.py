@@ -79,6 +79,7 @@ class Format:
     recognised_by: str  # What in a file gives it away, for `unocclude import formats`
     recognises: Callable[[FileHead], bool]  # Never raises
     read: Callable[[Path], Tables]  # Reads the whole file
+    described: bool = False  # By a person, who named the columns: others are not missed
 
 
 def begins(*marks: bytes) -> Callable[[FileHead], bool]:
