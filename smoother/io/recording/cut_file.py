@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import json
 import math
 import os
@@ -22,7 +21,7 @@ from ...runtime.outputs import writing
 from ..mcap.container import Container
 from ..mcap.merge import Output
 from ..mcap.messages import Messages
-from ..tables.table import file_text
+from ..tables.columns import read_exact
 from .choose import Selection
 from .read import METADATA, RESULT_PREFIX, open_recording, select_recordings
 
@@ -151,48 +150,28 @@ _LONGEST_NAME = 100
 
 def read_trials(path: Path, folder: Path, labels: Sequence[str] = ()) -> list[Part]:
     """The trials of a CSV table with the columns name, start_s, end_s and, optionally, label."""
-    head, *_ = rows = file_text(path).splitlines() or [""]
-    mark = next((mark for mark in ";\t" if mark in head), ",")
-    lines = csv.DictReader(rows, delimiter=mark, skipinitialspace=True)
-    found = [(name or "").strip() for name in lines.fieldnames or ()]
-    lines.fieldnames = found
-    if missing := [name for name in COLUMNS if name not in found]:
-        raise RecordingError(
-            f"{path}: the column {missing[0]} is missing; trials have name, start_s, end_s and, if you like,"
-            f" label; the table has {', '.join(found) or 'no line'}"
-        )
-    trials = [_trial(f"{path}, line {lines.line_num}", row) for row in lines if any(row.values())]
-    chosen = [trial[1:] for trial in trials if not labels or {*trial[:2]} & set(labels)]
+    numbers, words = read_exact(path, COLUMNS, ("label",), words=("name", "label"), separator=None)
+    names, times = words["name"], (numbers[column].tolist() for column in COLUMNS[1:])
+    trials = list(zip(names, words.get("label", names), *times, strict=True))
+    for row, (name, _, start_s, end_s) in enumerate(trials, 1):
+        if not name or len(name) > _LONGEST_NAME or _FORBIDDEN & set(name) or name.strip(".") == "":
+            raise RecordingError(
+                f"{path}, row {row}: '{name[:_LONGEST_NAME]}' is not a valid file name; name every trial by"
+                " letters, numbers, spaces and dashes"
+            )
+        if not start_s < end_s:
+            raise RecordingError(f"{path}, row {row}: {name} ends at {end_s:g} s, before it starts")
+    chosen = [each for each in trials if not labels or {*each[:2]} & set(labels)]
     if not chosen:
-        there = ", ".join(dict.fromkeys(label or name for label, name, *_ in trials))
-        wanted = f" with the label {', '.join(labels)}" if labels else ""
-        raise RecordingError(f"{path}: there is no trial{wanted}; the table has {there or 'none'}")
+        there = ", ".join(dict.fromkeys(label or name for name, label, *_ in trials))
+        raise RecordingError(
+            f"{path}: there is no trial with the label {', '.join(labels)}; the table has {there}"
+        )
     keys = [name.casefold() for name, *_ in chosen]
     taken, parts = set(keys), []
-    for (name, start_s, end_s), key in zip(chosen, keys, strict=True):  # those with one name are numbered
+    for (name, _, start_s, end_s), key in zip(chosen, keys, strict=True):  # those with one name are numbered
         if keys.count(key) > 1:
             name = next(new for k in count(1) if (new := f"{name}_{k}").casefold() not in taken)
             taken.add(name.casefold())
         parts.append(Part(name, folder / f"{name}.mcap", start_s, end_s))
     return parts
-
-
-def _trial(place: str, row: dict[str, str]) -> tuple[str, str, float, float]:
-    """Label ("" for none), name, start and end of a row."""
-    name = (row["name"] or "").strip()
-    if not name or len(name) > _LONGEST_NAME or _FORBIDDEN & set(name) or name.strip(".") == "":
-        raise RecordingError(
-            f"{place}: '{name[:_LONGEST_NAME]}' is not a valid file name; name every trial by"
-            " letters, numbers, spaces and dashes"
-        )
-    times = []
-    for column in COLUMNS[1:]:
-        try:
-            times.append(float((row[column] or "").strip().replace(",", ".")))
-        except ValueError:
-            times.append(math.nan)
-        if not math.isfinite(times[-1]):
-            raise RecordingError(f"{place}: {column} of {name} is not a number of seconds")
-    if not times[0] < times[1]:
-        raise RecordingError(f"{place}: {name} ends at {times[1]:g} s, before it starts")
-    return (row.get("label") or "").strip(), name, times[0], times[1]

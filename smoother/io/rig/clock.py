@@ -141,25 +141,20 @@ def _tracks(blocks: list[Block], source: str) -> list[Track]:
 
 
 COLUMNS = ("round", "node", "t_s")
-#: Times that mean "not received", in lower case.
-MISSED = ("", "nan", "na", "n/a", "none", "null", "-")
 
 
 def read_broadcast(path: str | os.PathLike[str], resolution_s: float) -> Receptions:
     """Read who received which broadcast when."""
     path = Path(path)
-    _, texts = read_exact(path, COLUMNS, words=COLUMNS)
+    numbers, texts = read_exact(path, COLUMNS, words=COLUMNS[:2], empty=COLUMNS[2:])
     rounds: dict[str, int] = {}
     rows: dict[tuple[int, str], tuple[int, float]] = {}  # row and time by round and node
-    for row, (of_round, name, text) in enumerate(zip(*(texts[each] for each in COLUMNS), strict=True), 1):
-        if text.lower() in MISSED and name:
-            continue  # not received
-        try:
-            time = float(text)
-        except ValueError:
-            time = np.nan
-        if not name or not np.isfinite(time) or not of_round:
+    received = zip(texts["round"], texts["node"], numbers["t_s"].tolist(), strict=True)
+    for row, (of_round, name, time) in enumerate(received, 1):
+        if not name or not of_round:
             raise RecordingError(f"{path}, row {row}: round, node and a time in seconds are needed.")
+        if np.isnan(time):
+            continue  # not received
         first, _ = rows.setdefault((rounds.setdefault(of_round, len(rounds)), name), (row, time))
         if first != row:
             raise RecordingError(

@@ -388,9 +388,10 @@ def read_exact(
     *,
     words: Sequence[str] = (),
     empty: Sequence[str] = (),
+    separator: str | None = ",",  # None looks for it
 ) -> tuple[dict[str, FloatArray], dict[str, list[str]]]:  # numbers dict of (n,), texts
     """The named columns of a table whose first line is a header; a cell that is no number is refused."""
-    path, keys = Path(path), TableKeys(separator=",", skip_rows=0, rate_hz=None)
+    path, keys = Path(path), TableKeys(separator=separator, skip_rows=0, rate_hz=None)
     table = _laid_out(path, keys, True, f"a table of {', '.join(required)}")
     missing = [name for name in required if name not in table.names]
     if len(missing) == len(required):  # another kind of file, whose first line may be private
