@@ -19,6 +19,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any, TypeVar
 
@@ -139,26 +140,18 @@ def _template(path: Path) -> Format:
     if width < 1 or (names and width != len(names)):
         raise RecordingError(f"{path}: [template] names lists the table's columns, or width counts them.")
 
-    def of(name: str) -> ImuKeys | CameraKeys:
-        if written.camera is None:
-            return _checked(path, ImuKeys, {**keys, "file": name}, "imu.")
-        return _checked(path, CameraKeys, {**keys, "skeleton": name}, "camera.")
-
-    def read(file: Path) -> Tables:
-        own = of(file.name)
-        if isinstance(own, ImuKeys):
-            return [read_imu_columns(file, own)]
-        return read_skeleton_columns(file, own)
-
-    of("")  # refused now rather than at the first file
-    return Format(
-        f"template:{path.stem}",
-        written.template.title or path.stem,
-        "imu" if written.camera is None else "skeleton",
-        f"the columns {shown(', '.join(names), 120)}" if names else f"{width} columns",
-        lambda head: head.table is not None and (head.table.names, head.table.width) == (names, width),
-        read,
-        described=True,
+    if written.camera is None:
+        of = _imu_format(_checked(path, ImuKeys, {**keys, "file": ""}, "imu."), path.stem)
+    else:
+        of = _camera_format(_checked(path, CameraKeys, {**keys, "skeleton": ""}, "camera."), path, "camera")
+    return replace(
+        of,
+        key=f"template:{path.stem}",
+        title=written.template.title or path.stem,
+        recognised_by=f"the columns {shown(', '.join(names), 120)}" if names else f"{width} columns",
+        recognises=lambda head: (
+            head.table is not None and (head.table.names, head.table.width) == (names, width)
+        ),
     )
 
 
@@ -265,7 +258,7 @@ def _down(gravity: list[float] | None, toml: Path, section: str) -> FloatArray |
         ) from None
 
 
-def _imu_format(keys: ImuKeys, name: str, number: int) -> Format:
+def _imu_format(keys: ImuKeys, name: str, number: int = 0) -> Format:
     """How a file of a section is read; its units count for files of other kinds as well."""
 
     def read(path: Path) -> Tables:
