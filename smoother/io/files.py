@@ -183,7 +183,7 @@ def _sensors(
     if len(files.paths) > 1 or not whole:
         joined = paired(parts, source)
         told = {note for part in parts for note in part.notes}
-        report.notes += [f"{report.path}: {note}" for note in joined.notes if note not in told]
+        report.notes += [f"{path.name}: {note}" for note in joined.notes if note not in told]
         return [(files.name, joined, report)]
     if files.name and len(whole) > 1:
         listed = ", ".join(table.topic for table in whole)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
-from dataclasses import fields, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -21,8 +21,7 @@ from smoother.io.mcap.merge import repair_container
 from smoother.io.mcap.messages import nanoseconds
 from smoother.io.recording.streams import ArmFrames, ImuSamples, RecordingFile
 from smoother.io.tables.markers import read_markers
-from smoother.recording import JOINTS
-from smoother.result import Estimates, Recovery
+from smoother.result import Recovery
 
 few = settings(max_examples=15, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 #: What may be in a name: no surrogates, which are not text.
@@ -78,23 +77,6 @@ def test_markers(tmp_path: Path, position: np.ndarray, data: st.DataObject):
         back = read_markers(tmp_path / f"a.{suffix}")
         assert list(back.names) == names and abs(back.rate_hz - rate) < 1e-5
         np.testing.assert_allclose(back.position, position, **errors)
-
-
-known = sorted({each.name for each in fields(Estimates)} - {"further"})
-values = st.none() | st.booleans() | st.integers(-(2**53), 2**53) | st.floats(allow_nan=False) | words
-values = st.recursive(
-    values,
-    lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.sampled_from(JOINTS), inner, max_size=3),
-    max_leaves=8,
-)
-
-
-@pytest.mark.slow
-@given(st.dictionaries(st.sampled_from([*known, "else"]), values, max_size=6))
-def test_estimates_whatever_a_file_states(plain: dict):
-    """Nothing is lost; an empty list says the same as none."""
-    empty = [name for name in plain if plain[name] == [] and getattr(Estimates(), name, None) == ()]
-    assert Estimates.from_plain(plain).plain() == {name: plain[name] for name in plain if name not in empty}
 
 
 @st.composite
