@@ -144,8 +144,9 @@ GRAVITY_DEG = 60.0
 #: A frame (or one axis) fits where its down is nearer to gravity than this, degrees: cameras tilt a little.
 FRAME_DEG = 40.0
 #: Where the camera sees a joint, the answer is nearer than this in half of the frames, m: simulated arms stay
-#: below 0.03, Kinect v1 with synthetic stamps below 0.08 (some above 0.05), wrong set-ups begin at 0.1.
-NEAR_M, FAR_M = 0.05, 0.08
+#: below 0.03, the wrists of simulated Azure Kinects (54 mm rms) below 0.055, Kinect v1 with synthetic stamps
+#: below 0.08, wrong set-ups begin at 0.1.
+NEAR_M, FAR_M = 0.06, 0.08
 #: A joint's own noise is less, m per axis.
 JOINT_SIGMA_M = 0.05
 #: Where more of the tracked samples are rejected, camera and IMU contradict each other.
