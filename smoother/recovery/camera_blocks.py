@@ -38,8 +38,8 @@ SUSPICIOUS = 3.0
 #: steps of this length, s.
 REJECTED_SHARE, REJECTED_S, STEP_S = 0.5, 2.0, 0.5
 #: .. and elbow or wrist lies this many of the camera's sigmas off there in the mean: the slow errors of sound
-#: simulated Azure Kinects (54 mm at the wrist) reached 3.5 in 10 minutes, bodies of others 4 to 50.
-REJECTED_SIGMAS = 4.0
+#: simulated Azure Kinects (54 mm at the wrist) reached 4.2 in 5 hours, bodies of others 5 to 50.
+REJECTED_SIGMAS = 4.5
 #: Times that the recording is solved again without what is left out.
 ROUNDS = 3
 #: What the camera saw this long before and after a suspect, s, goes with it until it is predicted.
