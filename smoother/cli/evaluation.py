@@ -73,7 +73,6 @@ def validate(
         o.File, o.value("CAL.toml", "[camera_from_mocap]; else aligned by motion.")
     ] = None,
     align: o.Align = False,
-    pool: Annotated[o.Files, o.value("FILE.json", "Add the measures of an earlier --json file.")] = None,
     verbose: o.Verbose = False,
     report: o.Report = None,
     processes: o.Processes = None,
@@ -85,12 +84,10 @@ def validate(
 
     Example: unocclude validate out.mcap --truth trial.c3d --markers map.toml --calibration rig.toml
     """
-    from ..evaluation.measure_agreement import read_pairs, unique_pairs
     from ..evaluation.reference import read_reference
     from ..evaluation.validate import validate
     from ..io.mcap.messages import damage
 
-    pooled = unique_pairs(pair for path in pool or () for pair in read_pairs(path))
     recoveries = arms.load(result)
     refuse_several(recoveries, truth)
     axes = camera_frame_of(result)
@@ -101,9 +98,7 @@ def validate(
             truth, recovery, markers=markers, calibration=calibration, camera_frame=frame, align=align
         )
         with progress_bar("measuring") as progress:
-            validation = validate(recovery, own, alignment, pooled, processes or 0, progress)
-        if validation.measures is not None:
-            pooled = validation.measures.together
+            validation = validate(recovery, own, alignment, True, processes or 0, progress)
         results.append((recovery, validation, own))
     if report is not None:
         from ..report import write_report
@@ -123,9 +118,8 @@ def validate(
 
 def print_validation(validation: Validation, verbose: bool = False) -> None:
     """Print the figures of a validation: what matters in 40 lines, or all of them."""
-    from ..evaluation.measure_agreement import agreement_table, pair_table
+    from ..evaluation.measure_agreement import pair_table
     from ..evaluation.validate import SENSOR
-    from ..evaluation.words import first_of
 
     for table in (validation.errors, validation.angle_errors):
         few = [row for row in table.rows if row[1] != "visible" or row[0] == SENSOR]
@@ -135,11 +129,9 @@ def print_validation(validation: Validation, verbose: bool = False) -> None:
             say(f"bias of the position, x y z of the camera, cm: {' '.join(f'{100 * x:+.2f}' for x in bias)}")
         if (lag_s := validation.lag_s) is not None:
             say(f"lag of the answer behind the truth: {1000 * lag_s:+.1f} ms (peak of cross-correlation)")
-    if (comparison := validation.measures) is not None:
-        chosen = None if verbose else first_of([pair.key for pair in comparison.pairs], FEW_MEASURES)
-        show(pair_table(validation.alignment.titled("Measures of the session"), comparison, chosen))
-        title = "Agreement of the measures (answer minus truth) over recordings"
-        show(agreement_table(validation.alignment.titled(title), comparison, chosen))
+    if validation.measures is not None:
+        title = validation.alignment.titled("Measures of the session")
+        show(pair_table(title, validation.measures, None if verbose else FEW_MEASURES))
     print_notes(validation.notes if verbose else validation.notes[:FEW_NOTES])
     if not verbose:
         say("--verbose prints every part, measure and note; --json has every gap too")
@@ -258,7 +250,8 @@ def gaps(
     from calib.file import read_calibration
     from calib.sigma_factor import factor_sentences
 
-    from ..evaluation.gaps import compare_real_gaps, evaluate_gaps, pooled
+    from ..evaluation.gaps import evaluate_gaps, pooled
+    from ..evaluation.words import said
     from ..recording import arm_words
     from .config import with_processes
 
@@ -294,16 +287,15 @@ def gaps(
     evaluated, left_out = each_arm("hiding and recovering", [one for one, _ in arms], hide_and_recover)
     recordings, tables = [recording for recording, _ in evaluated], [own for _, own in evaluated]
     table = pooled(tables)
-    real = compare_real_gaps(recordings, table)
     factors = table.sigma_factors(GRAPH)
     notes = [*left_out, *(note for recording in recordings for note in recording.notes), *table.notes]
-    sentences = [*factor_sentences(factors), real["sentence"]]
+    sentences = [*factor_sentences(factors), said("gaps", "easier")]
     if report is not None:
         from ..report.pages import gap_curves_page
 
         name = ", ".join(recording.name for recording in recordings)
         gap_curves_page(table, name, (*sentences, *notes)).write(report, out.force)
-    figures = table.to_dict() | {"real_gaps": real, "notes": list(dict.fromkeys(notes))}
+    figures = table.to_dict() | {"notes": list(dict.fromkeys(notes))}
     by_arm: dict[tuple[str, int | None], list[GapTable]] = {}  # of all recordings together
     for recording, own in evaluated if len(arms) > len(loaded) else ():
         by_arm.setdefault((recording.side, recording.body), []).append(own)
@@ -506,10 +498,7 @@ _sessions = (
     "Person and date of each recording: file, person, session or date [, task]; without it they are taken"
     " from folders: PERSON/SESSION.mcap or PERSON/SESSION/TASK.mcap."
 )
-_changes = (
-    "Minimal detectable changes: what `validate --json` or `progress --reliability --json` wrote, or a .toml"
-    " with [mdc95]."
-)
+_changes = "Minimal detectable changes: what `progress --reliability --json` wrote, or a .toml with [mdc95]."
 
 
 def progress(
@@ -530,11 +519,11 @@ def progress(
 
     Example: unocclude progress recovered --person p12 --report p12.html
     """
-    from ..evaluation.measure_agreement import read_detectable
     from ..evaluation.progress import (
         CSV_COLUMNS,
         FEWEST_PERSONS,
         SESSIONS_VARY,
+        read_detectable,
         reliability_of,
         reliability_table,
     )

@@ -95,8 +95,7 @@ def smooth_figures(recording: Recording, recovery: Recovery) -> dict[str, Any]:
     """All figures of a recovery, what it found and what it rejected included."""
     from calib.motion import found_in
 
-    from ..evaluation.advice import advice, rejected
-    from ..evaluation.summary import recovery_figures, verdict_figures
+    from ..evaluation.summary import recovery_figures, rejected, verdict_figures
     from ..result.untrusted import usable
 
     found = found_in(recovery, recording)
@@ -106,7 +105,6 @@ def smooth_figures(recording: Recording, recovery: Recovery) -> dict[str, Any]:
         "found": None if found is None else found.figures,
         "not_determined": [] if found is None else list(found.not_determined),
         "rejected": rejected(recovery),
-        "advice": advice(recovery),
     }
 
 
@@ -117,8 +115,7 @@ def print_recovery(recording: Recording, recovery: Recovery, verbose: bool = Fal
     """
     from calib.motion import found_in
 
-    from ..evaluation.advice import rejections
-    from ..evaluation.summary import cameras, gap_summaries, gap_table
+    from ..evaluation.summary import cameras, gap_summaries, gap_table, rejections
     from ..io.mcap.messages import damage
     from ..result.untrusted import untrusted_sentences
 

@@ -118,7 +118,7 @@ def compare(
 ) -> Comparison:
     """Run every method on one recording and hold each answer against the same truth."""
     alignment = alignment or ReferenceAlignment()
-    of_graph = validate(graph, truth, alignment, pooled=None)
+    of_graph = validate(graph, truth, alignment, with_measures=False)
     if not of_graph.point:
         raise RecordingError(
             f"{graph.name}: the truth has no position that the methods answer (the IMU's, wrist, hand or"
@@ -149,7 +149,7 @@ def _validated(
 ) -> Validation | str:
     """What a method's answer is worth, or why it has none."""
     try:
-        return validate(methods[name](recording), truth, alignment, pooled=None)
+        return validate(methods[name](recording), truth, alignment, with_measures=False)
     except UnoccludeError as error:
         return str(error)
 

@@ -5,7 +5,7 @@ The one kernel of `gaps`, `check`, `benchmark` and the checks of accuracy.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from typing import Any, NamedTuple
@@ -19,12 +19,11 @@ from ..array_types import BoolArray, FloatArray
 from ..cameras import join_cameras
 from ..errors import RecordingError, UnoccludeError
 from ..linalg import robust_sigma
-from ..measurements.visibility import Gap, find_gaps, seen_by_any, visible_frames
+from ..measurements.visibility import Gap, seen_by_any, visible_frames
 from ..recording import JOINTS, Recording
 from ..result import Recovery
 from ..runtime.pool import Pool, Progress
 from ..table import Table, tabulated
-from ..units import GRAVITY
 from .metrics import Errors, Figures, linear_at, percentile, position_at, rms, squared_sigmas
 from .validate import sample_errors
 from .words import said
@@ -371,52 +370,6 @@ def pooled(tables: Sequence[GapTable]) -> GapTable:
     """The gaps of several recordings as one table."""
     notes = dict.fromkeys(note for table in tables for note in table.notes)
     return GapTable(tuple(row for table in tables for row in table.rows), tuple(notes))
-
-
-#: Real gaps shorter than this are flicker, s; a ratio below this deserves no warning.
-SHORTEST_S, ALIKE = 0.2, 1.15
-
-
-# The camera loses an arm when it moves fast, turns away or passes behind something; gaps can only be hidden
-# where it saw the arm. The IMU feels both kinds: how fast the forearm turned and was accelerated in real gaps
-# against hidden ones shows how optimistic the test is.
-def compare_real_gaps(recordings: Sequence[Recording], table: GapTable) -> dict[str, Any]:
-    """Movement in the real gaps of some recordings against their hidden ones, and a sentence on it."""
-
-    def movements(places: Iterable[tuple[Recording, Gap]]) -> Iterator[tuple[float, float]]:
-        """Rms turn rate, rad/s, and rms of specific force less gravity, m/s^2, where there are samples."""
-        for recording, gap in places:
-            imu = recording.imu
-            first, last = np.searchsorted(imu.t_s, [gap.start_s, gap.end_s])
-            if last - first >= 3:
-                turning = np.sqrt(np.mean(np.sum(np.square(imu.gyro[first:last]), axis=1)))
-                force = np.linalg.norm(imu.acc[first:last], axis=1) - GRAVITY
-                yield float(turning), float(np.sqrt(np.mean(force**2)))
-
-    def real_gaps(recording: Recording) -> Iterator[tuple[Recording, Gap]]:
-        """Gaps that the camera saw on both sides, without flicker."""
-        arm, imu = recording.arm, recording.imu
-        if len(arm) and len(imu):
-            ends = float(max(arm.t_s[0], imu.t_s[0])), float(min(arm.t_s[-1], imu.t_s[-1]))
-            for gap in find_gaps(arm.t_s, visible_frames(arm), *ends):
-                if not (gap.open_start or gap.open_end or gap.length_s < SHORTEST_S):
-                    yield recording, gap
-
-    by_name = {recording.name: recording for recording in recordings}
-    rows = [row for row in table.rows if not row.failure]
-    rows = [row for row in rows if row.method == "graph"] or rows
-    places = dict.fromkeys((row.recording, row.gap) for row in rows)
-    hidden = list(movements((by_name[name], gap) for name, gap in places))
-    real = list(movements(each for recording in recordings for each in real_gaps(recording)))
-    found: dict[str, Any] = {"count": len(real), "turning_ratio": None, "acceleration_ratio": None}
-    if not real or not hidden:
-        return found | {"sentence": said("gaps", "no_real_gap")}
-    of_real, of_hidden = (np.sqrt(np.mean(np.square(each), axis=0)) for each in (real, hidden))
-    turning, acceleration = (float(ratio) for ratio in of_real / np.maximum(of_hidden, 1e-6))
-    which = "the real gap" if len(real) == 1 else f"its {len(real)} real gaps"
-    alike = "alike" if max(turning, acceleration) < ALIKE else "worse"
-    sentence = said("gaps", alike, which=which, turning=turning, acceleration=acceleration)
-    return found | {"turning_ratio": turning, "acceleration_ratio": acceleration, "sentence": sentence}
 
 
 # --- hide, recover, score

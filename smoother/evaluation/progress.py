@@ -2,14 +2,20 @@
 
 from __future__ import annotations
 
+import json
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
+from difflib import get_close_matches
+from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
 
-from ..measures.definitions import FEWEST_DRAWS
+from calib.file import toml_document
+
+from ..errors import UnoccludeError
+from ..measures.definitions import FEWEST_DRAWS, definitions, is_measure
 from ..table import Table, percent, tabulated
 from .statistics import detectable_change, icc_a1, limits_of_agreement, sem_agreement
 from .words import FIRST, interval, is_main, limits_words, quantity, said, with_interval, worded
@@ -344,23 +350,22 @@ def reliability_of(persons: Sequence[PersonProgress]) -> list[dict[str, Any]]:
     and limits of agreement of the second session minus the first, whose `values` they are. Terms are those of
     Mokkink et al., J Clin Epidemiol 63:737-745 (2010).
     """
-    values: dict[tuple[str, str, str], list[list[float]]] = {}
-    about: dict[str, dict[str, str]] = {}
+    values: dict[tuple[str, ...], list[list[float]]] = {}
     for series in (each for person in persons for each in person.main):
         known = [each.value for each in series.values if np.isfinite(each.value)]
         if len(known) > 1:
-            about[series.key] = {"name": series.name, "unit": series.unit}
-            values.setdefault((series.side, series.task, series.key), []).append(known)
+            about = (series.side, series.task, series.key, series.name, series.unit)
+            values.setdefault(about, []).append(known)
     found = []
-    for keys, own in values.items():
+    for names, own in values.items():
         if len(own) < FEWEST_PERSONS:
             continue
         ratings = np.array([each[: min(map(len, own))] for each in own])
-        row: dict[str, Any] = {**dict(zip(("side", "task", "key"), keys, strict=True)), **about[keys[2]]}
+        row: dict[str, Any] = dict(zip(("side", "task", "key", "name", "unit"), names, strict=True))
         row |= {"persons": len(ratings), "sessions": ratings.shape[1]}
-        for name, figures in (("icc_21", icc_a1(ratings)), ("sem_agreement", sem_agreement(ratings))):
-            row |= {f"{name}{end}": each for end, each in zip(("", "_low", "_high"), figures, strict=True)}
-        row["sdc"] = detectable_change(row["sem_agreement"])
+        row |= zip(("icc_21", "icc_21_low", "icc_21_high"), icc_a1(ratings), strict=True)
+        sem = sem_agreement(ratings)
+        row |= {"sem_agreement": sem, "sdc": detectable_change(sem)}
         row |= limits_of_agreement(ratings[:, 1] - ratings[:, 0])
         found.append(row | {"values": ratings[:, :2].tolist()})
     return found
@@ -380,3 +385,49 @@ def reliability_table(found: Sequence[Mapping[str, Any]]) -> Table:
             "limits": limits_words,
         },
     )
+
+
+def read_detectable(path: Path) -> dict[str, float]:
+    """Minimal detectable changes by the measures' keys: of a user, or of repeated sessions."""
+    if path.suffix.lower() != ".toml":
+        return _read_reliability(path)
+    table = toml_document(path, str(path)).get("mdc95")
+    if not isinstance(table, dict) or not table:
+        raise UnoccludeError(
+            f"{path} has no table [mdc95]; write one with a line per measure: elbow_flexion_range_deg = 5.0"
+        )
+    for key, value in table.items():
+        if not is_measure(key):
+            near = get_close_matches(key, definitions(), n=1, cutoff=0.0)
+            raise UnoccludeError(
+                f"{path}: there is no measure {key}, so its mdc95 has no effect; the nearest is {near[0]}"
+            )
+        if not _is_change(value):
+            raise UnoccludeError(f"{path}: mdc95 of {key} is {value!r}; it must be a number above 0")
+    return {key: float(value) for key, value in table.items()}
+
+
+def _read_reliability(path: Path) -> dict[str, float]:
+    """The smallest detectable changes that `--reliability --json` wrote, the largest of several arms."""
+    found: dict[str, float] = {}
+    try:
+        for row in json.loads(path.read_text(encoding="utf-8"))["reliability"]:
+            if _is_change(row["sdc"]):
+                found[row["key"]] = max(float(row["sdc"]), found.get(row["key"], 0.0))
+    except OSError as error:
+        raise UnoccludeError(f"{path}: {error.strerror or error}") from error
+    except (ValueError, TypeError, KeyError, RecursionError) as error:
+        raise UnoccludeError(
+            f"{path} has no detectable changes; name what `progress --reliability --json` wrote, or a .toml"
+            " with [mdc95]"
+        ) from error
+    if not found:
+        raise UnoccludeError(
+            f"{path} has no smallest detectable change; `progress --reliability` needs three persons with"
+            " two sessions each"
+        )
+    return found
+
+
+def _is_change(value: object) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool) and 0 < value < math.inf

@@ -1,11 +1,9 @@
 """How well two measurements agree, and how reliable repeated ones are: limits of agreement, ICC, SEM, MDC.
 
-Sources: Bland and Altman, Lancet 327:307-310 (1986), limits of agreement; Carkeet, Optometry and Vision
-Science 92:e71-e80 (2015), their exact intervals; Shrout and Fleiss, Psychological Bulletin 86:420-428 (1979),
-ICC(2,1), which is ICC(A,1) of McGraw and Wong, Psychological Methods 1:30-46 (1996), tables 4 and 7: two-way,
-absolute agreement, single measurement; Weir, J Strength Cond Res 19:231-240 (2005), SEM and minimal
-difference; de Vet et al., J Clin Epidemiol 59:1033-1039 (2006), SEM_agreement; Satterthwaite, Biometrics
-Bulletin 2:110-114 (1946). Intervals are of 95 %.
+Sources: Bland and Altman, Lancet 327:307-310 (1986), limits of agreement; Shrout and Fleiss, Psychological
+Bulletin 86:420-428 (1979), ICC(2,1), which is ICC(A,1) of McGraw and Wong, Psychological Methods 1:30-46
+(1996), tables 4 and 7: two-way, absolute agreement, single measurement; Weir, J Strength Cond Res 19:231-240
+(2005), SEM and minimal difference; de Vet et al., J Clin Epidemiol 59:1033-1039 (2006), SEM_agreement.
 """
 
 from __future__ import annotations
@@ -19,8 +17,8 @@ from ..array_types import FloatArray
 
 #: Half width of the limits of agreement in standard deviations.
 LIMITS = 1.96
-#: The ends of an interval of 95 %.
-_LOW, _HIGH = 0.025, 0.975
+#: The upper end of an interval of 95 %.
+_HIGH = 0.975
 #: Samples are no longer alike where their autocorrelation has fallen to this.
 FORGOTTEN = 0.05
 #: Fewer pairs have a mean difference and nothing else.
@@ -30,8 +28,6 @@ FEWEST_PAIRS = 3
 Agreement = dict[str, Any]
 _ICC = ("icc", "icc_low", "icc_high")
 _LIMITS = ("bias", "limits_low", "limits_high")
-_ENDS = ("limits_low_from", "limits_low_to", "limits_high_from", "limits_high_to")
-_CHANGE = ("mdc95", "mdc95_low", "mdc95_high")
 
 
 def agreement(answer: FloatArray, reference: FloatArray, *, degrees: bool = False) -> Agreement:  # (n,)
@@ -39,7 +35,8 @@ def agreement(answer: FloatArray, reference: FloatArray, *, degrees: bool = Fals
 
     `independent`: samples as the interval of the ICC counts them, as neighbours in time are not independent.
     """
-    answer, reference = _both(answer, reference)
+    good = np.isfinite(answer) & np.isfinite(reference)
+    answer, reference = answer[good], reference[good]
     if degrees:
         answer, reference = unwound_deg(answer, reference)
     count, difference = len(answer), answer - reference
@@ -47,35 +44,12 @@ def agreement(answer: FloatArray, reference: FloatArray, *, degrees: bool = Fals
     if count < FEWEST_PAIRS:
         return found | dict.fromkeys(("rmse", *_LIMITS, *_ICC))
     found |= {"independent": count / memory(reference), "rmse": float(np.sqrt(np.mean(difference**2)))}
-    return found | _limits(difference) | _icc(answer, reference, found["independent"])
+    icc = icc_a1(np.column_stack([answer, reference]), found["independent"])
+    return found | limits_of_agreement(difference) | dict(zip(_ICC, icc, strict=True))
 
 
-def pair_agreement(answer: FloatArray, reference: FloatArray) -> Agreement:  # (n,)
-    """Agreement of independent pairs; one with nan is left out.
-
-    `sem`: standard error of measurement of the answer; `mdc95`: minimal detectable change.
-    """
-    answer, reference = _both(answer, reference)
-    count, difference = len(answer), answer - reference
-    found: Agreement = {"pairs": count, **dict.fromkeys((*_LIMITS, *_ICC, "sem", *_CHANGE, *_ENDS))}
-    if count < FEWEST_PAIRS:
-        return found | {"bias": float(difference.mean()) if count else None}
-    limits, sem = limits_of_agreement(difference), float(difference.std(ddof=1))
-    changes = map(detectable_change, (sem, *sigma_interval(sem, count - 1)))
-    found |= {name: limits[name] for name in (*_LIMITS, *_ENDS)} | {"sem": sem}
-    return found | _icc(answer, reference) | dict(zip(_CHANGE, changes, strict=True))
-
-
-def _both(answer: FloatArray, reference: FloatArray) -> tuple[FloatArray, FloatArray]:
-    good = np.isfinite(answer) & np.isfinite(reference)
-    return answer[good], reference[good]
-
-
-def _icc(answer: FloatArray, reference: FloatArray, independent: float | None = None) -> Agreement:
-    return dict(zip(_ICC, icc_a1(np.column_stack([answer, reference]), independent), strict=True))
-
-
-def _limits(difference: FloatArray) -> dict[str, float]:
+def limits_of_agreement(difference: FloatArray) -> dict[str, float]:  # difference (n,)
+    """Mean difference and limits of agreement (-+ 1.96 standard deviations)."""
     bias, half = float(difference.mean()), LIMITS * float(difference.std(ddof=1))
     return dict(zip(_LIMITS, (bias, bias - half, bias + half), strict=True))
 
@@ -139,44 +113,13 @@ def icc_a1(
     return icc, float(low), float(high)
 
 
-def limits_of_agreement(difference: FloatArray) -> dict[str, float]:  # difference (n,)
-    """Mean difference and limits of agreement (-+ 1.96 standard deviations), each with its interval."""
-    from scipy.stats import nct
-    from scipy.stats import t as student
-
-    count, spread, found = len(difference), float(difference.std(ddof=1)), _limits(difference)
-    bias, of_mean = found["bias"], spread / np.sqrt(count)
-    half = float(student.ppf(_HIGH, count - 1) * of_mean)
-    near, far = (
-        float(nct.ppf(p, count - 1, LIMITS * np.sqrt(count)) * of_mean) if spread > 0 else 0.0
-        for p in (_LOW, _HIGH)
-    )
-    ends = (bias - far, bias - near, bias + near, bias + far)
-    return found | {"bias_low": bias - half, "bias_high": bias + half} | dict(zip(_ENDS, ends, strict=True))
-
-
-def sem_agreement(ratings: FloatArray) -> tuple[float, float, float]:  # ratings (n, k)
-    """SEM_agreement, sqrt(variance between sessions + error), and its interval (Satterthwaite)."""
-    n, k = ratings.shape
+def sem_agreement(ratings: FloatArray) -> float:  # ratings (n, k)
+    """SEM_agreement: sqrt(variance between sessions + error)."""
     _, sessions, error = mean_squares(ratings)
-    parts = [(sessions / n, k - 1), ((n - 1) / n * error, (n - 1) * (k - 1))]
-    if sessions <= error * (1 + 1e-12):  # the sessions do not differ: a variance is not negative
-        parts = [(error, (n - 1) * (k - 1))]
-    variance = sum(part for part, _ in parts)
-    if variance <= 0:
-        return 0.0, 0.0, 0.0
-    freedom = variance**2 / sum(part**2 / count for part, count in parts)
-    return float(np.sqrt(variance)), *sigma_interval(float(np.sqrt(variance)), freedom)
+    # sessions that do not differ: a variance is not negative
+    return float(np.sqrt(error + max(sessions - error, 0.0) / len(ratings)))
 
 
 def detectable_change(sem: float) -> float:
     """The minimal detectable change of two values that each have this standard error."""
     return LIMITS * float(np.sqrt(2.0)) * sem
-
-
-def sigma_interval(sigma: float, freedom: float) -> tuple[float, float]:
-    """Interval of a standard deviation of normal values with these degrees of freedom (chi-square)."""
-    from scipy.stats import chi2
-
-    low, high = (sigma * np.sqrt(freedom / chi2.ppf(p, freedom)) for p in (_HIGH, _LOW))
-    return float(low), float(high)

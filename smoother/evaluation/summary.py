@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -125,6 +125,43 @@ def recovery_figures(recovery: Recovery) -> dict[str, object]:
         "notes": list(recovery.notes),
         "config": recovery.config,
     }
+
+
+def rejected(recovery: Recovery) -> list[dict[str, Any]]:
+    """Rejected samples by reason and joint, the most frequent reason first, joints from the shoulder down.
+
+    `reason` and the same in words (`why`), `joint`, `count`, `share` of the joint's tracked samples, and
+    the times of the first and the last, on the IMU's clock.
+    """
+    residuals = recovery.residuals
+    if residuals is None:
+        return []
+    reason, rows = residuals.reason, []
+    tracked = np.count_nonzero(residuals.used | (reason != 0), axis=0)
+    codes, counts = np.unique(reason[reason != 0], return_counts=True)
+    for _, code in sorted(zip((-counts).tolist(), codes.tolist(), strict=True)):
+        for column in np.flatnonzero((reason == code).any(axis=0)).tolist():
+            t_s = residuals.t_s[reason[:, column] == code]
+            rows.append(
+                {"reason": residuals.reasons[code].label, "why": residuals.reasons[code].words}
+                | {"joint": JOINTS[column], "count": len(t_s), "share": len(t_s) / int(tracked[column])}
+                | {"first_s": float(t_s[0]), "last_s": float(t_s[-1])}
+            )
+    return rows
+
+
+def rejections(recovery: Recovery) -> Table:
+    """Rejected camera samples, one row per reason and joint."""
+    columns: dict[str, str | Callable[[Any], object]] = {
+        "reason": "reason",
+        "in words": "why",
+        "joint": "joint",
+        "samples": "count",
+        "of its tracked ones": lambda row: percent(row["share"]),
+        "first, s": lambda row: f"{row['first_s']:.2f}",
+        "last, s": lambda row: f"{row['last_s']:.2f}",
+    }
+    return tabulated("Rejected camera samples", rejected(recovery), columns)
 
 
 def cameras(recovery: Recovery) -> Table:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass, replace
 from functools import partial
 from typing import Any
@@ -19,7 +19,7 @@ from ..recording import Truth
 from ..result import Recovery
 from ..runtime.pool import Progress
 from ..table import Table, fixed, tabulated
-from .measure_agreement import MeasureComparison, MeasurePair, compare_measures
+from .measure_agreement import MeasurePair, compare_measures
 from .metrics import (
     BRIDGED_S,
     Errors,
@@ -103,7 +103,7 @@ class Validation:
     lag_s: float | None  # How late it is against the truth's, over all samples
     lag_occluded_s: float | None  # The same over those in gaps
     alignment: ReferenceAlignment  # How the truth was brought to the result
-    measures: MeasureComparison | None = None  # What clinicians read, of both
+    measures: list[MeasurePair] | None = None  # What clinicians read, of both
 
     def figures_of(self, point: str, part: str) -> Figures | None:
         """Figures of a joint, or of the "sensor", over a part; None where there are none."""
@@ -127,7 +127,9 @@ class Validation:
             "carrying_truth_deg": self.carrying_truth_deg,
             "lag_s": self.lag_s,
             "lag_occluded_s": self.lag_occluded_s,
-            "measures": None if self.measures is None else self.measures.to_dict(),
+            "measures": None
+            if self.measures is None
+            else {"pairs": [pair.to_dict() for pair in self.measures]},
             "notes": list(self.notes),
         }
 
@@ -178,7 +180,7 @@ def validate(
     recovery: Recovery,
     truth: Truth,
     alignment: ReferenceAlignment | None = None,
-    pooled: Sequence[MeasurePair] | None = (),
+    with_measures: bool = True,
     processes: int = 1,
     progress: Progress | None = None,
 ) -> Validation:
@@ -193,9 +195,8 @@ def validate(
         origin. Samples outside `truth.score` are not scored.
     alignment : ReferenceAlignment, optional
         How the truth was brought there; None where it came so.
-    pooled : sequence of MeasurePair, optional
-        Measures of earlier validations, whose agreement is stated together with this one's; None to compare
-        no measures.
+    with_measures : bool
+        Whether the measures of both are compared too.
     processes : int
         Worker processes that measure the drawn motions, 0 = one per core.
     progress : callable, optional
@@ -238,6 +239,10 @@ def validate(
         else None
         for part in ("all", "occluded")
     ]
+    measures = None
+    if with_measures:
+        measures = compare_measures(recovery, errors.reference, processes, progress)
+    without = measures is not None and recovery.draws is None
     answer, true, carrying, said = compare_angles(recovery, errors.reference, alignment.landmarks, truth.t_s)
     return Validation(
         **figures,
@@ -247,6 +252,7 @@ def validate(
             *alignment.notes,
             *truth_notes(recovery, truth, aligned=alignment.kind != "none"),
             *said,
+            *([_said("no_draws")] if without else ()),
         ),
         points=points,
         gaps=tuple(_gaps(recovery, errors)),
@@ -259,9 +265,7 @@ def validate(
         lag_s=lags[0],
         lag_occluded_s=lags[1],
         alignment=alignment,
-        measures=None
-        if pooled is None
-        else compare_measures(recovery, errors.reference, pooled, processes, progress),
+        measures=measures,
     )
 
 

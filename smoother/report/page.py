@@ -15,8 +15,7 @@ from calib.motion import found_in
 from calib.protocol import tables_of
 
 from ..angles import joint_angles
-from ..evaluation.advice import advice, rejections
-from ..evaluation.measure_agreement import agreement_table, pair_table
+from ..evaluation.measure_agreement import pair_table
 from ..evaluation.summary import (
     camera_consistency,
     cameras,
@@ -25,6 +24,7 @@ from ..evaluation.summary import (
     gap_summaries,
     gap_table,
     recovery_figures,
+    rejections,
 )
 from ..evaluation.validate import Validation, sample_errors
 from ..recording import CameraFrame, Recording, Truth
@@ -149,8 +149,6 @@ class _ArmReport:
         """All else about the arm, for those who look for it."""
         recovery, estimates = self.recovery, self.estimates
         is_trusted = recovery.estimates.trusted is not False
-        if len(recovery):
-            yield PageSection("For the next recording", sentences=advice(recovery))
         errors = () if self.validation is None else self.validation.gaps
         true = {gap.start_s: figures.position_p95_m for gap, figures in errors}
         yield rendered(gap_table("Gaps", gap_summaries(recovery), true), nothing="There is no gap.")
@@ -177,13 +175,9 @@ class _ArmReport:
         yield PageSection(
             titled(heading), caption(heading), tables=[found.errors], below=said, sentences=found.notes
         )
-        for heading, table in (
-            ("Measures against the reference", pair_table),
-            ("How well the measures agree", agreement_table),
-        ):
-            if (measures := found.measures) is not None:
-                about = caption(heading, notes=" ".join(measures.notes))
-                yield rendered(table(titled(heading), measures), about)
+        if found.measures is not None:
+            heading = "Measures against the reference"
+            yield rendered(pair_table(titled(heading), found.measures), caption(heading))
         if found.angles:
             carrying = found.carrying_truth_deg
             said = "" if carrying is None else f"Carrying angle of the reference: {carrying:.1f} degrees."

@@ -68,7 +68,7 @@ def _parts(recovery: Recovery, validation: Validation | None) -> list[tuple[bool
         signs = [reason for reason in estimates.reasons if estimates.cause not in ("", reason)]
         parts = [
             (True, estimates.verdict),
-            (True, said("advice", "again", remedies=" or ".join(remedies)) if remedies else ""),
+            (True, _said("again", remedies=" or ".join(remedies)) if remedies else ""),
             (False, _said("evidence", signs="; ".join(signs)) if signs else ""),
             (True, _said("withdrawn")),
             *((False, text) for text in (check, hidden, reference)),

@@ -127,7 +127,6 @@ def test_keep_and_apply(folder: Path, capsys: pytest.CaptureFixture[str]):
     assert "Gaps were hidden where the camera saw the arm" in printed
     values = json.loads(figures.read_text())
     assert {row["recording"] for row in values["rows"]} == {"1.mcap", "2.mcap"}
-    assert values["real_gaps"]["count"] > 0 and values["real_gaps"]["sentence"]
     assert "Gaps were hidden where" in (folder / "gaps.html").read_text(encoding="utf-8")
     table = tomllib.loads(kept.read_text())["sigma"]
     assert "# kept" in kept.read_text() and table["recordings"] == ["1.mcap", "2.mcap"]

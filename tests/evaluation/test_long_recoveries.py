@@ -10,8 +10,7 @@ import pytest
 from arms import make_recording, make_recovery
 from private_memory import program_output
 
-from smoother.evaluation.advice import advice, rejected
-from smoother.evaluation.summary import gap_summaries, recovery_figures
+from smoother.evaluation.summary import gap_summaries, recovery_figures, rejected
 from smoother.measurements.visibility import REASONS, Gap, Reason
 from smoother.recording import JOINTS
 from smoother.result import Recovery
@@ -92,20 +91,6 @@ def test_rejected(recovery: Recovery) -> None:
         assert row["share"] == len(at) / tracked
         totals.append(int((kept.reason == code).sum()))
     assert totals == sorted(totals, reverse=True)
-
-
-@pytest.mark.parametrize("kept", [True, False])
-def test_advice_does_not_depend_on_the_blocks(
-    recovery: Recovery, monkeypatch: pytest.MonkeyPatch, kept: bool
-) -> None:
-    state = recovery.arm.state.copy()
-    state[recovery.arm.t_s > 2.0, 0] = 0
-    recovery = replace(recovery, arm=replace(recovery.arm, state=state))
-    recovery = recovery if kept else replace(recovery, residuals=None)
-    said = advice(recovery)
-    assert any("shoulder in view while" in sentence for sentence in said)
-    monkeypatch.setattr("smoother.result.recovery.BATCH_ROWS", 10**6)
-    assert advice(recovery) == said
 
 
 def occluded_recovery():

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 from dataclasses import replace
 from pathlib import Path
@@ -18,7 +17,6 @@ from smoother.simulation import ArmSimulation, simulate_arm
 from smoother.simulation.rig import beep
 
 _FLEXION = "elbow_flexion_range_deg"
-_FEW = {"agreement": {"session": {_FLEXION: {"mdc95": None, "pairs": 1}}}, "pairs": []}
 _TEXTS = {
     "text.mcap": "this is not a recording\n" * 10,
     "broken.toml": "[camera\n",
@@ -40,8 +38,7 @@ _TEXTS = {
     "zero.toml": f"[mdc95]\n{_FLEXION} = 0\n",
     "broken.json": "{",
     "other.json": '{"all": {}}',
-    "odd.json": '{"measures": {"pairs": [{"key": 1}]}}',
-    "few.json": json.dumps({"measures": _FEW}),
+    "few.json": '{"reliability": []}',
     "empty.csv": "",
     "rows.csv": "t_s,x,y,z\n",
     "lacks_t.csv": "time,x,y,z\n0,1,2,3\n",

@@ -15,8 +15,8 @@ from calib.file import CalibrationFile, read_calibration, write_calibration
 from calib.intrinsics import read_intrinsics
 from smoother.cli.config import read_config
 from smoother.errors import UnoccludeError
-from smoother.evaluation.measure_agreement import read_mdc_toml
 from smoother.evaluation.mocap.motion import read_marker_map
+from smoother.evaluation.progress import read_detectable
 from smoother.io.tables.recording_toml import read_description
 from smoother.runtime.csv_rows import read_cell, write_rows
 from smoother.runtime.inputs import toml_text
@@ -37,7 +37,7 @@ def test_every_reader_takes_it(tmp_path: Path, encoding: str) -> None:
 
     assert read_config(write("[windows]\nmargin_s = 2.5\n")).windows.margin_s == 2.5
     assert read_marker_map(write('[markers]\nwrist = ["RAD", "ULN"]\n')).joints["wrist"] == ("RAD", "ULN")
-    assert read_mdc_toml(write("[mdc95]\nhand_reach_alpha_l = 0.1\n")) == {"hand_reach_alpha_l": 0.1}
+    assert read_detectable(write("[mdc95]\nhand_reach_alpha_l = 0.1\n")) == {"hand_reach_alpha_l": 0.1}
     assert read_intrinsics(write(LENS)).fx == 500
     write('[imu.forearm_right]\nfile = "imu.csv"\n', "recording.toml")
     assert read_description(tmp_path).imu["forearm_right"].file == "imu.csv"
@@ -54,12 +54,12 @@ def test_what_is_no_text_is_one_sentence(tmp_path: Path, raw: bytes) -> None:
     path.write_bytes(raw)
     with pytest.raises(ValueError, match="it is not UTF-8 text"):
         toml_text(path)
-    for read in (read_config, read_marker_map, read_calibration, read_mdc_toml, read_intrinsics):
+    for read in (read_config, read_marker_map, read_calibration, read_detectable, read_intrinsics):
         with pytest.raises(UnoccludeError, match="not UTF-8 text"):
             read(path)
 
 
-READERS = (read_config, read_marker_map, read_calibration, read_mdc_toml, read_intrinsics)
+READERS = (read_config, read_marker_map, read_calibration, read_detectable, read_intrinsics)
 
 
 def refused(folder: Path, text: str, said: str) -> None:

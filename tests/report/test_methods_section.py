@@ -1,10 +1,9 @@
-"""From figures to sentences: advice, the methods section of a paper."""
+"""From figures to sentences: what was found, the methods section of a paper."""
 
 from __future__ import annotations
 
 import json
 import re
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -18,107 +17,18 @@ from calib.motion import found_in
 from smoother import __version__
 from smoother.baselines.registry import BASELINES, ORIENTATIONS
 from smoother.error_radius import error_radius
-from smoother.evaluation.advice import advice
 from smoother.io import read_recovery, write_recovery
-from smoother.measurements.visibility import Gap, Reason
-from smoother.recording import JOINTS
 from smoother.report.methods import CITATION, ORIENTATION_WORDS, REFERENCES, methods_section
 from smoother.result import Estimates, Pairing, Recovery, SelfCheck, UntrustedInterval
 
-WIDE = np.array([0.2, 0.0, 0.0])
-
-
-def result() -> Recovery:
-    """A forearm that lies across the view, seen all the time."""
-    recovery = make_recovery(make_recording())
-    return replace(recovery, joints=recovery.joints | {"wrist": recovery.joints["elbow"] + WIDE})
-
-
-def hidden(gap: Gap, sigma_m: float = 0.01) -> Recovery:
-    recovery = result()
-    covariance = recovery.pose_covariance.copy()
-    inside = (recovery.t_s > gap.start_s) & (recovery.t_s < gap.end_s)
-    covariance[inside, :3, :3] = sigma_m**2 * np.eye(3)
-    return replace(recovery, gaps=(gap,), occluded=inside, pose_covariance=covariance)
-
-
-def without_shoulder(from_s: float, to_s: float) -> Recovery:
-    recovery = hidden(Gap(5.0, 7.0))
-    away = (recovery.arm.t_s > from_s) & (recovery.arm.t_s < to_s)
-    return replace(recovery, arm=recovery.arm.hide(away, ("shoulder",)))
-
-
-def slow_camera() -> Recovery:
-    recovery = result()
-    return replace(recovery, arm=recovery.arm.select(slice(None, None, 3)), residuals=None)
-
-
-def with_reason(reason: str, joint: str, frames: slice, of: Recovery | None = None) -> Recovery:
-    recovery = of or result()
-    kept = recovery.residuals
-    assert kept is not None
-    codes, used = kept.reason.copy(), kept.used.copy()
-    codes[frames, JOINTS.index(joint)] = len(kept.reasons)
-    used[frames, JOINTS.index(joint)] = False
-    kept = replace(kept, reason=codes, reasons=(*kept.reasons, Reason.of_sentence(reason)), used=used)
-    return replace(recovery, residuals=kept)
-
-
-MANY = slice(0, 200)
-
-
-def noisy() -> Recovery:
-    return replace(result(), estimates=Estimates(camera_sigma_m={"elbow": 0.008, "wrist": 0.021}))
-
-
-def pushed() -> Recovery:
-    push = UntrustedInterval(9.0, 12.0, ("a push",))
-    return replace(result(), estimates=Estimates(trusted=True, untrusted=(push,)))
-
-
-#: What is said of a recovery.
-CASES: dict[str, Callable[[], Recovery]] = {
-    "hidden from 0.0 s on was seen from one side": lambda: hidden(Gap(0.0, 2.0, open_start=True), 0.08),
-    "hidden from 18.0 s on was seen from one side": lambda: hidden(Gap(18.0, 20.0, open_end=True), 0.08),
-    "every 3 s: in what was hidden from 5.0 s on the position is known to 8 cm": lambda: hidden(
-        Gap(5.0, 9.0), 0.08
-    ),
-    "Keep the shoulder in view while the forearm is hidden: it was seen in 10 %": lambda: without_shoulder(
-        5.2, 7.0
-    ),
-    "Stand a little sideways": lambda: with_reason("viewing ray: misjudged", "wrist", MANY),
-    "samples repeated the one before": lambda: with_reason("frozen: it stands", "elbow", MANY),
-    "were not on the arm": lambda: with_reason("jump: far", "hand", MANY),
-    "causes of the parts that are not to be trusted: a push": pushed,
-    "without loose sleeves: the wrist jittered by 2.1 cm": noisy,
-    "30 frames per second: it gave 10": slow_camera,
-    "80 samples per second or more: it gave 27": lambda: replace(result(), t_s=3.0 * result().t_s),
-}
-
-
-@pytest.mark.parametrize("sentence", CASES)
-def test_each_fault_has_its_sentence(sentence: str):
-    assert sentence in "\n".join(advice(CASES[sentence]()))
-
-
-def test_what_is_good_or_would_not_help_asks_for_nothing():
-    nothing = ["No changes recommended: record the next one in the same way."]
-    assert advice(result()) == advice(hidden(Gap(5.0, 7.0), 0.08)) == nothing, "short gaps need nothing"
-    assert "for a moment" not in "\n".join(advice(hidden(Gap(5.0, 9.0), 0.02)))
-    jumping = with_reason("jump: far", "hand", MANY)
-    for recovery, found in (
-        (jumping, Estimates(trusted=False)),
-        (result(), Estimates(trusted=True, cautions=("the clocks drift",))),
-    ):
-        assert advice(replace(recovery, estimates=found)) == [], "the verdict says what to do"
-
 
 def test_what_a_recovery_shows_and_what_was_given():
-    whole = found_in(result())
+    recovery = make_recovery(make_recording())
+    whole = found_in(recovery)
     assert whole is not None and whole.offsets[0].offset_s == 0.0 and not whole.all_given
-    assert found_in(replace(result(), calibration=None)) is None
+    assert found_in(replace(recovery, calibration=None)) is None
     given = {"given": ["elbow", "wrist", "hand", "upper_arm"]}
-    told = found_in(replace(result(), estimates=Estimates.from_plain(given)))
+    told = found_in(replace(recovery, estimates=Estimates.from_plain(given)))
     assert told is not None and told.all_given
 
 
