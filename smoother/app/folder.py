@@ -3,8 +3,7 @@
     FOLDER/ID/app.json          name, person, date, choices
     FOLDER/ID/files/            files as they were dropped
     FOLDER/ID/recording.mcap .. what the commands wrote, under the commands' own names
-    FOLDER/ID/jobs/0001/        a command that ran: its words, what it printed, how it ended
-    FOLDER/comparisons/ID/      the sessions of a person: a study of `batch`, the page of `progress`
+    FOLDER/ID/job/              its last job: the commands' words, what they printed, how it ended
     FOLDER/.unocclude/          the address and its token, templates, models, what was removed
 
 Everything is a file that is written whole, so that a program that is killed loses nothing. A job is a list
@@ -14,7 +13,6 @@ by then was stopped, and can be repeated.
 
 from __future__ import annotations
 
-import hashlib
 import json
 import os
 import re
@@ -36,10 +34,10 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from ..errors import UnoccludeError
 from ..runtime.outputs import writing
 
-#: Names of recordings and comparisons on disk.
+#: Names of recordings on disk.
 _ID = re.compile(r"[a-z0-9][a-z0-9-]{0,63}")
-#: Folders of the app's own.
-HIDDEN, COMPARISONS = ".unocclude", "comparisons"
+#: The app's own folder.
+HIDDEN = ".unocclude"
 #: Names that some systems take for devices.
 _DEVICES = {"con", "prn", "aux", "nul", *(f"{port}{k}" for port in ("com", "lpt") for k in range(1, 10))}
 #: Bytes of a file's name.
@@ -85,7 +83,6 @@ class KeptRecording(BaseModel):
     name: str = ""  # As the user wrote them; the date as YYYY-MM-DD, or "" where the recording states it
     person: str = ""
     date: str = ""
-    task: str = ""
     created_s: float = 0.0  # Since 1970
     revision: int = 0  # Rises with every change, so that two pages do not overwrite each other's
     choices: Choices = Choices()
@@ -115,28 +112,14 @@ class AppFolder:
 
     def recordings(self) -> list[str]:
         """Names on disk of all recordings."""
-        return self._names("*/app.json")
-
-    def comparisons(self) -> list[str]:
-        """Names on disk of all comparisons."""
-        return self._names(f"{COMPARISONS}/*/comparison.json")
-
-    def _names(self, pattern: str) -> list[str]:
-        found = (path.parent.name for path in self.path.glob(pattern))
+        found = (path.parent.name for path in self.path.glob("*/app.json"))
         return sorted(name for name in found if _ID.fullmatch(name))
 
     def of(self, name: str) -> Path:
         """The folder of a recording."""
-        return self._with(name, self.path / name / "app.json", "recording")
-
-    def comparison(self, name: str) -> Path:
-        """The folder of a comparison."""
-        return self._with(name, self.path / COMPARISONS / name / "comparison.json", "comparison")
-
-    def _with(self, name: str, file: Path, what: str) -> Path:
-        if not _ID.fullmatch(name) or not file.is_file():
-            raise AppError(f"There is no such {what} in this folder; it may have been removed.", 404)
-        return file.parent
+        if not _ID.fullmatch(name) or not (self.path / name / "app.json").is_file():
+            raise AppError("There is no such recording in this folder; it may have been removed.", 404)
+        return self.path / name
 
     def add(self, kept: KeptRecording) -> str:
         """Make the folder of a new recording; its name on disk."""
@@ -144,14 +127,6 @@ class AppFolder:
         (self.path / name / "files").mkdir(parents=True)
         write_kept(self.path / name, kept.model_copy(update={"created_s": time.time()}))
         return name
-
-    def add_comparison(self, person: str) -> tuple[str, Path]:
-        """The folder in which a person's sessions are compared, the same at each time."""
-        mark = hashlib.sha256(person.encode("utf-8", "replace")).hexdigest()[:8]
-        name = f"{slug(person) or 'person'}-{mark}"
-        folder = self.path / COMPARISONS / name
-        folder.mkdir(parents=True, exist_ok=True)
-        return name, folder
 
     def remove(self, name: str) -> Path:
         """Move a recording out of the way; where to."""
@@ -213,7 +188,7 @@ def changed(kept: KeptRecording, wish: dict[str, Any]) -> KeptRecording:
     """What is kept, with a page's changes."""
     if wish.get("revision") != kept.revision:
         raise AppError("Another page changed this recording meanwhile; its choices are shown now.", 409)
-    texts = {key: one_line(wish[key]) for key in ("name", "person", "date", "task") if key in wish}
+    texts = {key: one_line(wish[key]) for key in ("name", "person", "date") if key in wish}
     if (date := texts.get("date")) and not _is_date(date):
         raise AppError("The date is written as YYYY-MM-DD.")
     choices = wish.get("choices", {})
@@ -270,156 +245,155 @@ _PROGRAM = (
 )
 
 
-def latest(folder: Path) -> Path | None:
-    """The folder of a recording's latest job; None without any."""
-    jobs = folder / "jobs"
-    whole = [p for p in jobs.iterdir() if (p / "job.json").is_file()] if jobs.is_dir() else []
-    return max((p for p in whole if p.name.isdecimal()), key=lambda p: int(p.name), default=None)
+class Job(BaseModel):
+    """The commands of a recording's last job, and how far they are; one that cannot be read was stopped."""
+
+    number: int = 1  # Of the recording's jobs
+    kind: str = ""  # What it is for ("describe", "recover", ..)
+    # "waiting", "running", "done", "failed", "held" (by the check: the result could not be trusted),
+    # "cancelled" by the user, or "stopped" with the program or the computer
+    state: str = "stopped"
+    step: int = 0  # The command that runs or was the last
+    steps: list[dict[str, Any]] = []
+    sentence: str = ""  # Why it failed, in the command's words
+    stamp: str = ""  # Of what went in
 
 
-def state_of(job: Path, printed: bool = False) -> dict[str, Any]:
-    """How far a job is, by its files on disk; with `printed`, what its commands printed once it has ended.
+def job_folder(place: Path) -> Path:
+    """Where a recording's last job is kept."""
+    return place / "job"
 
-    Its state is "waiting", "running", "done", "failed", "held" (by the check: the result could not be
-    trusted), "cancelled" by the user, or "stopped" with the program or the computer.
-    """
-    words, progress = read_json(job / "job.json"), read_json(job / "progress.json")
-    steps, state = words.get("steps", []), str(words.get("state", "waiting"))
-    step = min(int(words.get("step", 0)), max(len(steps) - 1, 0))
-    return {
-        "number": int(job.name),  # Of the recording's jobs, from 1
-        "kind": str(words.get("kind", "")),  # What it is for ("describe", "recover", ..)
-        "state": state,
-        "step": step,  # The command that runs or was the last, from 0, and how many there are
-        "steps": len(steps),
-        "step_name": steps[step]["name"] if steps else "",
-        "share": float(progress.get("share", -1.0)),  # Part done of it, 0 to 1; -1 where it does not say
-        "text": str(progress.get("text", "")),  # What it is doing
-        "sentence": str(words.get("sentence", "")),  # Why it failed, in the command's words
-        "printed": _printed(job) if printed and state not in OPEN else "",
-        "stamp": str(words.get("stamp", "")),  # Of what went in
-    }
+
+def read_job(place: Path) -> Job | None:
+    """A recording's last job; None without any."""
+    try:
+        return Job.model_validate_json((job_folder(place) / "job.json").read_bytes())
+    except FileNotFoundError:
+        return None
+    except (OSError, ValueError):
+        return Job()
+
+
+def write_job(place: Path, job: Job) -> None:
+    """Keep it, whole or not at all."""
+    write_json(job_folder(place) / "job.json", job.model_dump())
+
+
+def printed(place: Path) -> str:
+    """What the commands of a recording's last job printed."""
+    parts = []
+    for name in ("out.txt", "err.txt"):
+        with suppress(OSError):
+            parts.append((job_folder(place) / name).read_bytes()[-_SHOWN_BYTES:].decode("utf-8", "replace"))
+    return "".join(parts).strip()
 
 
 def refuse_busy(place: Path) -> None:
     """Refuse to change a recording whose job is not over."""
-    job = latest(place)
-    if job is not None and state_of(job)["state"] in OPEN:
+    job = read_job(place)
+    if job is not None and job.state in OPEN:
         raise AppError("This recording is being worked on; wait for it, or cancel it.", 409)
-
-
-def _printed(job: Path) -> str:
-    parts = []
-    for name in ("out.txt", "err.txt"):
-        with suppress(OSError):
-            parts.append((job / name).read_bytes()[-_SHOWN_BYTES:].decode("utf-8", "replace"))
-    return "".join(parts).strip()
 
 
 class JobDesk:
     """Does jobs in the order in which they came, and stops them."""
 
     def __init__(self, folder: AppFolder) -> None:
-        self._lock = threading.Lock()
         self._worker = ThreadPoolExecutor(1, "jobs")
-        self._running: Path | None = None
-        self._cancelled: set[Path] = set()
+        self._cancelled: set[tuple[Path, int]] = set()
         self._closing = threading.Event()
-        places = [folder.of(name) for name in folder.recordings()]
-        places += [folder.comparison(name) for name in folder.comparisons()]
-        for job in filter(None, map(latest, places)):  # what an earlier server left
-            if state_of(job)["state"] in OPEN:
+        for place in map(folder.of, folder.recordings()):
+            job = read_job(place)
+            if job is not None and job.state in OPEN:  # an earlier server left it
                 with suppress(OSError, UnoccludeError):
-                    write_json(job / "job.json", read_json(job / "job.json") | {"state": "stopped"})
+                    write_job(place, job.model_copy(update={"state": "stopped"}))
 
-    def add(self, place: Path, kind: str, steps: list[dict[str, Any]], stamp: str = "") -> int:
-        """Put a job at the end of the queue; its number."""
-        with self._lock:
-            refuse_busy(place)
-            jobs = place / "jobs"
-            jobs.mkdir(exist_ok=True)
-            number = 1 + max((int(p.name) for p in jobs.iterdir() if p.name.isdecimal()), default=0)
-            job = jobs / f"{number:04d}"  # one without job.json was left by a full disk: its number is passed
-            job.mkdir()
-            try:
-                write_json(job / "job.json", {"kind": kind, "steps": steps, "stamp": stamp})
-            except BaseException:
-                shutil.rmtree(job, ignore_errors=True)
-                raise
-            self._worker.submit(self._do, job)
-        return number
+    def add(self, place: Path, kind: str, steps: list[dict[str, Any]], stamp: str = "") -> None:
+        """Put a job at the end of the queue."""
+        refuse_busy(place)
+        before = read_job(place)
+        number = 1 if before is None else before.number + 1
+        job = Job(number=number, kind=kind, state="waiting", steps=steps, stamp=stamp)
+        job_folder(place).mkdir(exist_ok=True)
+        write_job(place, job)
+        for name in ("out.txt", "err.txt", "progress.json"):
+            (job_folder(place) / name).unlink(missing_ok=True)
+        self._worker.submit(self._do, place, job)
 
     def cancel(self, place: Path) -> None:
         """Stop a recording's job, or take it from the queue."""
-        job = latest(place)
-        with self._lock:
-            if job is not None and job == self._running:
-                self._cancelled.add(job)
-            elif job is not None and state_of(job)["state"] == "waiting":
-                write_json(job / "job.json", read_json(job / "job.json") | {"state": "cancelled"})
+        job = read_job(place)
+        if job is not None and job.state in OPEN:
+            self._cancelled.add((place, job.number))
+            if job.state == "waiting":
+                write_job(place, job.model_copy(update={"state": "cancelled"}))
 
     def close(self) -> None:
         """Stop what runs, and what waits."""
         self._closing.set()
         self._worker.shutdown(cancel_futures=True)
 
-    def _note(self, job: Path, **changes: Any) -> None:
-        """Change what is kept of a job; while the disk is full, it is tried again."""
+    def _note(self, place: Path, job: Job, **changes: Any) -> None:
+        """Change a job and what is kept of it; while the disk is full, it is tried again."""
+        for name, value in changes.items():
+            setattr(job, name, value)
         while True:
             with suppress(OSError, UnoccludeError):
-                write_json(job / "job.json", read_json(job / "job.json") | changes)
+                write_job(place, job)
                 return
             if self._closing.wait(_LOOK_S):
                 return
 
-    def _do(self, job: Path) -> None:
-        with self._lock:
-            if state_of(job)["state"] != "waiting":
-                return
-            self._running = job
-        self._note(job, state="running")
+    def _do(self, place: Path, job: Job) -> None:
+        if self._asked_to_stop(place, job):
+            return
+        self._note(place, job, state="running")
         try:
-            state, sentence = self._run(job)
+            state, sentence = self._run(place, job)
         except OSError as error:
             state, sentence = "failed", f"{error.strerror or error}; make room and run again."
-        self._note(job, state=state, sentence=sentence)
-        self._running = None
+        if state == "done":  # what went into the last one of this kind
+            with suppress(OSError, UnoccludeError):
+                write_json(job_folder(place) / f"{job.kind}.json", {"stamp": job.stamp})
+        self._note(place, job, state=state, sentence=sentence)
 
-    def _run(self, job: Path) -> tuple[str, str]:
+    def _run(self, place: Path, job: Job) -> tuple[str, str]:
         """Do a job; its end, and why it failed."""
-        for at, step in enumerate(read_json(job / "job.json")["steps"]):
-            self._note(job, step=at)
-            with suppress(OSError):
-                (job / "progress.json").unlink()
+        for at, step in enumerate(job.steps):
+            self._note(place, job, step=at)
+            (job_folder(place) / "progress.json").unlink(missing_ok=True)
             if "link" in step:
-                source, target = (job.parents[1] / name for name in step["link"])
+                source, target = (place / name for name in step["link"])
                 link_file(source, target)
                 continue
-            code = self._command(job, step["argv"])
-            if why := self._asked_to_stop(job):
+            code = self._command(place, job, step["argv"])
+            if why := self._asked_to_stop(place, job):
                 return why, ""
             if code in step.get("held", []):
                 return "held", ""
             if code not in step.get("ok", [0]):
-                return "failed", _last_words(job / "err.txt") or f"The command ended with {code}."
+                return "failed", _last_words(
+                    job_folder(place) / "err.txt"
+                ) or f"The command ended with {code}."
         return "done", ""
 
-    def _asked_to_stop(self, job: Path) -> str:
+    def _asked_to_stop(self, place: Path, job: Job) -> str:
         """Why a job is to stop: "cancelled" by the user, "stopped" with the server, or ""."""
-        return "cancelled" if job in self._cancelled else "stopped" if self._closing.is_set() else ""
+        is_cancelled = (place, job.number) in self._cancelled
+        return "cancelled" if is_cancelled else "stopped" if self._closing.is_set() else ""
 
-    def _command(self, job: Path, words: list[str]) -> int:
+    def _command(self, place: Path, job: Job, words: list[str]) -> int:
         """Run a command in the recording's folder; its exit code."""
-        root = str(Path(__file__).parents[2])
+        root, kept = str(Path(__file__).parents[2]), job_folder(place)
         environment = os.environ | {
             "PYTHONPATH": os.pathsep.join(filter(None, (root, os.environ.get("PYTHONPATH")))),
-            "UNOCCLUDE_PROGRESS": str(job / "progress.json"),
+            "UNOCCLUDE_PROGRESS": str(kept / "progress.json"),
             "PYTHONIOENCODING": "utf-8",
         }
-        with open(job / "out.txt", "ab") as out, open(job / "err.txt", "ab") as err:
+        with open(kept / "out.txt", "ab") as out, open(kept / "err.txt", "ab") as err:
             process = subprocess.Popen(
                 [*_PROGRAM, *words],
-                cwd=job.parents[1],
+                cwd=place,
                 env=environment,
                 stdin=subprocess.PIPE,  # closed with this process, however it ends; see watch_parent
                 stdout=out,
@@ -428,7 +402,7 @@ class JobDesk:
             )
             with process:
                 while process.poll() is None:
-                    if self._asked_to_stop(job):
+                    if self._asked_to_stop(place, job):
                         _end(process)
                     with suppress(subprocess.TimeoutExpired):
                         process.wait(_LOOK_S)

@@ -43,7 +43,6 @@ from .folder import (
     read_kept,
     refuse_busy,
     slug,
-    write_json,
     write_kept,
 )
 
@@ -97,8 +96,6 @@ WEB = Path(__file__).parent / "web"
 _LONGEST_JSON = 1_000_000
 #: Bytes of an upload written at a time, and bytes that stay free on the disk.
 _BLOCK, RESERVE_BYTES = 1 << 20, 200_000_000
-#: What is given out of a comparison.
-COMPARED = ("progress.html", "progress.json", "progress.csv")
 NO_SPACE = "no space left on the disk; make room and run again"
 
 
@@ -125,10 +122,6 @@ def make_app(folder: AppFolder, desk: JobDesk, token: str, port: int) -> Starlet
         ("POST", f"{one}/cancel", lambda asked: asked.desk.cancel(asked.place)),
         ("POST", f"{one}/template", _template),
         ("POST", "/api/batch", _batch),
-        ("POST", "/api/comparisons", _compare),
-        ("GET", "/api/comparisons/{id}", lambda asked: steps.comparison(asked.folder, asked.id)),
-        ("POST", "/api/comparisons/{id}/cancel", lambda asked: asked.desk.cancel(asked.comparison)),
-        ("GET", "/results/comparisons/{id}/{name}", lambda asked: _file(asked, asked.comparison, COMPARED)),
         ("GET", "/results/{id}/{name:path}", _result),
     ]
     app = Starlette(
@@ -159,11 +152,6 @@ class _Asked:
     def place(self) -> Path:
         """The folder of its recording."""
         return self.folder.of(self.id)
-
-    @property
-    def comparison(self) -> Path:
-        """The folder of its comparison."""
-        return self.folder.comparison(self.id)
 
 
 def _asking(answer: Callable[[_Asked], Any]) -> Callable[[Request], Awaitable[Response]]:
@@ -344,25 +332,11 @@ def _batch(asked: _Asked) -> Any:
     return {"begun": begun, "refused": refused}
 
 
-def _compare(asked: _Asked) -> Any:
-    person = one_line(asked.wish.get("person", ""))
-    if not person:
-        raise AppError("Give the recordings a person first.")
-    name, place = asked.folder.add_comparison(person)
-    todo = steps.compare_steps(asked.folder, place, person)
-    write_json(place / "comparison.json", {"person": person})
-    asked.desk.add(place, "compare", todo)
-    return {"id": name}
-
-
 def _result(asked: _Asked) -> Response:
-    exported = [f"exports/{each}" for each in steps.EXPORTS.values()]
-    return _file(asked, asked.place, (*steps.DOWNLOADS, steps.recording_of(asked.place), *exported))
-
-
-def _file(asked: _Asked, place: Path, known: tuple[str, ...]) -> Response:
     """A result: a report opens in the page's frame, all else is taken away."""
-    path = place / asked.name
+    exported = (f"exports/{each}" for each in steps.EXPORTS.values())
+    path = asked.place / asked.name
+    known = (*steps.DOWNLOADS, steps.recording_of(asked.place), *exported)
     if asked.name not in known or not path.is_file():
         raise AppError("There is no such file.", 404)
     if path.suffix == ".html":

@@ -14,17 +14,17 @@ from pathlib import Path
 from typing import Any
 
 from ..result.draws import USUAL_DRAWS
-from ..runtime.csv_rows import write_rows
 from .folder import (
     OPEN,
     AppError,
     AppFolder,
     Choices,
     KeptRecording,
-    latest,
+    job_folder,
+    printed,
+    read_job,
     read_json,
     read_kept,
-    state_of,
 )
 
 Step = dict[str, Any]
@@ -282,34 +282,6 @@ def export_steps(place: Path, formats: Sequence[str]) -> list[Step]:
     return steps
 
 
-def compare_steps(folder: AppFolder, place: Path, person: str) -> list[Step]:
-    """Measure all of a person's recordings and compare the sessions."""
-    mine = []
-    for name in folder.recordings():
-        kept = read_kept(folder.of(name))
-        if kept.person == person and (folder.of(name) / RESULT).is_file():
-            mine.append(
-                (folder.of(name) / recording_of(folder.of(name)), kept, recorded_date(folder.of(name), kept))
-            )
-    if len(mine) < 2:
-        raise AppError(
-            "Comparing takes two recovered recordings of this person at least; recover them first."
-        )
-    base = Path(os.path.commonpath([path.parent for path, _, _ in mine]))
-    lines = [os.path.relpath(path, place) for path, _, _ in mine]
-    (place / "list.txt").write_text("".join(f"{line}\n" for line in lines), encoding="utf-8")
-    with open(place / "sessions.csv", "w", encoding="utf-8", newline="") as file:
-        rows = [
-            (path.relative_to(base).as_posix(), person, date or kept.name, date, kept.task)
-            for path, kept, date in mine
-        ]
-        write_rows(file, [("file", "person", "session", "date", "task"), *rows])
-    measured = ["batch", "list.txt", "-o", "study", "--measures"]
-    shown = ["progress", "study", "--sessions", "sessions.csv", "--person", person]
-    shown += ["--report", "progress.html", "--json", "progress.json", "--csv", "progress.csv", "--force"]
-    return [{"name": "measure", "argv": measured, "ok": [0, 1]}, {"name": "compare", "argv": shown}]
-
-
 def recorded_date(place: Path, kept: KeptRecording) -> str:
     """The day of a recording: as written, else by the stamps of its files; "" where they count from zero."""
     from datetime import UTC, datetime
@@ -346,23 +318,21 @@ def overview(folder: AppFolder, version: str) -> dict[str, Any]:
         "version": version,
         "free_bytes": shutil.disk_usage(folder.path).free,
         "recordings": [summary(folder, name) for name in folder.recordings()],
-        "comparisons": [comparison(folder, name) for name in folder.comparisons()],
         "templates": [path.stem for path in folder.template_files()],
     }
 
 
-def summary(folder: AppFolder, name: str, printed: bool = False) -> dict[str, Any]:
-    """A recording in the list; `printed`: with what its last job printed."""
+def summary(folder: AppFolder, name: str, with_printed: bool = False) -> dict[str, Any]:
+    """A recording in the list, perhaps with what its last job printed."""
     place = folder.of(name)
     kept = read_kept(place)
-    job = _job(place, printed)
+    job = _job(place, with_printed)
     figures = _verdict(place / FIGURES) or _verdict(place / CHECK)
     return {
         "id": name,
         "name": kept.name,
         "person": kept.person,
         "date": recorded_date(place, kept),
-        "task": kept.task,
         "created_s": kept.created_s,
         "files": len(files_of(place)),
         "recovered": (place / RESULT).is_file(),
@@ -376,16 +346,15 @@ def recording(folder: AppFolder, name: str) -> dict[str, Any]:
     """One recording: files, streams without their plots, choices, results, and its job."""
     place = folder.of(name)
     kept = read_kept(place)
-    mine = stamp(folder, place)
+    made_of = read_json(job_folder(place) / "recover.json").get("stamp", "")
     known = described(place)
     seen = {Path(each["file"]).name for each in known}
     files = files_of(place)
     return {
-        **summary(folder, name, printed=True),
+        **summary(folder, name, with_printed=True),
         "own_date": kept.date,
         "revision": kept.revision,
         "choices": kept.choices.model_dump(),
-        "stamp": mine,
         "dropped": [{"name": path.name, "bytes": path.stat().st_size} for path in files],
         "looked_at": [each["file"] for each in known] if seen >= {path.name for path in files} else [],
         "looked_ns": (place / STREAMS).stat().st_mtime_ns if (place / STREAMS).is_file() else 0,
@@ -396,7 +365,7 @@ def recording(folder: AppFolder, name: str) -> dict[str, Any]:
         "result": _verdict(place / FIGURES) if (place / RESULT).is_file() else None,
         "report": (place / REPORT).is_file(),
         "report_at": (place / REPORT).stat().st_mtime_ns if (place / REPORT).is_file() else 0,
-        "outdated": bool((place / RESULT).is_file() and _result_stamp(place) not in ("", mine)),
+        "outdated": bool((place / RESULT).is_file() and made_of not in ("", stamp(folder, place))),
         "exports": [each for each, file in EXPORTS.items() if (place / "exports" / file).is_file()],
         "unread": [Path(each["file"]).name for each in known if each["error"]]
         + [path.name for path in files if (place / STREAMS).is_file() and not path.stat().st_size],
@@ -448,36 +417,23 @@ def streams(folder: AppFolder, name: str) -> dict[str, Any]:
     return {"files": files}
 
 
-def comparison(folder: AppFolder, name: str) -> dict[str, Any]:
-    """A person's sessions compared."""
-    place = folder.comparison(name)
-    about = read_json(place / "comparison.json")
-    return {
-        "id": name,
-        "person": about.get("person", ""),
-        "ready": (place / "progress.html").is_file(),
-        "job": _job(place),
-    }
-
-
-def _job(place: Path, printed: bool = True) -> dict[str, Any] | None:
-    job = latest(place)
+def _job(place: Path, with_printed: bool = True) -> dict[str, Any] | None:
+    """How far a recording's last job is; with what its commands printed once it has ended."""
+    job = read_job(place)
     if job is None:
         return None
-    state = state_of(job, printed)
-    state["sentence"] = in_page_words(state["sentence"])
-    return {**state, "open": state["state"] in OPEN}
-
-
-def _result_stamp(place: Path) -> str:
-    """The stamp of the job that made the result."""
-    jobs = place / "jobs"
-    for job in sorted(jobs.iterdir(), reverse=True) if jobs.is_dir() else ():
-        state = state_of(job)
-        if (state["kind"], state["state"]) == ("recover", "done"):
-            stamped: str = state["stamp"]
-            return stamped
-    return ""
+    progress, is_open = read_json(job_folder(place) / "progress.json"), job.state in OPEN
+    names = [str(step.get("name", "")) for step in job.steps]
+    return {
+        **job.model_dump(include={"number", "kind", "state", "step"}),
+        "steps": len(names),
+        "step_name": names[job.step] if job.step < len(names) else "",
+        "share": float(progress.get("share", -1.0)),  # Part done of it, 0 to 1; -1 where it does not say
+        "text": str(progress.get("text", "")),  # What it is doing
+        "sentence": in_page_words(job.sentence),
+        "printed": printed(place) if with_printed and not is_open else "",
+        "open": is_open,
+    }
 
 
 def _verdict(path: Path) -> dict[str, Any] | None:

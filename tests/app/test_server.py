@@ -29,7 +29,7 @@ from typer.testing import CliRunner
 
 from smoother.app import folder as jobs
 from smoother.app import server
-from smoother.app.folder import AppFolder, JobDesk, KeptRecording, write_json
+from smoother.app.folder import AppFolder, Job, JobDesk, KeptRecording, job_folder, write_job, write_json
 from smoother.app.server import make_app
 from smoother.app.steps import (
     IMPORTED,
@@ -226,10 +226,8 @@ def test_what_a_killed_server_was_doing_was_stopped_and_is_repeated(
     name = folder.add(KeptRecording(name="s"))
     place = folder.of(name)
     shutil.copy(session_files["imu"], place / "files")
-    job = place / "jobs" / "0001"
-    job.mkdir(parents=True)
-    steps = describe_steps(folder, place)
-    write_json(job / "job.json", {"kind": "describe", "steps": steps, "state": "running", "step": 0})
+    job_folder(place).mkdir()
+    write_job(place, Job(kind="describe", steps=describe_steps(folder, place), state="running"))
     with TestClient(make_app(folder, JobDesk(folder), TOKEN, PORT), base_url=HOST) as client:
         client.get(f"/?token={TOKEN}")
         page = Page(client, folder)
@@ -238,11 +236,23 @@ def test_what_a_killed_server_was_doing_was_stopped_and_is_repeated(
         assert page.wait(name)["job"]["state"] == "done"
 
 
-def test_sessions_of_a_person_need_two_results(page: Page, session_files: dict[str, Path]):
-    name = page.add([session_files["imu"]])
-    page.change(name, person="p1")
-    answer = page.ask("POST", "/api/comparisons", 400, json={"person": "p1"})
-    assert "two recovered recordings" in answer["error"]
+@pytest.mark.parametrize(
+    "content", ["", "{", "[]", '{"steps": 3}', '{"state": "running", "step": "x"}', "\0"]
+)
+def test_a_damaged_job_was_stopped_and_is_repeated(page: Page, tmp_path: Path, content: str):
+    (tmp_path / "words.csv").write_text("a,b\n1,2\n")
+    name = page.add([tmp_path / "words.csv"])
+    file = job_folder(page.folder.of(name)) / "job.json"
+    file.parent.mkdir()
+    file.write_text(content)
+    assert page.ask("GET", f"/api/recordings/{name}")["job"]["state"] == "stopped"
+    assert page.ask("GET", "/api/state")["recordings"][0]["job"]["open"] is False
+    page.begin(name, "describe")
+    page.wait(name, until=("running",))
+    file.write_text(content)  # while it runs: what is known of it is in memory too
+    about = page.wait(name, until=("done",))
+    assert about["job"]["state"] in ("stopped", "done")
+    wait_for(lambda: page.ask("GET", f"/api/recordings/{name}")["job"]["state"] == "done")
 
 
 BLOCK = re.search(
@@ -450,7 +460,6 @@ def wait_for(true: Any, patience_s: float = 60.0) -> None:
 
 
 def test_a_full_disk_does_not_block_the_next_job(page: Page, monkeypatch: pytest.MonkeyPatch, tmp_path: Path):
-    """A job that could not be written, and one that an older version left half made."""
     (tmp_path / "words.csv").write_text("a,b\n1,2\n")
     name = page.add([tmp_path / "words.csv"])
     write = jobs.write_json
@@ -466,11 +475,10 @@ def test_a_full_disk_does_not_block_the_next_job(page: Page, monkeypatch: pytest
     full("job.json")
     path = f"/api/recordings/{name}/jobs"
     assert "space" in page.ask("POST", path, 400, json={"kind": "describe"})["error"]
-    assert list((page.folder.of(name) / "jobs").iterdir()) == []
-    (page.folder.of(name) / "jobs" / "0001").mkdir()
+    assert page.ask("GET", f"/api/recordings/{name}")["job"] is None
     monkeypatch.setattr(jobs, "write_json", write)
     page.begin(name, "describe")
-    assert page.wait(name)["job"] == page.wait(name)["job"] | {"number": 2, "state": "done"}
+    assert page.wait(name)["job"] == page.wait(name)["job"] | {"number": 1, "state": "done"}
 
 
 def deep(levels: int) -> str:
@@ -510,7 +518,6 @@ VALUES: list[Any] = [1, None, [], {}, [[1]], [{}], "x", True, {"a": {"b": []}}]
         ("{}/jobs", ("kind", "formats", "anyway")),
         ("{}/template", ("file", "kind", "columns", "keys", "title")),
         ("batch", ("ids", "like")),
-        ("comparisons", ("person",)),
     ],
 )
 def test_no_value_is_a_fault_of_the_server(
@@ -548,7 +555,6 @@ def test_each_start_has_a_secret_of_its_own(tmp_path: Path):
 @pytest.mark.skipif(not hasattr(os, "killpg"), reason="groups of processes are POSIX'")
 def test_no_command_outlives_its_killed_server(tmp_path: Path):
     place = tmp_path / AppFolder(tmp_path).add(KeptRecording(name="rec"))
-    job = place / "jobs" / "0001"
     words = ["demo", "-o", "demo", "--processes", "2"]
     program = (
         "import sys, time; from pathlib import Path; from smoother.app.folder import AppFolder;"
@@ -564,7 +570,7 @@ def test_no_command_outlives_its_killed_server(tmp_path: Path):
         rows = subprocess.run(["ps", "-eo", "pid,ppid,args"], capture_output=True, text=True).stdout
         return [int(r.split()[0]) for r in rows.splitlines()[1:] if int(r.split()[1]) == process.pid]
 
-    wait_for(lambda: (job / "progress.json").exists())  # it computes
+    wait_for(lambda: (job_folder(place) / "progress.json").exists())  # it computes
     (command,) = children()
     process.send_signal(signal.SIGKILL)
     process.wait()
@@ -577,10 +583,10 @@ def test_no_command_outlives_its_killed_server(tmp_path: Path):
 
     wait_for(is_gone)
     assert not list(place.rglob("*.tmp"))
-    assert jobs.state_of(job)["state"] == "running", "nobody could say it"
+    assert jobs.read_job(place).state == "running", "nobody could say it"
     desk = jobs.JobDesk(AppFolder(tmp_path))
     desk.close()
-    assert jobs.state_of(job)["state"] == "stopped"
+    assert jobs.read_job(place).state == "stopped"
 
 
 @pytest.mark.slow

@@ -256,16 +256,13 @@ const listing = {
     return ask("GET", "/api/state");
   },
   busy(state) {
-    return [...state.recordings, ...state.comparisons].some((each) => each.job?.open);
+    return state.recordings.some((each) => each.job?.open);
   },
   draw(view, state) {
     document.title = "unocclude";
     part(view, "head", 0, () => [h("h1", { tabindex: -1 }, t("title")), dropPlace(false, startRecordings)]);
     part(view, "list", state.recordings.map((each) => [each, each.job?.state]), () => recordingTable(view, state));
-    const people = [...new Set(state.recordings.map((each) => each.person).filter(Boolean))].sort();
-    part(view, "many", [people, state.recordings.map((r) => [r.id, r.name])], () => manyForm(view, state, people));
-    part(view, "comparisons", state.comparisons, () => state.comparisons.map((each) =>
-      h("p", {}, h("a", { href: `#/c/${each.id}` }, t("compare_open", { person: each.person })))));
+    part(view, "many", state.recordings.map((r) => [r.id, r.name]), () => manyForm(view, state));
     part(view, "foot", [state.folder, Math.round(state.free_bytes / 1e9), state.templates], () => [
       h("p", { class: "soft small" }, t("folder_is", { folder: state.folder, free: size(state.free_bytes) })),
       state.templates.length ? h("p", { class: "soft small" }, t("templates", { names: state.templates.join(", ") })) : null]);
@@ -328,22 +325,16 @@ function trustChip(trusted, verdict) {
   return h("span", { class: care ? "chip care" : "chip good" }, t(care ? "care" : "usable"));
 }
 
-function manyForm(view, state, people) {
+function manyForm(view, state) {
   if (!state.recordings.length) return null;
   const like = select([["", t("like_none")], ...state.recordings.map((each) => [each.id, each.name])], "", null, { id: "like" });
-  const person = select(people.map((each) => [each, each]), people[0], null, { id: "whose" });
   return h("section", { class: "step" },
     h("div", { class: "row" }, labelled(t("like"), like),
       h("button", { type: "button", id: "batch", onclick: act(async () => {
         const answer = await ask("POST", "/api/batch", { ids: [...(view.picked || [])], like: like.value || null });
         say(t("batch_begun", { n: answer.begun }));
         if (answer.refused.length) throw new Error(answer.refused.join(" "));
-      }) }, t("batch"))),
-    people.length ? h("div", { class: "row" }, labelled(t("compare_of"), person),
-      h("button", { type: "button", id: "compare", onclick: act(async () => {
-        const answer = await ask("POST", "/api/comparisons", { person: person.value });
-        location.hash = `#/c/${answer.id}`;
-      }) }, t("compare")), h("p", { class: "soft small" }, t("compare_hint"))) : null);
+      }) }, t("batch"))));
 }
 
 // ---- one recording
@@ -373,7 +364,7 @@ const one = {
     const ready = !open && !about.result && about.looked_at.length > 0 && about.job?.state !== "held";
     part(view, "next", [ready, Boolean(view.streams?.length), about.camera_video], () => (ready && isComplete(view.streams, about.camera_video)
       ? h("p", {}, h("button", { type: "button", id: "next", class: "first", onclick: () => document.getElementById("recover").click() }, t("recover"))) : null));
-    part(view, "about", [about.name, about.person, about.date, about.task, about.own_date, about.revision, open], () => aboutForm(view, about, open));
+    part(view, "about", [about.name, about.person, about.date, about.own_date, about.revision, open], () => aboutForm(view, about, open));
     part(view, "files", [about.dropped, open], () => filesSection(view, about, open));
     part(view, "streams", [view.seen, about.choices, about.proposals, about.camera_video, about.looked_at.length, open], () => streamsSection(view, about, open));
     part(view, "check", [about.check, about.choices.remedy, about.revision, open, about.dropped.length], () => checkSection(view, about, open));
@@ -439,11 +430,11 @@ function aboutForm(view, about, open) {
   return h("section", { class: "step" }, h("h2", {}, t("about")),
     h("form", { class: "row", onsubmit: act(async (event) => {
       const value = (key) => event.target.querySelector(`#f-${key}`).value;
-      await change(view, { name: value("name"), person: value("person"), date: value("date"), task: value("task") });
+      await change(view, { name: value("name"), person: value("person"), date: value("date") });
       say(t("saved"));
     }) },
     field("name", about.name, { required: true }), field("person", about.person),
-    field("date", about.date, { type: "date" }), field("task", about.task),
+    field("date", about.date, { type: "date" }),
     h("button", { disabled: open }, t("save")),
     h("button", { type: "button", class: "quiet", disabled: open, onclick: act(async () => {
       if (!confirm(t("remove_sure"))) return;
@@ -718,29 +709,11 @@ function templateForm(view, file, open) {
   return form;
 }
 
-// ---- a person's sessions
-
-const sessions = {
-  load: (view) => ask("GET", `/api/comparisons/${view.id}`),
-  busy: (about) => Boolean(about.job?.open),
-  draw(view, about) {
-    document.title = `${about.person} - unocclude`;
-    part(view, "head", about.person, () => [h("p", {}, h("a", { href: "#/" }, t("back"))), h("h1", { tabindex: -1 }, t("compare_title", { person: about.person }))]);
-    part(view, "job", jobSeen(about.job), () => jobBox(about.job, `/api/comparisons/${view.id}`, () => ask("POST", "/api/comparisons", { person: about.person })));
-    if (about.job?.open) moveBar(view, about.job);
-    const address = `/results/comparisons/${view.id}/progress.html`;
-    part(view, "page", [about.ready, about.job?.number, about.job?.state === "done"], () => (about.ready && !about.job?.open
-      ? [h("iframe", { src: address, title: t("compare_title", { person: about.person }) }),
-        h("p", {}, h("a", { href: address, target: "_blank", rel: "noopener" }, t("report_alone")), ", ", h("a", { href: `/results/comparisons/${view.id}/progress.csv`, download: "progress.csv" }, "progress.csv"))]
-      : null));
-  },
-};
-
 // ---- which view is shown, and asked anew
 
 function viewOf(hash) {
-  const [, kind, id] = hash.match(/^#\/(r|c)\/([a-z0-9-]+)$/) || [];
-  return { kind: { r: one, c: sessions }[kind] || listing, id, hash, parts: {}, root: h("div") };
+  const [, id] = hash.match(/^#\/r\/([a-z0-9-]+)$/) || [];
+  return { kind: id ? one : listing, id, hash, parts: {}, root: h("div") };
 }
 
 async function refresh() {
