@@ -11,7 +11,7 @@ import typer
 
 from ..table import tabulated
 from . import options as o
-from .load import Which, camera_frame_of
+from .load import Which
 from .output import (
     check_outputs,
     end_strictly,
@@ -21,7 +21,6 @@ from .output import (
     say_more,
     say_written,
     show,
-    write_csv,
     write_json,
 )
 
@@ -59,7 +58,6 @@ def batch(
     report: Annotated[
         o.Text, o.value("[OUT.html]", "Also write the study's page, in FOLDER if alone.")
     ] = None,
-    reports: Annotated[bool, o.option("Also write the report of each recording.", "--reports")] = False,
     measures: Annotated[bool, o.option("Also measure each arm, for `progress`.", "--measures")] = False,
     strict: o.Strict = False,
     json_file: o.Json = None,
@@ -134,19 +132,10 @@ def batch(
     except KeyboardInterrupt:
         typer.echo("unocclude: interrupted; the same command continues where this one stopped", err=True)
         raise typer.Exit(1) from None
-    if reports:
-        write_reports(rows, folder.path, processes or 0, force)
     if page is not None:
         from ..report.pages import write_study
-        from ..study.progress import long_rows, persons_of
 
-        names = ["recording", "status", "recorded_day", "measures"]
-        plain = rows.select(names).to_pylist()
-        table = page.with_name(f"{page.stem}_measures.csv")
-        if long := long_rows(plain):
-            write_csv(table, [list(long[0]), *(list(row.values()) for row in long)], True)
-        of_persons = persons_of(plain)
-        write_study(rows, page, folder.path, persons=of_persons, table=table.name if long else "", force=True)
+        write_study(rows, page, folder.path, force=True)
     figures = study_figures(rows, tally)
     figures |= {"folder": folder.path.name, "rows": rows.slice(0, MOST_JSON).to_pylist()}
     write_json(json_file, figures, True)
@@ -157,31 +146,6 @@ def batch(
         raise typer.Exit(1)
     if strict:
         end_strictly(rows["trusted"].to_pylist())
-
-
-def write_reports(rows: pa.Table, folder: Path, processes: int, anew: bool) -> None:
-    """Write the report of each result of a study that has none, or one that is older than the result."""
-    from ..report.pages import report_of
-    from ..runtime.pool import Pool
-
-    todo = []
-    for result in (folder / row["output"] for row in rows.to_pylist() if row["status"] == "done"):
-        page = folder / report_of(str(result.relative_to(folder)))
-        if anew or not page.is_file() or page.stat().st_mtime < result.stat().st_mtime:
-            _refuse_others(page, _PAGE_MARKS[:1], anew)
-            todo.append((result, page))
-    with Pool(processes, frames=10**9 if len(todo) > 1 else 0) as workers:
-        for _ in workers.map(_write_report, todo):
-            pass
-
-
-def _write_report(files: tuple[Path, Path]) -> None:
-    """The report of a result file."""
-    from ..io import read_recovery
-    from ..report import write_report
-
-    arms = [(None, each, None, None) for each in read_recovery(files[0])]
-    write_report(arms, files[1], camera_frame=camera_frame_of(files[0]), force=True)
 
 
 def _refuse_others(path: Path | None, marks: Sequence[bytes], force: bool) -> None:

@@ -294,7 +294,7 @@ def gaps(
         from ..report.pages import gap_curves_page
 
         name = ", ".join(recording.name for recording in recordings)
-        gap_curves_page(table, name, (*sentences, *notes)).write(report, out.force)
+        gap_curves_page(table, name, sentences, notes).write(report, out.force)
     figures = table.to_dict() | {"notes": list(dict.fromkeys(notes))}
     by_arm: dict[tuple[str, int | None], list[GapTable]] = {}  # of all recordings together
     for recording, own in evaluated if len(arms) > len(loaded) else ():
@@ -361,48 +361,35 @@ def benchmark(
     out: Out,
     data: Annotated[o.File, o.value("FOLDER", f"One folder per data set.  [default: ${VARIABLE}]")] = None,
     method: Annotated[str, o.value("M,M,..", f"Methods, or all: {', '.join(METHODS)}.")] = "all",
-    datasets: Annotated[str, o.value("D,D,..", "Data sets by folder, or all.")] = "all",
     split: Annotated[Literal["development", "test", "all"], o.option("Which trials.")] = "all",
-    trials: Annotated[o.Count, o.option("At most this many trials per data set.", min=1)] = None,
-    seed: Annotated[int, o.option("Seed of the gaps; 0 is the published benchmark.", min=0)] = 0,
     processes: o.Processes = None,
 ) -> None:
     """Score all methods on public data sets with hidden gaps.
 
     The folder of --data contains broad/, utd_mhad/ and smartfallmm/ as published; missing ones are
-    named and left out. Splits and gaps are frozen: they depend only on a trial's name and the seed. Writes
+    named and left out. Splits and gaps are frozen: they depend only on a trial's name. Writes
     benchmark.json, benchmark.md (the table) and gaps.csv (one row per gap).
 
     Example: unocclude benchmark --data datasets -o benchmark
     """
     from .. import __version__
-    from ..evaluation.benchmark import (
-        DATASETS,
-        SPLITS,
-        digest,
-        find_trials,
-        gap_rows,
-        plain,
-        run_benchmark,
-        summary,
-    )
+    from ..evaluation.benchmark import SPLITS, digest, find_trials, gap_rows, plain, run_benchmark, summary
 
     folder = data or (Path(os.environ[VARIABLE]) if os.environ.get(VARIABLE) else None)
     if folder is None:
         raise typer.BadParameter(f"name the folder of the data sets with --data, or in {VARIABLE}")
     if not folder.is_dir():
         raise UnoccludeError(f"{folder} is not a folder; name the folder that contains the data sets")
-    keys = o.listed(datasets, DATASETS, "data set")
     splits = list(SPLITS) if split == "all" else [split]
     names = tuple(o.listed(method, METHODS, "method"))
     files = [output / name for name in _FILES]
     out.check(files if output.is_dir() else [])
-    found, missing = find_trials(folder, keys, splits, trials)
+    found, missing = find_trials(folder, splits)
     output.mkdir(parents=True, exist_ok=True)
     began = time.perf_counter()
     with progress_bar("benchmark") as progress:
-        run = run_benchmark(folder, found, names, progress, seed, processes or 0)
-    figures = plain(run, seed, __version__, digest(found))
+        run = run_benchmark(folder, found, names, progress, processes or 0)
+    figures = plain(run, __version__, digest(found))
     tables = [summary(each) for each in figures["datasets"]]
     write_json(files[0], figures, out.force)
     write_text(files[1], "\n".join(f"### {each.title}\n\n{each.markdown()}" for each in tables), out.force)
@@ -480,16 +467,14 @@ def print_arm(one: Measures, damaged: list[str]) -> None:
 
     Zones of angles are left to `--csv` and `--json`.
     """
-    from ..evaluation.words import measure_table
+    from ..evaluation.words import measure_table, not_measured
 
     if one.trusted is False:
         say(f"{one.verdict} The measures below are those of an answer that is not to be trusted.")
     shown = [row for row in one.session if "_zone_" not in row.key]
     show(measure_table(f"{one.name}, {one.arm_label}: the session", "measure", shown))
-    unknown = [row for row in one.session if not row.is_known and row.note]
-    for reason in dict.fromkeys(row.note for row in unknown):
-        names = dict.fromkeys(row.name.partition(",")[0] for row in unknown if row.note == reason)
-        say(f"not measured: {', '.join(names)}. {reason}")
+    for sentence in not_measured(one):
+        say(sentence)
     say(f"{len(one.movements)} movements, {len(one.repetitions)} repetitions: --csv, --json and the report")
     print_notes([*damaged, *one.notes])
 

@@ -62,10 +62,10 @@ class BenchmarkTrial:
         """Which of all trials it is, wherever the files are."""
         return f"{self.dataset}/{self.name}"
 
-    def seed(self, seed: int) -> int:
+    @property
+    def seed(self) -> int:
         """Of its gaps: by its name, so that no other trial moves them."""
-        digest = hashlib.sha256(f"{VERSION}/{seed}/{self.key}".encode()).digest()
-        return int.from_bytes(digest[:4], "big")
+        return int.from_bytes(hashlib.sha256(f"{VERSION}/0/{self.key}".encode()).digest()[:4], "big")
 
 
 @dataclass(frozen=True)
@@ -152,7 +152,7 @@ DATASETS: Mapping[str, BenchmarkData] = {
     # the IMU against optical motion capture, whose positions at 30 Hz with 8 mm of noise are the camera
     "broad": BenchmarkData(
         *("BROAD", (0.5, 1.0, 2.0, 3.0), 4, True, broad_trials),
-        lambda trial: import_broad(trial.files[0], seed=trial.seed(0)),
+        lambda trial: import_broad(trial.files[0], seed=trial.seed),
         "broad/NN_*.mat",
     ),
     # the others: the wrist against the camera's hidden samples
@@ -179,26 +179,18 @@ Tables = Mapping[tuple[str, str], GapTable]
 _Task = tuple[BenchmarkTrial, tuple[float, ...]]
 
 
-def find_trials(
-    folder: Path, datasets: Sequence[str], splits: Sequence[str], most: int | None = None
-) -> tuple[list[BenchmarkTrial], list[str]]:
+def find_trials(folder: Path, splits: Sequence[str]) -> tuple[list[BenchmarkTrial], list[str]]:
     """The trials that are there, and a sentence on each data set that is not."""
     found: list[BenchmarkTrial] = []
     notes = []
-    for key in datasets:
-        own = list(DATASETS[key].find(folder / key)) if (folder / key).is_dir() else []
+    for key, data in DATASETS.items():
+        own = list(data.find(folder / key)) if (folder / key).is_dir() else []
         if not own:
-            notes.append(f"{DATASETS[key].title} is not there: no {DATASETS[key].layout} in {folder}.")
-        for split in splits:
-            here = [trial for trial in own if trial.split == split]
-            if most is not None and len(here) > most:
-                here = [here[int(at)] for at in np.linspace(0, len(here) - 1, most).round()]
-            found += here
+            notes.append(f"{data.title} is not there: no {data.layout} in {folder}.")
+        found += [trial for split in splits for trial in own if trial.split == split]
     if not found:
-        raise UnoccludeError(
-            f"{folder} has no trial of {', '.join(datasets)}; expected are "
-            + "; ".join(DATASETS[key].layout for key in datasets)
-        )
+        layouts = "; ".join(data.layout for data in DATASETS.values())
+        raise UnoccludeError(f"{folder} has no trial of {' or '.join(splits)}; expected are {layouts}")
     return found, notes
 
 
@@ -207,10 +199,9 @@ def run_benchmark(
     trials: Sequence[BenchmarkTrial],
     methods: Sequence[str],
     progress: Callable[[float, str], None],
-    seed: int = 0,
     processes: int = 0,
 ) -> Tables:
-    """Hide, recover and score; seed 0 is the published benchmark, 0 processes are one per core."""
+    """Hide, recover and score; 0 processes are one per core."""
     tasks = [
         (trial, lengths_s)
         for trial in trials
@@ -227,7 +218,7 @@ def run_benchmark(
     with Pool(processes, _MANY_FRAMES) as pool:
         progress(0.0, "calibrating")
         made = zip(groups, pool.map(_calibration, groups.values()), strict=True)
-        job = partial(_tried, methods=tuple(methods), seed=seed, calibrations=dict(made))
+        job = partial(_tried, methods=tuple(methods), calibrations=dict(made))
         for number, ((trial, _), answer) in enumerate(zip(tasks, pool.map(job, tasks), strict=True)):
             progress(number / len(tasks), trial.key)
             answers.setdefault((trial.dataset, trial.split), []).append(answer)
@@ -248,14 +239,13 @@ def _calibration(group: list[BenchmarkTrial]) -> ArmCalibration | None:
 def _tried(
     task: _Task,
     methods: tuple[str, ...],
-    seed: int,
     calibrations: Mapping[tuple[str, str], ArmCalibration | None],
 ) -> GapTable:
     """One task by all methods."""
     trial, lengths_s = task
     try:
         recording = replace(DATASETS[trial.dataset].open(trial), name=trial.name)
-        gaps = placed_gaps(trial, lengths_s, recording, seed)
+        gaps = placed_gaps(trial, lengths_s, recording)
     except UnoccludeError as error:
         return GapTable((), (f"{trial.key} could not be opened: {error}",))
     lengths = {gap: length_s for length_s, gap in gaps}
@@ -272,12 +262,12 @@ def _tried(
 
 
 def placed_gaps(
-    trial: BenchmarkTrial, lengths_s: Sequence[float], recording: Recording, seed: int
+    trial: BenchmarkTrial, lengths_s: Sequence[float], recording: Recording
 ) -> list[tuple[float, HiddenGap]]:
     """The gaps of a copy with their lengths, s, in order of time."""
     placed: list[tuple[float, HiddenGap]] = []
     for length_s in sorted(lengths_s, reverse=True):
-        rng = np.random.default_rng([trial.seed(seed), round(1000 * length_s)])
+        rng = np.random.default_rng([trial.seed, round(1000 * length_s)])
         seen = replace(hide(recording, [gap for _, gap in placed]), truth=recording.truth)
         gaps = place_gaps(seen, length_s, rng, count=DATASETS[trial.dataset].gaps)
         placed += [(length_s, gap) for gap in gaps]
@@ -297,7 +287,7 @@ def digest(trials: Sequence[BenchmarkTrial]) -> str:
     return total.hexdigest()
 
 
-def plain(tables: Tables, seed: int, version: str, data: str) -> dict[str, Any]:
+def plain(tables: Tables, version: str, data: str) -> dict[str, Any]:
     """Plain values by name, as `benchmark.json` holds them; nothing in it changes from run to run."""
 
     def rank(row: dict[str, Any]) -> tuple[int, float]:
@@ -305,7 +295,7 @@ def plain(tables: Tables, seed: int, version: str, data: str) -> dict[str, Any]:
         known = [value for value in row["median_m"].values() if value is not None]
         return len(row["median_m"]) - len(known), sum(known)
 
-    datasets = []
+    datasets: list[dict[str, Any]] = []
     for (dataset, split), table in tables.items():
         lengths = dict(sorted(table.lengths.items()))
         rows = []
@@ -316,13 +306,15 @@ def plain(tables: Tables, seed: int, version: str, data: str) -> dict[str, Any]:
             each |= {"median_m": {length: group.spread["median_m"] for length, group in groups.items()}}
             each |= {"rms_m": {length: group.figures.position_rms_m for length, group in groups.items()}}
             rows.append(each | {"inside_95": whole.figures.coverage_95} | whole.counts)
-        trials = len({row.recording for row in table.rows})
-        about = {"dataset": dataset, "split": split, "trials": trials, "methods": sorted(rows, key=rank)}
-        datasets.append(
-            about | {"lengths": by_length(lengths, GapGroup.to_dict), "methods": sorted(rows, key=rank)}
-        )
+        about: dict[str, Any] = {
+            "dataset": dataset,
+            "split": split,
+            "trials": len({row.recording for row in table.rows}),
+        }
+        about |= {"lengths": by_length(lengths, GapGroup.to_dict), "methods": sorted(rows, key=rank)}
+        datasets.append(about)
     notes = list(dict.fromkeys(note for table in tables.values() for note in table.notes))
-    head = {"benchmark": VERSION, "version": version, "seed": seed, "data_sha256": data}
+    head = {"benchmark": VERSION, "version": version, "data_sha256": data}
     return head | {"datasets": datasets, "notes": notes}
 
 

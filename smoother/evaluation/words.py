@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import re
 import tomllib
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from functools import cache
 from importlib import resources
 from typing import TYPE_CHECKING, Any
@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 from ..table import Table, percent
 
 if TYPE_CHECKING:
-    from ..measures import Measure
+    from ..measures import Measure, Measures
 
 
 def texts(document: str) -> dict[str, Any]:
@@ -122,6 +122,14 @@ def measure_table(title: str, first: str, rows: Iterable[Measure]) -> Table:
 
     cells = [(row.name, measure_words(row), recovered(row)) for row in rows if row.is_known]
     return Table(title, (first, "value (95 % interval)", "recovered"), cells)
+
+
+def not_measured(arm: Measures) -> Iterator[str]:
+    """What of a session is not known: each reason with its measures."""
+    unknown = [row for row in arm.session if not row.is_known and row.note]
+    for reason in dict.fromkeys(row.note for row in unknown):
+        names = dict.fromkeys(row.name.partition(",")[0] for row in unknown if row.note == reason)
+        yield f"not measured: {', '.join(names)}. {reason}"
 
 
 def limits_words(row: Mapping[str, Any]) -> str:

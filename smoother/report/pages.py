@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from urllib.parse import quote
@@ -16,7 +16,6 @@ from calib.protocol import Answer
 
 from ..evaluation.gaps import GapTable
 from ..evaluation.progress import (
-    MOSTLY_RECOVERED,
     SESSIONS_VARY,
     PersonProgress,
     Series,
@@ -29,12 +28,13 @@ from ..evaluation.words import (
     is_main,
     measure_table,
     measure_words,
+    not_measured,
     quantity,
     scaled,
     shown_unit,
 )
 from ..linalg import robust_sigma
-from ..measures import BothArms, Measure, Measures
+from ..measures import BothArms, Measures
 from ..table import Table, centimetres, tabulated
 from .sheet import (
     ALARM,
@@ -49,13 +49,11 @@ from .sheet import (
     label,
     limits,
     notes,
-    phrase,
     rendered,
     trust_badge,
 )
 from .traces import (
     BAND,
-    VISIBLE,
     dress,
     interval_bars,
     values_with_intervals,
@@ -111,8 +109,6 @@ def strap_verdict(search: StrapFound) -> list[str]:
 
 #: Measures of the main table, and sentences of the limits.
 MOST_MAIN, MOST_LIMITS = 10, 6
-#: Angles whose range is drawn.
-RANGES = ("elbow_flexion", "shoulder_elevation", "pronation")
 #: What the hand may reach.
 REACHED = {
     "hand_to_mouth_reached": "hand to mouth",
@@ -161,7 +157,6 @@ def _measures_verdict(arms: Sequence[Measures]) -> Iterator[str]:
 def _measures_sections(arms: Sequence[Measures], pairs: Sequence[BothArms]) -> Iterator[PageSection]:
     trusted = all(arm.trusted is not False for arm in arms)
     symmetry = pairs[0].rows if len(arms) == 2 and len(pairs) == 1 and trusted else ()
-    yield _ranges(arms)
     yield _reach(arms)
     known = [row.key for arm in arms for row in arm.session if row.is_known and row.key not in REACHED]
     for arm in arms:
@@ -172,7 +167,8 @@ def _measures_sections(arms: Sequence[Measures], pairs: Sequence[BothArms]) -> I
         "Right against left, in percent", "0 = alike, above it the right has more", symmetry
     )
     yield rendered(alike)
-    yield limits((sentence for arm in arms for sentence in _limits(arm, _of(arm, arms))), MOST_LIMITS)
+    unknown = (f"{each}{_of(arm, arms)}" for arm in arms for each in not_measured(arm))
+    yield limits([*unknown, *(note for arm in arms for note in arm.notes)], MOST_LIMITS)
     keys = [row.key for arm in arms for row in arm.session if row.is_known and is_main(row.key)]
     words = ["interval", "recovered", *(["symmetry"] if symmetry else [])]
     yield explained([*words, *(["unknown"] if REACHED.keys() & set(keys) else [])], keys)
@@ -181,30 +177,6 @@ def _measures_sections(arms: Sequence[Measures], pairs: Sequence[BothArms]) -> I
 def _of(arm: Measures, arms: Sequence[Measures]) -> str:
     """Which arm, where there are several."""
     return f", {arm.arm_label.replace(' arm', '')}" if len(arms) > 1 else ""
-
-
-def _ranges(arms: Sequence[Measures]) -> PageSection:
-    """The smallest and the largest angle of each joint, each with its interval."""
-    figure, names = go.Figure(), []
-    for angle, arm in ((angle, arm) for angle in RANGES for arm in arms):
-        low, high, whole = (arm.by_key.get(f"{angle}_{what}_deg") for what in ("min", "max", "range"))
-        if low is None or high is None or whole is None or not (low.is_known and high.is_known):
-            continue
-        about = capitalised(whole.name.removesuffix(", range") + _of(arm, arms))
-        names.append(f"{label(about)}<br><b>{interval(low.value, high.value, 'deg')}</b>")
-        bar = go.Bar(x=[high.value - low.value], y=names[-1:], base=[low.value], orientation="h")
-        figure.add_trace(bar.update(marker_color=VISIBLE, marker_opacity=0.45, width=0.4))
-        bars = interval_bars(
-            *([getattr(end, part) for end in (low, high)] for part in ("value", "low", "high"))
-        )
-        ends = go.Scatter(x=[low.value, high.value], y=names[-1:] * 2, mode="markers", error_x=bars)
-        figure.add_trace(ends.update(marker_color=VISIBLE))
-    if not names:
-        return PageSection()
-    figure.update_xaxes(ticksuffix="°", rangemode="tozero").update_yaxes(autorange="reversed")
-    return PageSection(
-        "How far the joints moved", plot=dress(figure, 60 + 42 * len(names), head=5, showlegend=False)
-    )
 
 
 def _reach(arms: Sequence[Measures]) -> PageSection:
@@ -226,27 +198,6 @@ def _reach(arms: Sequence[Measures]) -> PageSection:
         rows.append(["reach volume", *(measure_words(arm.by_key.get(volume)) for arm in arms)])
     columns = ["goal", *(arm.arm_label for arm in arms)]
     return rendered(Table("Where the hand reached", columns, rows))
-
-
-def _limits(arm: Measures, mark: str) -> Iterator[str]:
-    """What limits an arm's numbers: what is not known and why, what comes from recovered samples."""
-
-    def listed(rows: Sequence[Measure]) -> str:
-        names = [row.name for row in rows]
-        return (
-            ", ".join(names) if len(names) <= 2 else f"{names[0]} and {len(names) - 1} measures more"
-        ) + mark
-
-    main = [row for row in arm.session if is_main(row.key)]
-    if doubtful := [row for row in main if row.is_known and row.note]:
-        most = 100 * max(row.untrusted_share for row in doubtful)
-        yield f"{listed(doubtful)}: up to {most:.0f} % of it comes from gaps that are not trusted"
-    unknown = [row for row in main if not row.is_known and row.note]
-    for note in dict.fromkeys(row.note for row in unknown):
-        yield f"{listed([row for row in unknown if row.note == note])} cannot be assessed: {note}"
-    if weak := [row for row in main if row.is_known and row.recovered_share > MOSTLY_RECOVERED]:
-        yield f"More than half of {listed(weak)} comes from recovered time"
-    yield from arm.notes
 
 
 #: Figures of the page of progress, and rows of its table.
@@ -316,34 +267,13 @@ def _short(text: str, most: int = 24) -> str:
     return text if len(text) <= most else f"{text[: most - 1]}…"
 
 
-#: Colour and plotly dash of each method; strong methods in strong colours.
-STYLES: dict[str, tuple[str, str]] = {
-    "graph": ("#D55E00", "solid"),
-    "rts": ("#0072B2", "solid"),
-    "gaussian-process": ("#009E73", "solid"),
-    "linear-drift": ("#CC79A7", "solid"),
-    "ukf": ("#56B4E9", "dash"),
-    "multirate-kalman": ("#B8860B", "dash"),
-    "kalman": ("#7F5AA8", "dash"),
-    "pchip": ("#777777", "dot"),
-    "camera-only": ("#444444", "dot"),
-    "hold": ("#B0B0B0", "dot"),
-}
-#: For a method without a style of its own.
-PLAIN = ("#777777", "solid")
-
-
-def line_of(method: str) -> dict[str, object]:
-    """Plotly's line for a method."""
-    colour, dash = STYLES.get(method, PLAIN)
-    return {"color": colour, "dash": dash, "width": 3.2 if method == "graph" else 1.5}
-
-
+#: Of the methods in turn (Okabe and Ito 2008), then grey.
+COLOURS = ("#D55E00", "#0072B2", "#009E73", "#CC79A7", "#56B4E9", "#B8860B", "#7F5AA8", "#777777", "#B0B0B0")
 #: By length of gap (s), rising, and method: `GapGroup.spread`.
 Spreads = dict[float, dict[str, dict[str, Any]]]
 
 
-def gap_curves_page(table: GapTable, name: str, remarks: Sequence[str] = ()) -> Page:
+def gap_curves_page(table: GapTable, name: str, verdict: Iterable[str], remarks: Iterable[str]) -> Page:
     """The errors in hidden gaps on one page."""
     spreads = {
         length: {method: group.spread for method, group in table.lengths[length].items()}
@@ -357,35 +287,13 @@ def gap_curves_page(table: GapTable, name: str, remarks: Sequence[str] = ()) -> 
     return Page(
         f"Error against gap length: {name}",
         f"{gaps} gaps were made where the camera saw the arm, and recovered; compared with {reference}.",
-        gap_verdict(spreads),
+        verdict,
         [
             PageSection("Error against gap length", plot=curves(spreads)),
             rendered(table.table()),
-            notes(dict.fromkeys((*remarks, *table.notes))),
+            notes(dict.fromkeys(remarks)),
         ],
     )
-
-
-def gap_verdict(spreads: Spreads) -> list[str]:
-    """How long a gap can be trusted, and to what, in sentences."""
-    sentences, before = [], 0.0
-    for limit_cm in (1, 2, 5, 10):
-        longest = 0.0  # up to which the upper quartile stays within the limit at every length, s
-        for length, methods in spreads.items():
-            graph = methods.get("graph")
-            if graph is None or graph["high_m"] is None or graph["high_m"] > limit_cm / 100:
-                break
-            if graph["failed"] > graph["gaps"] / 4:
-                break
-            longest = length
-        if longest > before:
-            before = longest
-            sentences.append(
-                f"Up to {longest:g} s the graph recovers three of four gaps to {limit_cm} cm rms or better"
-            )
-    if not sentences and any("graph" in methods for methods in spreads.values()):
-        sentences.append("The graph does not recover three of four gaps to 10 cm rms at any of these lengths")
-    return sentences or ["The table has the errors of each method."]
 
 
 def curves(spreads: Spreads) -> go.Figure:
@@ -405,8 +313,9 @@ def curves(spreads: Spreads) -> go.Figure:
             for part in ("median_m", "low_m", "high_m")
         )
         shift = 1.0 if name == "graph" else 1.012 ** (place - len(names) / 2)  # bars beside each other
-        line = line_of(name)
-        bars = interval_bars(median, low, high) | {"color": line["color"], "thickness": 1}
+        colour = COLOURS[(len(names) - 1 - place) % len(COLOURS)]
+        line = {"color": colour, "width": 3.2 if name == "graph" else 1.5}
+        bars = interval_bars(median, low, high) | {"color": colour, "thickness": 1}
         trace = go.Scatter(x=[length * shift for length in known], y=median, name=label(name), line=line)
         plot.add_trace(trace.update(mode="lines+markers", error_y=bars))
     ticks = [f"{length:g}" for length in spreads]
@@ -421,24 +330,18 @@ MOST_RECORDINGS, MOST_NOTES = 200, 20
 
 
 def write_study(
-    rows: pa.Table,
-    path: str | os.PathLike[str],
-    folder: str | os.PathLike[str],
-    *,
-    persons: Mapping[str, str] | None = None,
-    table: str = "",
-    force: bool = False,
+    rows: pa.Table, path: str | os.PathLike[str], folder: str | os.PathLike[str], force: bool = False
 ) -> None:
-    """Write the page of a study; `table` is the file beside it with all measures."""
+    """Write the page of a study; `folder` is that of its results."""
     import pyarrow.compute as pc
 
     recovered = rows.filter(pc.equal(rows["status"], "done"))
     failed = rows.filter(pc.equal(rows["status"], "failed"))
-    failures = [(row["recording"], row["error"]) for row in failed.slice(0, MOST_RECORDINGS).to_pylist()]
-    sections = [rendered(Table("Failed", ("recording", "why"), failures))]
+    failures = failed.select(["recording", "error"]).slice(0, MOST_RECORDINGS).to_pylist()
+    sections = [rendered(tabulated("Failed", failures, "recording error=why"))]
     if len(recovered):
         shown = worst_of(recovered, MOST_RECORDINGS).to_pylist()
-        sections.append(_recordings(shown, len(recovered), persons or {}, Path(path), Path(folder), table))
+        sections.append(_recordings(shown, len(recovered), Path(path), Path(folder)))
         texts = pc.list_flatten(recovered["note_texts"].combine_chunks()).value_counts().to_pylist()
         counted = sorted(texts, key=lambda note: (-note["counts"], note["values"]))
         sentences = [f"{note['counts']} x: {note['values']}" for note in counted[:MOST_NOTES]]
@@ -457,21 +360,12 @@ def _study_verdict(count: int, recovered: pa.Table, failed: int, distrusted: int
     import pyarrow.compute as pc
 
     yield f"{len(recovered)} of {count} recordings were recovered, {failed} failed"
-    if not len(recovered):
-        return
     if distrusted:
         yield f"Not to be trusted: {distrusted} of them; do not use these figures. The table begins with them"
     sound = recovered.filter(pc.fill_null(recovered["trusted"], True))
     partly = pc.and_(pc.is_valid(sound["trusted"]), pc.greater(sound["gaps_untrusted"], 0))
     if several := pc.sum(partly).as_py():
         yield f"Gaps that are not to be trusted: in {several} of the others"
-    recorded, occluded, spent = (
-        pc.sum(recovered[name]).as_py() or 0.0 for name in ("duration_s", "occluded_s", "seconds")
-    )
-    yield (
-        f"{_duration(recorded)} of recordings, {100 * occluded / max(recorded, 1e-9):.1f} % of it occluded;"
-        f" one process needed {_duration(spent)}, {recorded / max(spent, 1e-9):.3g} times real time"
-    )
     error = 100 * sound["error_95_m"].drop_null().to_numpy()
     if len(error):
         half, most = np.percentile(error, [50, 95])
@@ -481,26 +375,28 @@ def _study_verdict(count: int, recovered: pa.Table, failed: int, distrusted: int
         )
 
 
-def _duration(seconds: float) -> str:
-    if seconds < 90:
-        return f"{seconds:.0f} s"
-    return f"{seconds / 60:.0f} min" if seconds < 5400 else f"{seconds / 3600:.1f} h"
+def _recordings(rows: Sequence[dict[str, Any]], count: int, path: Path, folder: Path) -> PageSection:
+    """The recordings, each with a link to its result."""
 
+    def named(row: dict[str, Any]) -> Html:
+        target = os.path.abspath(folder / row["output"])
+        try:
+            link = quote(Path(os.path.relpath(target, os.path.abspath(path.parent))).as_posix())
+        except ValueError:  # another drive
+            link = Path(target).as_uri()
+        return Html('<a href="{}">{}</a>').format(link, row["recording"])
 
-def _recordings(
-    rows: Sequence[dict[str, Any]],
-    count: int,
-    persons: Mapping[str, str],
-    path: Path,
-    folder: Path,
-    table: str,
-) -> PageSection:
-    """The recordings, each with a link to its report, or to its result where it has none."""
+    def verdict(row: dict[str, Any]) -> str:
+        word = trust_badge(row["trusted"], row["gaps"], row["gaps_untrusted"])
+        if row["trusted"] is False:
+            return word + f" {str(row['verdict'] or '').removeprefix('Not to be trusted: ')}"
+        return word if row["gaps_untrusted"] else row["verdict"] or word
+
     columns: dict[str, str | Callable[[Any], object]] = {
-        "recording": lambda row: _named(row, path, folder),
-        "person": lambda row: persons.get(row["recording"]),
-        "verdict": _trust,
-        "self-check: recovered to within": _self_check,
+        "recording": named,
+        "verdict": verdict,
+        "self-check: recovered to within, cm": "self_check_95_m",
+        "stated, cm": "self_check_stated_95_m",
         "within, cm (95 %)": lambda row: centimetres(
             row["error_95_m"] if row["trusted"] is not False else None
         ),
@@ -511,39 +407,4 @@ def _recordings(
     }
     rest = count - len(rows)
     others = f" The other {rest} are among the results." if rest else ""
-    all_measures = table and phrase("all_measures", link=quote(table), file=table)
-    about = caption("Recordings", rest=others, measures=all_measures)
-    return rendered(tabulated("Recordings", rows, columns), about)
-
-
-def _named(row: dict[str, Any], path: Path, folder: Path) -> Html:
-    """A recording's name, which leads to its report where there is one."""
-    page = report_of(row["output"])
-    target = os.path.abspath(folder / (page if (folder / page).is_file() else str(row["output"])))
-    try:
-        link = quote(Path(os.path.relpath(target, os.path.abspath(path.parent))).as_posix())
-    except ValueError:  # another drive
-        link = Path(target).as_uri()
-    return Html('<a href="{}">{}</a>').format(link, row["recording"])
-
-
-def _self_check(row: dict[str, Any]) -> str | None:
-    """What the self-check found and what was stated of it, and its sentence under the pointer."""
-    found, stated = row["self_check_95_m"], row["self_check_stated_95_m"]
-    if found is None or stated is None:
-        return row["self_check"] or None
-    words = f"{100 * found:.1f} cm (stated: {100 * stated:.1f})"
-    return Html('<span title="{}">{}</span>').format(row["self_check"] or "", words)
-
-
-def report_of(output: str) -> str:
-    """The name of a recording's report, beside its result."""
-    return Path(output).with_suffix(".html").as_posix()
-
-
-def _trust(row: dict[str, Any]) -> str:
-    """Whether a recording's result is to be trusted, as a word in its colour, and why it is not."""
-    word = trust_badge(row["trusted"], row["gaps"], row["gaps_untrusted"])
-    if row["trusted"] is False:
-        return word + f" {str(row['verdict'] or '').removeprefix('Not to be trusted: ')}"
-    return word if row["gaps_untrusted"] else row["verdict"] or word
+    return rendered(tabulated("Recordings", rows, columns), caption("Recordings", rest=others))
