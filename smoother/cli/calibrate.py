@@ -14,7 +14,7 @@ import typer
 from ..errors import CalibrationError
 from . import options as o
 from .load import ConfigInput, Which, load_arm, load_arms, refuse_twice
-from .output import Out, arms_figures, print_notes, say, say_arm, say_written, show
+from .output import Out, arms_figures, print_notes, say, say_arm, show
 
 if TYPE_CHECKING:
     from calib.clock import MotionClock, Receptions
@@ -29,23 +29,13 @@ if TYPE_CHECKING:
     from ..recording import ImuStream, Recording
 
 
-@dataclass(frozen=True)
-class CalibrationOut(Out):
-    """Where a calibration is written besides its file, which is added to."""
-
-    report: o.Report = None
-
-    def finish(self, output: Path | None, answer: Answer, title: str, notes: Iterable[str]) -> None:
-        """Write what a calibration found to all outputs, then print it."""
-        from ..report.pages import calibration_page
-
-        notes = list(dict.fromkeys(notes))
-        if self.report is not None:
-            calibration_page(title, answer, notes).write(self.report, self.force)
-        self.json({**answer.to_dict(), "notes": notes})
-        keep(output, answer)
-        print_notes(notes)
-        say_written(output, self.json_file, self.report)
+def finish(out: Out, output: Path | None, answer: Answer, notes: Iterable[str]) -> None:
+    """Write what a calibration found to all outputs, then print it."""
+    notes = list(dict.fromkeys(notes))
+    out.json({**answer.to_dict(), "notes": notes})
+    keep(output, answer)
+    print_notes(notes)
+    out.end(output)
 
 
 def held(output: Path | None) -> CalibrationFile:
@@ -155,7 +145,7 @@ Sensor = Annotated[o.Text, o.value("TOPIC", "The IMU, where the recording has se
 def imu(
     recording_file: o.RecordingPath,
     output: o.CalibrationOutput,
-    out: CalibrationOut,
+    out: Out,
     name: Sensor = None,
     gravity: Annotated[
         float, o.rare_value("M/S^2", "Gravity where it was recorded; `smooth` assumes 9.81.")
@@ -166,7 +156,7 @@ def imu(
     Lay the sensor still for three seconds on each of its six sides and on six edges between them, in any
     order; rests are found automatically. One long rest (an hour) instead gives the noise.
 
-    Example: unocclude calibrate imu poses.mcap -o arm.toml --report imu.html
+    Example: unocclude calibrate imu poses.mcap -o arm.toml
     """
     from calib.imu import calibrate_imu, imu_answer
 
@@ -175,11 +165,11 @@ def imu(
     stream, notes = _load(recording_file, name, output)
     with error_prefix(f"{recording_file}, {stream.name}"):
         calibration = calibrate_imu(stream, gravity)
-    out.finish(output, imu_answer(calibration), f"Accelerometer and gyroscope of {stream.name}", notes)
+    finish(out, output, imu_answer(calibration), notes)
 
 
 def magnetometer(
-    recording_file: o.RecordingPath, output: o.CalibrationOutput, out: CalibrationOut, name: Sensor = None
+    recording_file: o.RecordingPath, output: o.CalibrationOutput, out: Out, name: Sensor = None
 ) -> None:
     """A magnetometer's hard and soft iron.
 
@@ -197,8 +187,7 @@ def magnetometer(
         )
     with error_prefix(f"{recording_file}, {stream.name}"):
         calibration = calibrate_magnetometer(stream.mag)
-    answer = magnetometer_answer(calibration, stream.name)
-    out.finish(output, answer, f"Magnetometer of {stream.name}", notes)
+    finish(out, output, magnetometer_answer(calibration, stream.name), notes)
 
 
 def _load(path: Path, name: str | None, output: Path) -> tuple[ImuStream, list[str]]:
@@ -218,7 +207,7 @@ def forearm(
     output: o.CalibrationOutput,
     which: Which,
     settings: ConfigInput,
-    out: CalibrationOut,
+    out: Out,
     from_s: Annotated[
         o.Number, o.value("S", "Start of the held pose, s on the camera's clock.", "--from")
     ] = None,
@@ -236,7 +225,7 @@ def forearm(
     recording gives the sensor's orientation to the camera, and is compared with the pose. An existing
     calibration file is updated, without --force.
 
-    Example: unocclude calibrate forearm session.mcap -o arm.toml --report forearm.html
+    Example: unocclude calibrate forearm session.mcap -o arm.toml
     """
     from calib.forearm import calibrate_forearm, forearm_answer
 
@@ -246,15 +235,14 @@ def forearm(
     config = settings.read()
     recording, _ = load_arm(recording_file, **which.chosen)
     calibration = calibrate_forearm(recording, from_s, to_s, radius_m, strap_to_wrist_m, config)
-    title = f"Forearm from a held pose: {recording.name}"
-    out.finish(output, forearm_answer(calibration), title, recording.notes)
+    finish(out, output, forearm_answer(calibration), recording.notes)
 
 
 def cameras(
     files: Annotated[list[Path], o.argument("REC.mcap..", "Recordings of the set-up.")],
     output: o.CalibrationOutput,
     which: Which,
-    out: CalibrationOut,
+    out: Out,
 ) -> None:
     """Poses of further cameras, from joints seen by both.
 
@@ -268,7 +256,7 @@ def cameras(
     held(output)
     recordings = [load_arm(path, **which.chosen)[0] for path in files]
     notes = [note for recording in recordings for note in recording.notes]
-    out.finish(output, calibrate_cameras(recordings), "Poses of the cameras", notes)
+    finish(out, output, calibrate_cameras(recordings), notes)
 
 
 @dataclass(frozen=True)
@@ -342,7 +330,7 @@ _PANEL_IMU = "Samples of the IMU on the panel in that pose: t_s, ax, ay, az, gx,
 
 def panel(
     output: o.CalibrationOutput,
-    out: CalibrationOut,
+    out: Out,
     seen: PanelInput,
     recording: Annotated[
         Path | None, o.argument("REC.mcap", "Images, lens and mocap markers, instead of files.")
@@ -375,12 +363,12 @@ def panel(
             views = seen.views()
         assert lens is not None
         calibration = calibrate_panel(views, positions, known, lens, 1e-3 * mocap_sigma_mm)
-    out.finish(output, panel_answer(calibration), "Camera from motion capture, by the marker panel", notes)
+    finish(out, output, panel_answer(calibration), notes)
 
 
 def world(
     output: o.CalibrationOutput,
-    out: CalibrationOut,
+    out: Out,
     seen: PanelInput,
     recording: Annotated[
         Path | None, o.argument("[REC.mcap]", "The session with images, lens and both IMUs.")
@@ -420,7 +408,7 @@ def world(
     assert lens is not None
     with pictured(output.with_name(f"{output.stem}.seen.png")):
         calibration = calibrate_world_from_views(views, times, panels, bases, known, lens, there)
-    out.finish(output, world_answer(calibration), "Camera from base IMU, by the panel", notes)
+    finish(out, output, world_answer(calibration), notes)
 
 
 _SOUND_CLOCKS = "Of sound and event time.  [default: camera,base, or the node with `base` in its name]"
@@ -429,7 +417,7 @@ _SOUND_CLOCKS = "Of sound and event time.  [default: camera,base, or the node wi
 def clock(
     which: Which,
     settings: ConfigInput,
-    out: CalibrationOut,
+    out: Out,
     sound: Annotated[
         o.File, o.value("BEEP.wav", "The camera's sound: WAV, or MCAP with an audio topic.")
     ] = None,
@@ -507,7 +495,7 @@ def clock(
         moved, origin_ns = clock_from_motion(recording, given, settings.read(), names), recording.origin_ns
         notes += recording.notes
     name = session or ", ".join(path.name for path in sources)
-    out.finish(output, clock_answer(name, receptions, beeps, moved, origin_ns), f"Clocks: {name}", notes)
+    finish(out, output, clock_answer(name, receptions, beeps, moved, origin_ns), notes)
 
 
 def _two(option: str, text: str) -> tuple[str, str]:

@@ -314,7 +314,7 @@ def _imu(config: RestPoses, seed: int, output: Path, force: bool) -> Made:
     else:
         stream, bias = long_rest(model, config.long_rest_s, seed=seed)
     truth = {"accelerometer": model.correction(), "gyroscope": {"offset": bias.tolist()}}
-    words = ("calibrate", "imu", output, "-o", "arm.toml", "--report", "imu.html")
+    words = ("calibrate", "imu", output, "-o", "arm.toml")
     return write_sensor(output, stream, truth, force), {}, words
 
 
@@ -330,7 +330,7 @@ def _magnetometer(config: TurningMagnetometer, seed: int, output: Path, force: b
     iron = {"offset": config.hard_iron, "scale": config.soft_iron, "cross": config.soft_iron}
     model = SensorModel.draw([seed, 2], **iron)
     stream = turning_sensor(model, seed=seed, field=config.field, noise=config.noise)
-    words = ("calibrate", "magnetometer", output, "-o", "arm.toml", "--report", "magnetometer.html")
+    words = ("calibrate", "magnetometer", output, "-o", "arm.toml")
     return write_sensor(output, stream, {"magnetometer": model.correction(config.field)}, force), {}, words
 
 

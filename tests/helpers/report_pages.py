@@ -6,19 +6,14 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
 from made_measures import made_measure, made_measures, person
-from scipy.io import wavfile
 
 from smoother.cli.run import run
 from smoother.io import write_recording
-from smoother.io.mcap.messages import nanoseconds
-from smoother.io.recording.streams import ImuSamples, RecordingFile
 from smoother.measures import BothArms
 from smoother.measures.symmetry import COMPARED
 from smoother.report.pages import measures_page, progress_page
 from smoother.simulation import ArmSimulation, simulate_arm
-from smoother.simulation.rig import SensorModel, beep, broadcast, magnetometer_turns, rest_poses
 
 #: A file may be called so; a name cannot hold a slash.
 HOSTILE_NAME = "<img src=x onerror=hacked=1>"
@@ -33,11 +28,6 @@ def paged(folder: Path, name: str, *words: object) -> Path:
     """The page of a command."""
     command(*words, "--report", folder / f"{name}.html")
     return folder / f"{name}.html"
-
-
-def calibrated(folder: Path, name: str, *words: object) -> Path:
-    """The page of a calibration."""
-    return paged(folder, name, "calibrate", name, *words, "-o", folder / f"{name}_cal.toml")
 
 
 def arm_session(folder: Path) -> Path:
@@ -71,68 +61,6 @@ def compare(folder: Path) -> Path:
     known = ("--calibration", folder / "cal.toml", "--processes", 1)
     methods = ("--methods", "graph,linear-drift,pchip,hold")
     return paged(folder, "compare", "compare", arm_session(folder), *known, *methods)
-
-
-def panel(folder: Path) -> Path:
-    """The camera stands still."""
-    files = folder / "still"
-    command("simulate", "panel", "-o", files, "--set", "poses=2", "--seed", 5)
-    poses = [
-        part
-        for number in (1, 2)
-        for what, ending in (("depth", "depth.png"), ("infrared", "infrared.png"), ("markers", "markers.csv"))
-        for part in (f"--{what}", files / f"pose_{number:02d}_{ending}")
-    ]
-    known = ("--intrinsics", files / "intrinsics.toml", "--panel", files / "panel.toml")
-    return calibrated(folder, "panel", *poses, *known)
-
-
-def world(folder: Path) -> Path:
-    """Three poses of a panel, the camera tilted anew for each."""
-    poses = ("--set", "poses=3", "--seed", 21, "--set", "camera_tilt_deg=30", "--set", "tilt_deg=15,38")
-    command("simulate", "panel", "-o", folder / "panel", "--mcap", folder / "panel.mcap", *poses)
-    return calibrated(folder, "world", folder / "panel.mcap", "--panel", folder / "panel" / "panel.toml")
-
-
-def forearm(folder: Path) -> Path:
-    simulated = simulate_arm(ArmSimulation.preset("realistic", repetitions=1), 4)
-    write_recording(simulated.recording, folder / "held.mcap")
-    ruler = ("--radius-m", 0.035, "--strap-to-wrist-m", simulated.parameters["strap_to_wrist_m"])
-    return calibrated(folder, "forearm", folder / "held.mcap", *ruler, "--processes", 1)
-
-
-def poses(folder: Path, name: str) -> Path:
-    """A sensor in rest poses, with a magnetometer."""
-    model = SensorModel.draw(0, offset=0.5, scale=0.03, cross=0.01)
-    stream, _ = rest_poses(model, 12)
-    iron = SensorModel.draw(1, offset=0.5, scale=0.2, cross=0.2)
-    stream = replace(stream, mag=48.0 * magnetometer_turns(iron, len(stream)))
-    file = RecordingFile(folder / "poses.mcap")
-    stamps = nanoseconds(stream.t_s, 0)
-    file.imus.append(ImuSamples(name, name.split("/")[-1], stamps, stream.acc, stream.gyro, stream.mag))
-    write_recording(file, file.path, force=True)
-    return file.path
-
-
-def imu(folder: Path, topic: str = "/imu/forearm_right") -> Path:
-    return calibrated(folder, "imu", poses(folder, topic))
-
-
-def magnetometer(folder: Path, topic: str = "/imu/forearm_right") -> Path:
-    return calibrated(folder, "magnetometer", poses(folder, topic))
-
-
-def clock(folder: Path, node: str = "arm") -> Path:
-    """A beep and a broadcast; `node` is the name of a receiver."""
-    sound, end, *_ = beep(1)
-    whole = (sound / np.abs(sound).max() * 30000).astype(np.int16)
-    wavfile.write(folder / "beep.wav", 16000, np.stack([whole, np.zeros(len(whole), np.int16)], axis=1))
-    _, heard = broadcast(2, nodes=2)
-    rows = zip(heard.event.tolist(), heard.node, heard.t_s.tolist(), strict=True)
-    lines = [f'{event},"{"base" if name == "n0" else node}",{t:.7f}\n' for event, name, t in rows]
-    (folder / "times.csv").write_text("round,node,t_s\n" + "".join(lines), encoding="utf-8")
-    times = ("--event-time", end + 300.0, "--broadcast", folder / "times.csv")
-    return calibrated(folder, "clock", "--sound", folder / "beep.wav", *times)
 
 
 def study(folder: Path, name: str = HOSTILE_NAME) -> Path:
@@ -175,9 +103,5 @@ def progress(folder: Path) -> Path:
 
 #: By the name of the command whose page it is.
 PAGES: dict[str, Callable[[Path], Path]] = {
-    page.__name__: page
-    for page in (
-        *(smooth, validate, gaps, compare, panel, world, forearm, imu, magnetometer, clock, study),
-        *(measures, progress),
-    )
+    page.__name__: page for page in (*(smooth, validate, gaps, compare, study, measures, progress),)
 }

@@ -103,7 +103,6 @@ def test_whole_page(tmp_path):
     assert page.headings == [
         "The arm in motion",
         "Joint angles",
-        "For the next recording",
         "Gaps",
         "Errors against the reference",
         "Coordinates over time",
@@ -408,7 +407,7 @@ def test_an_untrusted_page_is_red_and_withdraws_its_figures(tmp_path: Path) -> N
     below = text[text.index("The arm in motion") :]
     assert "<p>Evidence: gravity is 80 degrees off.</p>" in below
     assert WRONG.self_check is not None and f"<p>{WRONG.self_check.sentence}</p>" in below
-    for heading in ("How certain the answer is", "Whether sigma is consistent", "For the next recording"):
+    for heading in ("How certain the answer is", "Whether sigma is consistent"):
         assert heading not in text
     assert "is known to about" not in text and "standard deviations, the shaded band" not in text
     rows = re.findall("<tr>(.*?)</tr>", text[text.index(">Gaps</h2>") :], re.DOTALL)[1:3]
