@@ -19,18 +19,16 @@ from ..evaluation.measure_agreement import pair_table
 from ..evaluation.summary import (
     camera_consistency,
     cameras,
-    certainty_figures,
     consistency,
     gap_summaries,
     gap_table,
-    recovery_figures,
     rejections,
 )
 from ..evaluation.validate import Validation, sample_errors
 from ..recording import CameraFrame, Recording, Truth
 from ..result import Recovery, arm_tags
 from ..result.untrusted import untrusted_gaps
-from ..table import Table, centimetres, tabulated
+from ..table import Table, tabulated
 from . import traces
 from .player import player, points
 from .sheet import Fold, Html, Page, PageSection, capitalised, caption, notes, phrase, rendered, trust_badge
@@ -79,7 +77,7 @@ def write_report(
     sections[:0] = [rendered(each, caption("Methods compared")) for each in methods]
     Page(
         f"Recovered arm motion: {first.recovery.name}",
-        f"Times are relative to {start}.",
+        f"Method: {first.recovery.method}. Times are relative to {start}.",
         [f"{each.prefix}{text}" for each in worst_first for text in below(each.recovery, each.validation)],
         sections,
         boxes=[box(each.recovery, each.validation, each.name) for each in worst_first],
@@ -164,7 +162,6 @@ class _ArmReport:
             yield from map(rendered, tables_of(estimates.figures))
             yield PageSection("What the recording did not determine", sentences=estimates.not_determined)
         yield rendered(cameras(recovery))
-        yield rendered(overview(recovery))
         yield notes([*(self.recording.notes if self.recording is not None else ()), *recovery.notes])
         yield rendered(settings(recovery.config))
 
@@ -196,34 +193,6 @@ class _ArmReport:
             true = self.truth is not None and phrase("true")
             said = caption(heading, **self.words, decimated=long, buttons=buttons, true=true)
             yield PageSection(heading, said, plot)
-
-
-WITHDRAWN = "withdrawn: the result is not to be trusted"
-
-
-def overview(recovery: Recovery) -> Table:
-    """What was recovered, in numbers."""
-    return Table("Figures", ("what", "value"), list(_overview(recovery)))
-
-
-def _overview(recovery: Recovery) -> Iterator[tuple[str, object]]:
-    error = certainty_figures(recovery, recovery.trusted)["error_95_m"]
-    yield "method", recovery.method
-    yield "arm", recovery.side or "not stated"
-    yield "samples of the forearm sensor", len(recovery)
-    yield "sample rate, Hz", recovery_figures(recovery)["rate_hz"]
-    yield "samples without the camera", recovery.occluded.sum()
-    yield "samples without an answer", int((~recovery.answered).sum())
-    for words, within_m in (
-        ("while seen", error["visible"]["all"]),
-        ("in gaps", error["occluded"]["all"]),
-        ("at the least certain moment of a gap", error["occluded"]["max"]),
-    ):
-        stated = WITHDRAWN if recovery.estimates.trusted is False else centimetres(within_m)
-        yield f"position, 95 of 100 errors below, {words}, cm", stated
-    yield "samples that are not to be trusted", int(np.count_nonzero(~recovery.trusted))
-    if (pairing := recovery.estimates.pairing) is not None:
-        yield "camera and sensor proved to show one motion", "yes" if pairing.proved else "no"
 
 
 def settings(config: Mapping[str, Any]) -> Table:

@@ -112,7 +112,6 @@ def test_whole_page(tmp_path):
         "Rejected camera samples",
         *("Values", "Lever arms", "Lengths", "Clock offsets", "Frames"),
         "What the recording did not determine",
-        "Figures",
         "Notes",
         "Settings",
     ]
@@ -393,9 +392,8 @@ def test_a_sound_page_is_calm_and_has_the_self_check(tmp_path: Path) -> None:
     assert '<div class="summary good">' in text
     assert first_sentences(text) == ["✓ Usable", CHECK.sentence], "one figure of the error"
     assert text.index("The arm in motion") < text.index("The recording lasts"), "all else is below"
-    assert "not to be trusted" not in text.replace("samples that are not to be trusted", "")
+    assert "not to be trusted" not in text
     assert "How certain the answer is" in text
-    assert "proved to show one motion</td><td>yes</td>" in text
 
 
 def test_an_untrusted_page_is_red_and_withdraws_its_figures(tmp_path: Path) -> None:
@@ -412,7 +410,6 @@ def test_an_untrusted_page_is_red_and_withdraws_its_figures(tmp_path: Path) -> N
     assert "is known to about" not in text and "standard deviations, the shaded band" not in text
     rows = re.findall("<tr>(.*?)</tr>", text[text.index(">Gaps</h2>") :], re.DOTALL)[1:3]
     assert all(row.count("<td>–</td>") == 3 and "not to be trusted" in row for row in rows)
-    assert text.count("withdrawn: the result is not to be trusted") == 3
     for word in ("even light", "sleeves", "20 s of lively motion"):
         assert word not in text
 
