@@ -11,7 +11,7 @@ import numpy as np
 
 from ..angles import ForearmMounting, angles_by_joints
 from ..angles.definitions import ELBOW_FLEXION
-from ..array_types import BoolArray, FloatArray
+from ..array_types import BoolArray
 from ..body import SEGMENTS
 from ..calibration import LeverArm
 from ..error_radius import error_radius, pooled_radius
@@ -20,7 +20,7 @@ from ..recording import JOINTS
 from ..result import Estimates, Recovery
 from ..rotation import Rotation
 from ..table import Table, fixed, percent, tabulated
-from .metrics import rms, squared_sigmas
+from .metrics import coverage_95, squared_sigmas
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -212,28 +212,8 @@ def certainty_figures(recovery: Recovery, only: BoolArray | None = None) -> dict
 _MOST_RESIDUALS = 50_000
 
 
-def consistency(error_m: FloatArray, covariance: FloatArray) -> dict[str, Any]:
-    """How errors (n, 3) m lie in what is stated of them (n, 3, 3) m^2: shares inside, sigma and rms per axis.
-
-    What is not finite is left out.
-    """
-    squared = squared_sigmas(error_m, covariance)
-    good = np.isfinite(squared)
-    from scipy.special import chdtr  # slow to load
-
-    level = chdtr(3.0, squared[good])
-    stated = np.sqrt(np.trace(covariance[good], axis1=1, axis2=2) / 3.0)
-    return {
-        "samples": int(good.sum()),
-        "inside_50": float((level <= 0.5).mean()) if good.any() else None,
-        "inside_95": float((level <= 0.95).mean()) if good.any() else None,
-        "stated_m": rms(stated),
-        "actual_m": rms(np.linalg.norm(error_m[good], axis=1) / np.sqrt(3.0)),
-    }
-
-
-def camera_consistency(recovery: Recovery) -> dict[str, dict[str, Any]]:
-    """The camera's samples that were used, by joint: residual against camera noise and joint covariance."""
+def camera_inside_95(recovery: Recovery) -> dict[str, float]:
+    """By joint, the share of the used camera samples inside the 95 % region of noise and joint covariance."""
     residuals = recovery.residuals
     noise, bias = recovery.estimates.camera_sigma_m, recovery.estimates.joint_bias_m or {}
     if residuals is None or noise is None or len(recovery) < 1:
@@ -250,9 +230,9 @@ def camera_consistency(recovery: Recovery) -> dict[str, dict[str, Any]]:
         shared = np.nanmin(variance) if np.isfinite(variance).any() else 0.0
         # rather by a factor than by a difference: what is left is a covariance for certain
         covariance = own * (1.0 - shared / variance)[:, None, None] + float(noise[joint]) ** 2 * np.eye(3)
-        off = np.array(bias.get(joint, np.zeros(3)))
-        by_joint[joint] = consistency(residuals.residual[:, column][used] - off, covariance)
-    return {joint: found for joint, found in by_joint.items() if found["samples"]}
+        off = residuals.residual[:, column][used] - np.array(bias.get(joint, np.zeros(3)))
+        by_joint[joint] = coverage_95(squared_sigmas(off, covariance))
+    return {joint: share for joint, share in by_joint.items() if share is not None}
 
 
 def verdict_figures(estimates: Estimates) -> dict[str, object]:

@@ -17,20 +17,18 @@ from calib.protocol import tables_of
 from ..angles import joint_angles
 from ..evaluation.measure_agreement import pair_table
 from ..evaluation.summary import (
-    camera_consistency,
     cameras,
-    consistency,
     gap_summaries,
     gap_table,
     rejections,
 )
-from ..evaluation.validate import Validation, sample_errors
+from ..evaluation.validate import Validation
 from ..recording import CameraFrame, Recording, Truth
 from ..result import Recovery, arm_tags
 from ..result.untrusted import untrusted_gaps
-from ..table import Table, tabulated
+from ..table import Table
 from . import traces
-from .player import player, points
+from .player import player
 from .sheet import Fold, Html, Page, PageSection, capitalised, caption, notes, phrase, rendered, trust_badge
 from .summary import below, box
 from .traces import MOST_POINTS, decimate
@@ -146,7 +144,6 @@ class _ArmReport:
     def details(self) -> Iterator[PageSection]:
         """All else about the arm, for those who look for it."""
         recovery, estimates = self.recovery, self.estimates
-        is_trusted = recovery.estimates.trusted is not False
         errors = () if self.validation is None else self.validation.gaps
         true = {gap.start_s: figures.position_p95_m for gap, figures in errors}
         yield rendered(gap_table("Gaps", gap_summaries(recovery), true), nothing="There is no gap.")
@@ -154,8 +151,6 @@ class _ArmReport:
             yield from self._against_reference(self.validation)
         if len(recovery):
             yield from self._curves()
-        if len(recovery) and is_trusted:
-            yield rendered(consistent(recovery, self.truth))
         if len(recovery) and recovery.residuals is not None:
             yield rendered(rejections(recovery), nothing="Nothing: all tracked samples were used.")
         if estimates is not None:
@@ -182,16 +177,14 @@ class _ArmReport:
 
     def _curves(self) -> Iterator[PageSection]:
         recovery = self.recovery.rows(decimate(self.recovery.occluded))
-        shown, count = points(recovery, self.truth), len(self.recovery)
+        count = len(self.recovery)
         long = count > MOST_POINTS and phrase("decimated", count=count, most=MOST_POINTS)
-        buttons = len(shown) > 1 and phrase("buttons")
         for heading, plot in (
-            ("Coordinates over time", traces.coordinates(recovery, shown, self.frame)),
+            ("Coordinates over time", traces.coordinates(recovery, self.truth, self.frame)),
             ("How certain the answer is", traces.uncertainty(recovery, self.truth)),
-            ("Camera residuals", traces.residuals(recovery)),
         ):
             true = self.truth is not None and phrase("true")
-            said = caption(heading, **self.words, decimated=long, buttons=buttons, true=true)
+            said = caption(heading, **self.words, decimated=long, true=true)
             yield PageSection(heading, said, plot)
 
 
@@ -200,16 +193,3 @@ def settings(config: Mapping[str, Any]) -> Table:
     parts = [(name, part if isinstance(part, Mapping) else {"": part}) for name, part in config.items()]
     rows = [(f"{name}.{key}".rstrip("."), str(value)) for name, part in parts for key, value in part.items()]
     return Table("Settings", ("setting", "value"), rows)
-
-
-def consistent(recovery: Recovery, truth: Truth | None) -> Table:
-    """Whether what is stated holds: for the camera's joints, and for the sensor against a reference."""
-    parts = {f"camera's {joint}": each for joint, each in camera_consistency(recovery).items()}
-    if truth is not None and len(truth):
-        errors = sample_errors(recovery, truth).difference_m
-        for name, rows in (("in gaps", recovery.occluded), ("while seen", ~recovery.occluded)):
-            parts[f"errors {name}"] = consistency(errors[rows], recovery.pose_covariance[rows, :3, :3])
-    columns = {"of": "of", "samples": "samples", "inside 50 %": "inside_50", "inside 95 %": "inside_95"}
-    columns |= {"stated sigma, cm per axis": "stated_m", "actual rms, cm per axis": "actual_m"}
-    known = [{"of": name, **found} for name, found in parts.items() if found["samples"]]
-    return tabulated("Whether sigma is consistent with the errors", known, columns)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from base64 import b64encode
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -16,50 +15,7 @@ from ..recording import CameraFrame, Truth
 from ..result import Recovery
 from ..result.untrusted import untrusted_times
 from .sheet import Html, PageSection, data_block
-from .traces import axis_names, decimate
-
-SENSOR = "sensor"
-#: Most camera samples of a point that are drawn.
-MOST_DOTS = 1500
-
-
-@dataclass(frozen=True)
-class Point:
-    """One point of the arm over time."""
-
-    name: str  # "sensor" (the IMU on the forearm) or a joint
-    position: FloatArray  # (n, 3) m: in {K}, at the recovery's times
-    sigma: FloatArray  # (n, 3) m: of the position, along the axes of {K}
-    camera_t_s: FloatArray  # (f,) s: frames that tracked it, on the IMU's clock
-    camera: FloatArray  # (f, 3) m: what the camera tracked
-    truth_t_s: FloatArray  # (m,) s: of the reference, empty without one
-    truth: FloatArray  # (m, 3) m: the reference
-
-
-def points(recovery: Recovery, truth: Truth | None) -> list[Point]:
-    """The points to show, the one that the camera sees best first."""
-    arm, found = recovery.arm, {}
-    unknown = np.full((len(recovery), 3, 3), np.nan)
-    joints = [name for name in ("wrist", "elbow", "hand") if name in recovery.joints]
-    for name in (SENSOR, *joints):
-        position, covariance, joint = recovery.position, recovery.pose_covariance[:, :3, :3], "strap"
-        reference = None if truth is None else truth.position
-        if name != SENSOR:
-            position, joint = recovery.joints[name], name
-            covariance = recovery.joint_covariance.get(name, unknown)
-            reference = None if truth is None else truth.joints.get(name)
-        tracked = [part.tracked(joint) for part in recovery.frame_batches()]
-        frames = np.flatnonzero(np.concatenate(tracked)) if tracked else np.zeros(0, np.int64)
-        frames = frames[decimate(np.zeros(len(frames), bool), MOST_DOTS)]
-        true_t = np.zeros(0) if truth is None or reference is None else truth.t_s
-        sigma = np.sqrt(np.einsum("nii->ni", covariance))
-        seen = arm.t_s[frames], arm.joint(joint)[frames]
-        found[name] = Point(
-            name, position, sigma, *seen, true_t, np.zeros((0, 3)) if reference is None else reference
-        )
-    tracked_joints = [found[name] for name in joints if len(found[name].camera)]
-    return [*tracked_joints[:1], found[SENSOR], *tracked_joints[1:2]]
-
+from .traces import axis_names
 
 #: How many arms are drawn.
 MOST_ARMS = 8

@@ -7,7 +7,7 @@ from functools import partial
 import numpy as np
 
 from ..evaluation.metrics import Figures
-from ..evaluation.summary import GapSummary, camera_consistency, certainty_figures, gap_summaries
+from ..evaluation.summary import GapSummary, camera_inside_95, certainty_figures, gap_summaries
 from ..evaluation.validate import Validation
 from ..evaluation.words import listed, said
 from ..linalg import median_rate_hz
@@ -156,7 +156,7 @@ def _nees(found: dict[str, Figures]) -> list[float]:
 
 def _camera_doubts(recovery: Recovery) -> str:
     """That the camera's samples lie farther from the answer than stated, where they do."""
-    inside = {joint: found["inside_95"] for joint, found in camera_consistency(recovery).items()}
+    inside = camera_inside_95(recovery)
     if not inside or min(inside.values()) >= DOUBTFUL_SHARE:
         return ""
     worst = min(inside, key=lambda joint: inside[joint])

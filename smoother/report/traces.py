@@ -1,4 +1,4 @@
-"""Curves over time: coordinates, angles, uncertainty, camera residuals; agreement with a reference.
+"""Curves over time: coordinates, angles, uncertainty; agreement with a reference.
 
 How the report's figures look: colours, axes, shaded gaps, and fewer points where the eye needs no more.
 """
@@ -6,7 +6,7 @@ How the report's figures look: colours, axes, shaded gaps, and fewer points wher
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import plotly.graph_objects as go
@@ -20,13 +20,10 @@ from ..array_types import BoolArray, FloatArray, IntArray
 from ..error_radius import error_radius
 from ..evaluation.validate import sample_errors
 from ..linalg import runs
-from ..recording import JOINTS, CameraFrame, Truth
+from ..recording import CameraFrame, Truth
 from ..result import Recovery
 from ..result.untrusted import partly_untrusted, untrusted_times
-from .sheet import capitalised, label
-
-if TYPE_CHECKING:
-    from .player import Point
+from .sheet import capitalised
 
 #: Most points of one drawn line.
 MOST_POINTS = 4000
@@ -245,8 +242,6 @@ def values_with_intervals(
 Z_95 = 1.96
 #: Samples of an angle farther apart than this are not joined, degrees.
 MOST_STEP_DEG = 120.0
-#: Most residuals of a joint that are drawn.
-MOST_RESIDUALS = 1200
 
 
 def _thinned(chosen: BoolArray, most: int) -> np.ndarray:
@@ -262,34 +257,38 @@ def _around(t: FloatArray, low: FloatArray, high: FloatArray) -> go.Scatter:
     return go.Scatter(x=x, y=y, name="95 %", fill="toself", fillcolor=BAND, line=line, hoverinfo="skip")
 
 
-def coordinates(recovery: Recovery, shown: list[Point], frame: CameraFrame | None) -> go.Figure:
-    """Coordinates over time with a band that contains 95 of 100 true values; buttons choose the point."""
+#: Most camera samples of a joint that are drawn.
+MOST_DOTS = 1500
+
+
+def coordinates(recovery: Recovery, truth: Truth | None, frame: CameraFrame | None) -> go.Figure:
+    """Coordinates of the joint that the camera sees best, else of the IMU, with bands of 95 of 100 values."""
+    arm = recovery.arm
+    seen = [joint for joint in ("wrist", "elbow", "hand") if joint in recovery.joints]
+    name = next((joint for joint in seen if arm.tracked(joint).any()), "strap")
+    position, covariance = recovery.position, recovery.pose_covariance[:, :3, :3]
+    reference = None if truth is None else truth.position
+    if name != "strap":
+        unknown = np.full((len(recovery), 3, 3), np.nan)
+        position, covariance = recovery.joints[name], recovery.joint_covariance.get(name, unknown)
+        reference = None if truth is None else truth.joints.get(name)
+    frames = _thinned(arm.tracked(name), MOST_DOTS)
     index = decimate(recovery.occluded)
     t, occluded, trusted = recovery.t_s[index], recovery.occluded[index], recovery.trusted[index]
-    rows, owner = [], []
+    sigma = np.sqrt(np.einsum("nii->ni", covariance[index]))
+    rows = []
     for axis, title in enumerate(axis_names(frame)):
-        traces: list[go.Scatter] = []
-        for point in shown:
-            value = point.position[index, axis]
-            half = Z_95 * np.where(trusted, point.sigma[index, axis], np.nan)
-            mine = [_around(t, value - half, value + half)]
-            if len(point.camera):
-                mine.append(dots(point.camera_t_s, point.camera[:, axis], "camera", CAMERA, 3))
-            mine += seen_and_recovered(t, value, occluded, trusted)
-            if len(point.truth):
-                at = decimate(np.zeros(len(point.truth), bool))
-                mine.append(reference_line(point.truth_t_s[at], point.truth[at, axis]))
-            owner += [point.name] * len(mine)
-            traces += [trace.update(visible=point is shown[0]) for trace in mine]
-        rows.append((f"{title}, m", traces))
-    buttons = [
-        {"label": point.name, "method": "update", "args": [{"visible": [n == point.name for n in owner]}]}
-        for point in shown
-    ]
-    menu: dict[str, object] = {"type": "buttons", "direction": "right", "buttons": buttons}
-    menu |= {"x": 0, "xanchor": "left", "y": 1.01, "yanchor": "bottom"}
-    figure = over_time(recovery, rows, 220, head=90)
-    return figure.update_layout(updatemenus=[menu] if len(shown) > 1 else [])
+        value = position[index, axis]
+        half = Z_95 * np.where(trusted, sigma[:, axis], np.nan)
+        traces = [_around(t, value - half, value + half)]
+        if len(frames):
+            traces.append(dots(arm.t_s[frames], arm.joint(name)[frames, axis], "camera", CAMERA, 3))
+        traces += seen_and_recovered(t, value, occluded, trusted)
+        if truth is not None and reference is not None:
+            at = decimate(np.zeros(len(truth), bool))
+            traces.append(reference_line(truth.t_s[at], reference[at, axis]))
+        rows.append((f"{'IMU' if name == 'strap' else name} {title}, m", traces))
+    return over_time(recovery, rows, 220, head=90)
 
 
 def reference_line(t: FloatArray, values: FloatArray) -> go.Scatter:
@@ -365,29 +364,3 @@ def uncertainty(recovery: Recovery, truth: Truth | None) -> go.Figure | None:
         recovery, list(zip(("position, cm", "orientation, degrees"), traces, strict=True)), 190
     )
     return figure.update_yaxes(rangemode="tozero")
-
-
-def residuals(recovery: Recovery) -> go.Figure | None:
-    """Distance of each camera sample from the answer, by joint; None where the method keeps none."""
-    samples = recovery.residuals
-    if samples is None:
-        return None
-    parts = [np.isfinite(batch.residual).all(axis=2) for batch in samples.batches()]
-    answered = np.concatenate(parts) if parts else np.zeros((0, len(JOINTS)), bool)
-    sentences = np.array([label(reason.sentence) for reason in samples.reasons])
-    rows = []
-    for joint in np.flatnonzero(answered.any(axis=0)).tolist():
-        known, name = answered[:, joint], JOINTS[joint]
-        used = _thinned(samples.used[:, joint] & known, MOST_RESIDUALS)
-        aside = ~samples.used[:, joint] & known & (samples.reason[:, joint] != 0)
-        rejected = _thinned(aside, MOST_RESIDUALS // 2)
-        used_cm, rejected_cm = (
-            100 * np.linalg.norm(samples.residual[:, joint][each], axis=1) for each in (used, rejected)
-        )
-        crosses = dots(samples.t_s[rejected], rejected_cm, "rejected", OCCLUDED, 6, symbol="x")
-        crosses.update(text=sentences[samples.reason[rejected, joint]])
-        drawn = [dots(samples.t_s[used], used_cm, name, JOINT_COLOURS[name], 3), crosses]
-        rows.append((f"{name}, cm", [trace for trace in drawn if len(trace.x)]))
-    if not rows:
-        return None
-    return over_time(recovery, rows, 120, head=60).update_yaxes(rangemode="tozero")
