@@ -130,7 +130,6 @@ def doctor(out: Out) -> None:
         "solver": solve_something,
         "point clouds": use_open3d,
         "cores": lambda: str(os.cpu_count() or 1),
-        "memory": memory,
     }
     figures: dict[str, dict[str, object]] = {}
     for name, use in parts.items():
@@ -175,11 +174,3 @@ def use_open3d() -> str:
     if abs(distance - 1.0) > 1e-4:
         raise ArithmeticError(f"a ray hits at {distance} m where 1 m is right")
     return "open3d casts a ray"
-
-
-def memory() -> str:
-    """Memory of this computer, if the system reports it."""
-    try:
-        return f"{os.sysconf('SC_PAGE_SIZE') * os.sysconf('SC_PHYS_PAGES') / 2**30:.1f} GiB"
-    except (AttributeError, ValueError, OSError):
-        return "not known on this system"

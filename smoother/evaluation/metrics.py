@@ -284,11 +284,6 @@ def lag_s(
     return roughly if exactly is None else exactly
 
 
-def best_correlation(t_s: FloatArray, samples: FloatArray, reference: FloatArray) -> float | None:
-    """The largest correlation of samples and a reference (n, d), both at times (n,) s, at any lag."""
-    return percentile(_correlations(t_s, samples, reference, t_s, _COARSE), 100)
-
-
 def _correlations(
     t_s: FloatArray, samples: FloatArray, reference: FloatArray, t_reference: FloatArray, lags: FloatArray
 ) -> FloatArray:

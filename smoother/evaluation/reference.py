@@ -15,10 +15,11 @@ from ..errors import RecordingError
 from ..io import open_recording
 from ..io.recording.choose import choose_truth
 from ..io.tables.recording_toml import read_pose_table
+from ..linalg import masked_correlation
 from ..recording import CameraFrame, Truth
 from ..result import Recovery
 from ..runtime.inputs import check_input
-from .metrics import best_correlation, truth_at
+from .metrics import truth_at
 from .mocap.alignment import (
     STEP_S,
     CameraFromMocap,
@@ -84,6 +85,8 @@ LEAST_CORRELATION = 0.5
 STILL_M_S, STILL_RAD_S = 0.05, 0.2
 #: Samples per second that speeds are compared at, and the least time that they must share, s.
 RATE_HZ, SHORTEST_S = 20.0, 4.0
+#: They are shifted against each other by up to this, s.
+MOST_LAG_S = 0.5
 
 
 def truth_notes(recovery: Recovery, truth: Truth, aligned: bool = False) -> list[str]:
@@ -137,9 +140,9 @@ def _correlations(recovery: Recovery, truth: Truth) -> list[float]:
         known = np.isfinite(mine) & np.isfinite(other)
         if known.sum() < SHORTEST_S * RATE_HZ or min(mine[known].std(), other[known].std()) < still:
             continue
-        best = best_correlation(t, mine[:, None], other[:, None])
-        if best is not None:
-            found.append(best)
+        r, _ = masked_correlation(mine, other, least_variance=1e-3)
+        within = slice(len(t) - 1 - round(MOST_LAG_S * RATE_HZ), len(t) + round(MOST_LAG_S * RATE_HZ))
+        found.append(float(r[within].max()))
     return found
 
 
