@@ -67,7 +67,6 @@ def batch(
         o.Text, o.rare_value("tcp://HOST:PORT", "Use this Dask scheduler's workers.")
     ] = None,
     processes: o.Processes = None,
-    retry_failed: Annotated[bool, o.rare("Retry failed recordings too.", "--retry-failed")] = False,
     time_limit: Annotated[
         float, o.rare_value("MINUTES", "Longer ones fail here; 0 = no limit.", min=0)
     ] = TIME_LIMIT_MINUTES,
@@ -106,7 +105,6 @@ def batch(
         selection=which.chosen,
         calibration="" if calibration_file is None else str(calibration_file.absolute()),
         again=force,
-        retry_failed=retry_failed,
         time_limit_s=60 * time_limit,
         measures=measures,
         draws=0 if not measures else USUAL_DRAWS if draws is None else draws,
@@ -178,7 +176,7 @@ def study_figures(rows: pa.Table, tally: Tally) -> dict[str, Any]:
         "duration_s": pc.sum(rows["duration_s"]).as_py() or 0.0,
         "occluded_s": pc.sum(rows["occluded_s"]).as_py() or 0.0,
         "untrusted": distrusted.select(["recording", "verdict"]).slice(0, MOST_JSON).to_pylist(),
-        "failures": failed.select(["recording", "error", "retry"]).slice(0, MOST_JSON).to_pylist(),
+        "failures": failed.select(["recording", "error"]).slice(0, MOST_JSON).to_pylist(),
     }
 
 

@@ -33,12 +33,9 @@ import numpy as np
 from .. import __version__
 from ..config import Config
 from ..errors import (
-    CalibrationError,
     RecordingError,
-    SolveError,
     UnoccludeError,
     debugging,
-    is_out_of_memory,
     sentence_of,
 )
 from ..io.recording.choose import Selection
@@ -61,7 +58,6 @@ class StudySettings:
     selection: Selection = field(default_factory=Selection)  # What to take of recordings with several of it
     calibration: str = ""  # File for all recordings that have none of their own; "" without one
     again: bool = False  # Compute everything anew
-    retry_failed: bool = False  # Try again what failed before by the recording itself
     time_limit_s: float = 0.0  # What one recording may take on this machine; 0 = no limit
     measures: bool = False  # Measure what is recovered: rows contain it
     draws: int = 0  # Motions to draw for the intervals of the measures
@@ -92,7 +88,6 @@ class Job:
             "id": text_hash(self.name, input_hash, *self.hashes)[:32],
             "recording": self.name,
             "status": status,
-            "retry": False,
             "input_hash": input_hash,
             "config_hash": self.config_hash,
             "calibration": Path(self.calibration).name,
@@ -115,8 +110,8 @@ class Job:
         return row
 
     def failed(self, sentence: str) -> Row:
-        """The row of a recording that failed by its surroundings."""
-        return self.row(FAILED, error=sentence, retry=True)
+        """The row of a recording that failed."""
+        return self.row(FAILED, error=sentence)
 
 
 def run_job(job: Job) -> Row:
@@ -133,8 +128,8 @@ def run_job(job: Job) -> Row:
     except Exception as error:
         if debugging():
             raise
-        more = {"error": sentence_of(error), "retry": _may_pass(error)}
-        return job.row(FAILED, input_hash, **more, seconds=time.perf_counter() - began)
+        seconds = time.perf_counter() - began
+        return job.row(FAILED, input_hash, error=sentence_of(error), seconds=seconds)
 
 
 def _check_machine(job: Job, folder: StudyFolder) -> None:
@@ -161,16 +156,14 @@ def _check_machine(job: Job, folder: StudyFolder) -> None:
         ),
     }
     for sentence in (sentence for sentence, is_so in wrong.items() if is_so):
-        raise _Surroundings(sentence)
+        raise UnoccludeError(sentence)
 
 
 def _same(job: Job, folder: StudyFolder, input_hash: str) -> Row | None:
     """The earlier row of this very content, whose output is as it was written; None without one."""
     row = None if job.settings.again else folder.row(job.name)
-    if row is None or row["id"] != job.row(DONE, input_hash)["id"]:
+    if row is None or row["status"] != DONE or row["id"] != job.row(DONE, input_hash)["id"]:
         return None
-    if row["status"] != DONE:
-        return None if row["retry"] or job.settings.retry_failed else row
     output = folder.output(job.name)
     return row if output.is_file() and file_hash(output) == row["output_hash"] else None
 
@@ -184,7 +177,7 @@ def _recover(job: Job, folder: StudyFolder, input_hash: str, began: float) -> Ro
     from ..several_arms import smooth_arms
 
     if job.calibration and file_hash(job.calibration) != job.calibration_hash:
-        raise _Surroundings(f"{job.calibration} was changed while the study ran; start it again")
+        raise UnoccludeError(f"{job.calibration} was changed while the study ran; start it again")
     settings, output = job.settings, folder.output(job.name)
     windows = settings.config.windows.model_copy(update={"processes": 1})  # a recording a process
     config = settings.config.model_copy(update={"windows": windows})
@@ -216,17 +209,6 @@ def _recover(job: Job, folder: StudyFolder, input_hash: str, began: float) -> Ro
     )
     folder.write_row(row)
     return row
-
-
-class _Surroundings(UnoccludeError):
-    """The machine or its folders are at fault, not the recording."""
-
-
-def _may_pass(error: Exception) -> bool:
-    """Whether the surroundings of a recording are at fault, so that its failure may pass."""
-    if isinstance(error, UnoccludeError):
-        return not isinstance(error, RecordingError | CalibrationError | SolveError)
-    return isinstance(error, OSError) or is_out_of_memory(error)
 
 
 #: How long a scheduler may take to answer, and how long to wait for its first worker, s.

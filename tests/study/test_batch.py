@@ -50,11 +50,11 @@ def test_a_study_and_what_is_done_again(recordings, tmp_path, capsys):
     done("smooth", recordings / NAMES[0], "-o", one, "--processes", "1", "--draws", "0")
     assert one.read_bytes() == first[NAMES[0]][1]
 
-    # nothing is computed twice, the failure included
+    # nothing is computed twice; the failure is tried again
     capsys.readouterr()
     assert batch(*again) == 1
     assert "0 recovered now" in capsys.readouterr().out
-    assert state(out) == first and query(out) == rows
+    assert state(out) == first and {row for row in rows if row[0] != BROKEN} < set(query(out))
 
     # a recording that was touched is the same by its content; one that was changed, and an output that is
     # gone, are computed again
@@ -75,7 +75,7 @@ def check_rows(recordings, out, rows):
         assert row["calibration_hash"] == "" and row["seconds"] > 0
         assert row["input_hash"] == file_hash(recordings / row["recording"])
         if row["recording"] == BROKEN:
-            assert row["status"] == "failed" and "is not an MCAP file" in row["error"] and not row["retry"]
+            assert row["status"] == "failed" and "is not an MCAP file" in row["error"]
             continue
         assert row["output_hash"] == file_hash(out / row["output"])
         assert 5.5 < row["duration_s"] < 6.5 and row["gaps"] == 1 and 0.5 < row["occluded_s"] < 1.1
