@@ -106,7 +106,7 @@ def test_doctor(tmp_path):
     found = json.loads((tmp_path / "d.json").read_text())
     assert found["solver"]["ok"]
     assert found["point clouds"]["ok"]
-    assert {"python", "gtsam", "numpy", "cores", "memory"} <= set(found)
+    assert {"python", "gtsam", "numpy", "cores"} <= set(found)
 
 
 def test_doctor_names_what_is_missing(capsys, monkeypatch):
