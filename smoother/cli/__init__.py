@@ -23,9 +23,7 @@ def main() -> None:
     # no library's plugin belongs here, and pydantic would read every installed package's metadata for them
     os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "1")
     keep_freed_memory()
-    for name, mode in (("stdin", "r"), ("stdout", "w"), ("stderr", "w")):  # a shell may have closed them: >&-
-        if getattr(sys, name) is None:
-            setattr(sys, name, open(os.devnull, mode, encoding="utf-8"))  # noqa: SIM115 - open to the end
+    _open_closed_streams()
     if isinstance(old := sys.stdout, io.TextIOWrapper) and not old.isatty():
         raw = io.BufferedWriter(_Output(1, "wb", closefd=False))
         sys.stdout = io.TextIOWrapper(raw, old.encoding, old.errors, line_buffering=old.line_buffering)
@@ -45,6 +43,22 @@ def main() -> None:
                 os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
     gc.freeze()  # or Python looks through all that was imported once more before it ends: 0.07 s
     sys.exit(code)
+
+
+def _open_closed_streams() -> None:
+    """Where a shell closed standard input, output or error (`>&-`), put the null device in its place.
+
+    Python then has no such stream, and the next file that is opened gets its number: what a library prints
+    would go into an output.
+    """
+    for number, name, mode in ((0, "stdin", "r"), (1, "stdout", "w"), (2, "stderr", "w")):
+        try:
+            os.fstat(number)
+        except OSError:  # the lowest free number is this one; worker processes want it as well
+            os.set_inheritable(os.open(os.devnull, os.O_RDWR), True)
+        if getattr(sys, name) is None:
+            stream = open(number, mode, encoding="utf-8", closefd=False)  # noqa: SIM115 - open to the end
+            setattr(sys, name, stream)
 
 
 class _Output(io.FileIO):

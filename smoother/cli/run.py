@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import os
 import signal
 import sys
 import threading
@@ -38,9 +39,17 @@ def handling(handler: Callable[[int, FrameType | None], None]) -> Iterator[None]
 
 @contextmanager
 def ending_tidily() -> Iterator[None]:
-    """Let SIGTERM and SIGHUP raise KeyboardInterrupt; a second one is not heard meanwhile."""
+    """Let SIGTERM and SIGHUP raise KeyboardInterrupt; a second one is not heard meanwhile.
+
+    All, and Ctrl-C, wait until an import is over: a library that is being initialised turns them into errors.
+    """
 
     def end(number: int, frame: FrameType | None) -> None:
+        if _imports(frame):
+            waits = threading.Timer(0.02, os.kill, (os.getpid(), number))
+            waits.daemon = True
+            waits.start()
+            return
         for name in ("SIGTERM", "SIGHUP", "SIGBREAK"):
             if hasattr(signal, name):
                 signal.signal(getattr(signal, name), signal.SIG_IGN)
@@ -54,6 +63,15 @@ def ending_tidily() -> Iterator[None]:
 
     with handling(end):
         yield
+
+
+def _imports(frame: FrameType | None) -> bool:
+    """Whether a frame is inside an import."""
+    while frame is not None:
+        if frame.f_code.co_filename == "<frozen importlib._bootstrap>":
+            return True
+        frame = frame.f_back
+    return False
 
 
 OK, FAILED, WRONG_USE = 0, 1, 2

@@ -10,8 +10,10 @@ import io
 import json
 import os
 import re
+import signal
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import numpy as np
@@ -70,6 +72,49 @@ def test_sentences_break_between_words_on_a_terminal_only(monkeypatch: pytest.Mo
 )
 def test_an_angle_beyond_a_right_one_is_not_known(degrees: float, words: str) -> None:
     assert known_to(np.radians(degrees)) == words
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(os.name != "posix", reason="a shell of POSIX closes them")
+@pytest.mark.parametrize(
+    ("closed", "words", "code"),
+    [
+        (">&-", f"info {DEMO}", 0),
+        (">&-", "info nothing.mcap", 1),
+        ("2>&-", "config", 0),
+        ("<&- >&- 2>&-", f"info {DEMO}", 0),
+        ("<&- >&- 2>&-", "info nothing.mcap", 1),
+    ],
+)
+def test_closed_streams_are_the_null_device(tmp_path: Path, closed: str, words: str, code: int) -> None:
+    """Python has no such stream then: `sys.stdout` is None, and a command ended in an AttributeError."""
+    program = f"'{sys.executable}' -c 'from smoother.cli import main; main()'"
+    done = subprocess.run(
+        f"{program} {words} {closed}", shell=True, cwd=tmp_path, capture_output=True, text=True, timeout=60
+    )
+    assert done.returncode == code
+    assert "unexpected" not in done.stderr and "Traceback" not in done.stderr
+    if code and "2" not in closed:
+        assert done.stderr == "unocclude: nothing.mcap does not exist; check the name.\n"
+
+
+@pytest.mark.skipif(os.name != "posix", reason="a shell of POSIX closes them")
+def test_no_output_gets_the_number_of_a_closed_stream(tmp_path: Path) -> None:
+    """What is printed would be written into it."""
+    code = (
+        "import os, sys\nimport smoother.cli.config as d\n"
+        "def write(*_):\n"
+        "  with open('out', 'w') as file:\n"
+        "    print('a'); os.write(1, b'b'); os.write(2, b'c'); assert file.fileno() > 2\n"
+        "    assert os.get_inheritable(1) and os.get_inheritable(2)\n"
+        "    file.write('the output')\n"
+        "d.memory = write\nfrom smoother.cli import main\nsys.argv = ['x', 'doctor']\nmain()"
+    )
+    command = f"'{sys.executable}' -c \"$CODE\" <&- >&- 2>&-"
+    subprocess.run(
+        command, shell=True, cwd=tmp_path, env=os.environ | {"CODE": code}, timeout=60, check=False
+    )
+    assert (tmp_path / "out").read_text() == "the output"
 
 
 #: Clears the screen, sets the title, links, turns the direction of writing, goes back, markup, a formula.
@@ -194,6 +239,37 @@ def test_figures_are_written_before_anything_is_printed(words: tuple[str, ...], 
     figures = tmp_path / "figures.json"
     assert run([*(word.format(folder=tmp_path) for word in words), "--json", str(figures)]) == 1
     assert json.loads(figures.read_text())
+
+
+@pytest.mark.skipif(os.name != "posix", reason="signals are POSIX'")
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_waits_for_an_import(tmp_path: Path, number: int):
+    """A library that is interrupted while it loads says "initialization failed", or is taken for missing."""
+    (tmp_path / "slow_library.py").write_text(
+        "import os, time\n"
+        f"os.kill(os.getpid(), {int(number)})\n"
+        "try:\n    time.sleep(0.3)\n"
+        "except KeyboardInterrupt as error:\n    raise ImportError('initialization failed') from error\n"
+        "print('loaded')\n"
+    )
+    code = (
+        "import sys, time, smoother.cli.app as app\nfrom smoother.cli import main\n"
+        "def command(*_, **__):\n    import slow_library\n    time.sleep(5)\n"
+        "app.app = command\nmain()"
+    )
+    path = os.pathsep.join([str(tmp_path), str(DEMO.parents[1])])
+    begin = time.monotonic()
+    done = subprocess.run(
+        [sys.executable, "-c", code],
+        capture_output=True,
+        text=True,
+        env={**os.environ, "PYTHONPATH": path},
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
+        timeout=60,
+    )
+    assert done.stdout == "loaded\n" and done.returncode == 1
+    assert done.stderr == "unocclude: interrupted; no output is left half written\n"
+    assert time.monotonic() - begin < 30
 
 
 @pytest.mark.parametrize(("factor", "unit"), [(1000, "millimetres"), (100, "centimetres")])
