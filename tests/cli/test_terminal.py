@@ -108,7 +108,7 @@ def test_no_output_gets_the_number_of_a_closed_stream(tmp_path: Path) -> None:
         "    print('a'); os.write(1, b'b'); os.write(2, b'c'); assert file.fileno() > 2\n"
         "    assert os.get_inheritable(1) and os.get_inheritable(2)\n"
         "    file.write('the output')\n"
-        "d.memory = write\nfrom smoother.cli import main\nsys.argv = ['x', 'doctor']\nmain()"
+        "d.use_open3d = write\nfrom smoother.cli import main\nsys.argv = ['x', 'doctor']\nmain()"
     )
     command = f"'{sys.executable}' -c \"$CODE\" <&- >&- 2>&-"
     subprocess.run(
