@@ -7,7 +7,7 @@ to the world and back over the panel by least squares, what it is worth, and gra
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Annotated, NamedTuple
 
 import numpy as np
@@ -20,6 +20,7 @@ from smoother.errors import CalibrationError
 from smoother.linalg import nearest_rotation, skew, unit
 from smoother.recording import CameraFrame, ImuStream, Recording
 from smoother.rotation import chained
+from smoother.units import GRAVITY
 
 from .file import CalibrationFile, FileSection, Vector, checked, corrected_streams, sensor_of
 from .images import Panel, View
@@ -107,228 +108,9 @@ BIAS_M_S2, CORRECTED_M_S2 = 0.03, 0.012
 #: Magnetometers: iron on the sensor (a share of the field), and iron in the room, which differs from place to
 #: place, rad.
 IRON, ROOM_RAD = 0.05, np.radians(2.0)
-#: Magnetic dip is not asked for: any from the equator to the pole, rad.
-DIP_RAD = 3.0
-
-
-@dataclass(frozen=True)
-class WorldPose:
-    """One pose of the panel, as camera and IMUs know it."""
-
-    name: str  # For messages
-    R_K_P: FloatArray  # (3, 3): the panel in the camera, from its images
-    covariance: FloatArray  # (3, 3): of its rotation vector, rad^2 in {K}
-    panel: Rest  # The IMUs at rest
-    base: Rest  # The IMUs at rest
-    panel_turn: Turn | None = None  # The panel's rotation since the pose before, or None
-    base_turn: Turn | None = None  # The base's, or None
-
-    @property
-    def has_north(self) -> bool:
-        """Both IMUs have a magnetometer."""
-        return self.panel.mag is not None and self.base.mag is not None
-
-
-@dataclass(frozen=True)
-class Attitudes:
-    """The unknowns."""
-
-    R_K_B: Rotation  # Camera from base IMU
-    R_P_I: Rotation  # Panel from its IMU
-    R_W_B: Rotation  # The base's IMU in the world (z up), one per pose
-    R_W_I: Rotation  # The panel's, one per pose
-    rest: FloatArray  # (14,): biases
-
-    def moved(self, step: FloatArray) -> Attitudes:
-        """Rotated by small angles: `R_K_B` in {K}, the others in their own axes."""
-        n = len(self.R_W_B)
-        turns = Rotation.from_rotvec(step[: 6 + 6 * n].reshape(-1, 3))
-        return Attitudes(
-            turns[0] * self.R_K_B,
-            self.R_P_I * turns[1],
-            self.R_W_B * turns[2 : 2 + n],
-            self.R_W_I * turns[2 + n :],
-            self.rest + step[6 + 6 * n :],
-        )
-
-
-#: Rounds of one and the other rotation.
-_GUESS_ROUNDS = 25
-#: Answers nearer than this are one; this many are followed up.
-_APART_RAD, _MOST = 0.3, 4
-#: Mean square (rad^2 per pose) by which a guess may fit worse than the best and still lead to the answer.
-_HOPELESS = 0.01
-_DIP_RAD = 0.8
-
-
-def first_guesses(poses: list[WorldPose], lined_up: bool) -> list[Attitudes]:
-    """Start values, the likeliest first; the right one is good to some degrees.
-
-    Camera from base IMU and the mounting in turn, each by Wahba's problem on the directions that both IMUs
-    know (up, and the field), from every way to put a cube on the panel.
-    """
-    kinds = ("acc", "mag") if all(pose.has_north for pose in poses) else ("acc",)
-    in_B, in_I = (  # (kinds, n, 3) unit vectors
-        unit(np.array([[getattr(rest, kind) for rest in rests] for kind in kinds]))
-        for rests in ([pose.base for pose in poses], [pose.panel for pose in poses])
-    )
-    R_K_P = np.array([pose.R_K_P for pose in poses])
-
-    def camera_from_base(R_P_I: FloatArray) -> tuple[FloatArray, float]:
-        """`R_K_B` for a mounting, and the sum of squares that is left."""
-        in_K = np.einsum("nij,jk,mnk->mni", R_K_P, R_P_I, in_I).reshape(-1, 3)
-        M = in_K.T @ in_B.reshape(-1, 3)
-        R_K_B = nearest_rotation(M)
-        return R_K_B, float(2 * (len(in_K) - np.sum(R_K_B * M)))
-
-    def in_turn(R_P_I: FloatArray) -> tuple[float, FloatArray]:
-        for _ in range(_GUESS_ROUNDS):
-            in_P = np.einsum("nji,jk,mnk->mni", R_K_P, camera_from_base(R_P_I)[0], in_B)
-            R_P_I = nearest_rotation(in_P.reshape(-1, 3).T @ in_I.reshape(-1, 3))
-        return camera_from_base(R_P_I)[1], R_P_I
-
-    chosen = [np.eye(3)]
-    if not lined_up:
-        starts = Rotation.create_group("O").as_matrix()
-        tried = sorted((in_turn(R_P_I) for R_P_I in starts), key=lambda item: item[0])
-        chosen = []
-        for loss, R_P_I in tried:
-            if loss > tried[0][0] + _HOPELESS * len(poses):
-                break
-            apart = [Rotation.from_matrix(R_P_I.T @ other).magnitude() for other in chosen]
-            if not apart or min(apart) > _APART_RAD:
-                chosen.append(R_P_I)
-    R_W_B = _world_from_base(poses)
-    biases = np.r_[np.zeros(12), _DIP_RAD, _DIP_RAD]
-    found = []
-    for R_P_I in chosen[:_MOST]:
-        R_K_B = Rotation.from_matrix(camera_from_base(R_P_I)[0])
-        R_W_I = R_W_B * R_K_B.inv() * Rotation.from_matrix(R_K_P @ R_P_I)
-        found.append(Attitudes(R_K_B, Rotation.from_matrix(R_P_I), R_W_B, R_W_I, biases))
-    return found
-
-
-def _world_from_base(poses: list[WorldPose]) -> Rotation:
-    """Level attitudes of the base IMU; north by its magnetometer, else the gyroscope's from pose to pose."""
-    found: list[Rotation] = []
-    for pose in poses:
-        up = unit(pose.base.acc)
-        if pose.has_north:
-            east = unit(np.cross(np.asarray(pose.base.mag), up))  # field points north and down
-            found.append(Rotation.from_matrix(np.stack([np.cross(up, east), -east, up])))
-            continue
-        before = found[-1] if found else Rotation.identity()
-        if found and pose.base_turn is not None:
-            before = found[-1] * Rotation.from_matrix(pose.base_turn.R)
-        tip = Rotation.align_vectors([[0.0, 0.0, 1.0]], [before.apply(up)])[0]
-        found.append(tip * before)
-    return Rotation.concatenate(found)
-
-
-@dataclass(frozen=True)
-class WorldCalibration:
-    """Camera from base IMU, how well it is known, and the data it is based on."""
-
-    at: Attitudes  # The solution
-    # (9, 9): Of `R_K_B` in {K} (rad), the base accelerometer's bias (m/s^2), `R_P_I` in {I} (rad)
-    covariance: FloatArray
-    camera_rad: FloatArray  # (n, 3) rad: what is left of `R_K_P`, in {K}
-    worst_sigma: FloatArray  # (n,): the largest misfit of a pose in sigmas
-    cost: float  # Sum of squares of all misfits
-    poses: tuple[WorldPose, ...] = ()  # Those that were used
-    by_eye: bool = False  # The poses did not give the mounting of the panel's IMU: lined up by eye
-    notes: tuple[str, ...] = ()  # What was left out, and why
-    # The base IMU's accelerometer was corrected by a calibration of its own before
-    accelerometer_corrected: bool = False
-
-    @property
-    def R_K_B(self) -> FloatArray:
-        """(3, 3) base IMU axes to camera axes."""
-        return np.asarray(self.at.R_K_B.as_matrix())
-
-    @property
-    def R_P_I(self) -> FloatArray:
-        """(3, 3) axes of the panel's IMU to panel axes."""
-        return np.asarray(self.at.R_P_I.as_matrix())
-
-
-class _Chain:
-    """Misfits of the chain in sigmas, at any attitudes."""
-
-    def __init__(
-        self, poses: list[WorldPose], start: Attitudes, mounting_sigma_rad: float | None, bias_m_s2: float
-    ):
-        self._start, self._mounting = start, mounting_sigma_rad
-        self._bias_sigma = np.array([bias_m_s2] * 6 + [IRON] * 6 + [DIP_RAD] * 2)
-        self._weight = np.linalg.inv(np.linalg.cholesky([pose.covariance for pose in poses]))
-        self._seen = Rotation.from_matrix([pose.R_K_P for pose in poses])
-        sensors = [[pose.base for pose in poses], [pose.panel for pose in poses]]  # as everywhere below
-        self._acc = np.array([[rest.acc for rest in rests] for rests in sensors])
-        noise = np.array([[rest.acc_sigma.mean() for rest in rests] for rests in sensors])
-        self._level = np.hypot(noise / np.linalg.norm(self._acc, axis=2), TILT_RAD)[..., None]
-        self._field: FloatArray | None = None
-        if all(pose.has_north for pose in poses):
-            self._field = unit(np.array([[rest.mag for rest in rests] for rests in sensors]))
-        self._turns = []
-        for own in ([pose.base_turn for pose in poses], [pose.panel_turn for pose in poses]):
-            known = [(i, turn) for i, turn in enumerate(own) if i and turn is not None]
-            later = np.array([i for i, _ in known], dtype=int)
-            back = Rotation.from_matrix(np.array([turn.R.T for _, turn in known]).reshape(-1, 3, 3))
-            self._turns.append((later, back, np.array([[turn.sigma_rad] for _, turn in known])))
-
-    def camera_left(self, at: Attitudes) -> FloatArray:
-        """What is left (n, 3) of the panel's rotation in the camera, rad in {K}."""
-        chain = at.R_K_B * at.R_W_B.inv() * at.R_W_I * at.R_P_I.inv()
-        return np.asarray((chain * self._seen.inv()).as_rotvec())
-
-    def of_poses(self, at: Attitudes) -> FloatArray:
-        """(n, 3, 3): of the panel in the camera, and of up by either accelerometer."""
-        rows = [np.einsum("nij,nj->ni", self._weight, self.camera_left(at))]
-        for imu, R_W in enumerate((at.R_W_B, at.R_W_I)):
-            up = R_W.apply(unit(self._acc[imu] - at.rest[3 * imu : 3 * imu + 3]))
-            rows.append(np.cross(up, [0.0, 0.0, 1.0]) / self._level[imu])
-        return np.stack(rows, axis=1)
-
-    def misfit(self, at: Attitudes) -> FloatArray:
-        """All misfits: of poses, fields and turns, and of what is known beforehand."""
-        start, rows = self._start, [self.of_poses(at)]
-        for imu, R_W in enumerate((at.R_W_B, at.R_W_I)):
-            if self._field is not None:  # unit fields in {W}, whose x axis is magnetic north
-                dip = at.rest[12 + imu]
-                field = R_W.apply(unit(self._field[imu] - at.rest[6 + 3 * imu : 9 + 3 * imu]))
-                rows.append((field - [np.cos(dip), 0.0, -np.sin(dip)]) / ROOM_RAD)
-            later, back, sigma = self._turns[imu]  # since the pose before
-            if len(later):
-                rows.append((back * R_W[later - 1].inv() * R_W[later]).as_rotvec() / sigma)
-        # every rotation is free, or nearly; biases are small
-        for name in ("R_K_B", "R_P_I", "R_W_B", "R_W_I"):
-            rows.append((getattr(start, name).inv() * getattr(at, name)).as_rotvec() / FREE_RAD)
-        if self._mounting is not None:  # lined up by eye
-            rows.append(at.R_P_I.as_rotvec() / self._mounting)
-        rows.append((at.rest - start.rest) / self._bias_sigma)
-        return np.concatenate([np.ravel(row) for row in rows])
-
-    def solved(self) -> WorldCalibration:
-        """Least squares over all poses; once more about the first answer, so that its slopes are local."""
-        at, count = self._start, len(self._seen)
-        size = 6 + 6 * count + len(at.rest)
-        for _ in range(2):
-            fit = least_squares(lambda x, about=at: self.misfit(about.moved(x)), np.zeros(size), method="lm")
-            at = at.moved(fit.x)
-        cost = 2 * float(fit.cost)
-        # three rows of a direction have two degrees; a few poses may fit by luck
-        spare = len(fit.fun) - (2 if self._field is None else 4) * count - size
-        spread = max(1.0, cost / spare) if spare > 0 else 1.0
-        bias = size - len(at.rest)
-        kept = np.r_[0:3, bias : bias + 3, 3:6]
-        covariance = np.linalg.inv(fit.jac.T @ fit.jac)[np.ix_(kept, kept)] * spread
-        worst = np.linalg.norm(self.of_poses(at), axis=2).max(axis=1)
-        return WorldCalibration(at, covariance, self.camera_left(at), worst, cost)
-
-
 #: An IMU that was lined up with the panel by eye is off by this, per axis.
 BY_EYE_RAD = np.radians(3.0)
-#: Poses whose residuals exceed this many sigmas contradict the others and are left out.
+#: Poses that contradict the others by this many sigmas are left out.
 CONTRADICTS_SIGMA = 5.0
 #: Another answer that costs less than this more is as likely (two degrees of freedom, 99 %).
 AS_LIKELY = 9.2
@@ -346,6 +128,35 @@ class PanelView:
     covariance: FloatArray  # (3, 3) rad^2: of its rotation vector in {K}
 
 
+@dataclass(frozen=True)
+class WorldPose:
+    """One pose of the panel, as camera and IMUs know it."""
+
+    view: PanelView
+    base: Rest  # The IMUs at rest
+    panel: Rest
+    turns: tuple[Turn, Turn] | None = None  # The base's and the panel's since the pose before, or None
+
+
+@dataclass(frozen=True)
+class WorldCalibration:
+    """Camera from base IMU, how well it is known, and the data it is based on."""
+
+    R_K_B: FloatArray  # (3, 3): base IMU axes to camera axes
+    R_P_I: FloatArray  # (3, 3): axes of the panel's IMU to panel axes
+    bias: FloatArray  # (3,) m/s^2: of the base's accelerometer
+    # (9, 9): Of `R_K_B` in {K} (rad), the base accelerometer's bias (m/s^2), `R_P_I` in {I} (rad)
+    covariance: FloatArray
+    left_rad: FloatArray  # (n,): what is left of `R_K_P`
+    cost: float  # Sum of squares of all misfits
+    sigmas_apart: FloatArray = field(default_factory=lambda: np.zeros(1))  # (n,): a pose and the others
+    poses: tuple[WorldPose, ...] = ()  # Those that were used
+    by_eye: bool = False  # The poses did not give the mounting of the panel's IMU: lined up by eye
+    notes: tuple[str, ...] = ()  # What was left out, and why
+    # The base IMU's accelerometer was corrected by a calibration of its own before
+    accelerometer_corrected: bool = False
+
+
 def world_poses(
     views: Sequence[PanelView], panel: Sequence[ImuStream], base: Sequence[ImuStream]
 ) -> tuple[list[WorldPose], list[str]]:
@@ -355,21 +166,18 @@ def world_poses(
     last = -1
     held = {id(imu): find_rests(imu, HAND) for imu in {id(imu): imu for imu in (*panel, *base)}.values()}
     for i, view in enumerate(views):
+        imus = (base[i], "on the camera"), (panel[i], "on the panel")
         try:
-            on_panel, on_base = (
-                rest_at(imu, held[id(imu)], view.t_s, view.name, f"on the {what}")
-                for imu, what in ((panel[i], "panel"), (base[i], "camera"))
-            )
+            on_base, on_panel = (rest_at(imu, held[id(imu)], view.t_s, view.name, what) for imu, what in imus)
         except CalibrationError as error:
             notes.append(f"{error} The pose is left out.")
             continue
-        pose = WorldPose(view.name, view.R_K_P, view.covariance, on_panel, on_base)
+        pose = WorldPose(view, on_base, on_panel)
         if poses and panel[i] is panel[last] and base[i] is base[last]:
-            pose = replace(
-                pose,
-                panel_turn=turn_between(panel[i], poses[-1].panel, on_panel),
-                base_turn=turn_between(base[i], poses[-1].base, on_base),
-            )
+            of_base = turn_between(base[i], poses[-1].base, pose.base)
+            of_panel = turn_between(panel[i], poses[-1].panel, pose.panel)
+            if of_base is not None and of_panel is not None:
+                pose = replace(pose, turns=(of_base, of_panel))
         poses.append(pose)
         last = i
     if not poses:
@@ -386,35 +194,162 @@ def calibrate_world(
     kept, sentences = list(poses), list(notes)
     while True:
         found = _solve(kept, bias_m_s2)
-        worst = int(np.argmax(found.worst_sigma))
-        if found.worst_sigma[worst] < CONTRADICTS_SIGMA or len(kept) < 2:
-            return replace(found, poses=tuple(kept), notes=tuple(sentences))
-        text = f"{kept[worst].name} contradicts the other poses by {found.worst_sigma[worst]:.0f} sigmas"
+        apart, mounting = np.zeros(len(kept)), BY_EYE_RAD if found.by_eye else None
+        if len(kept) > 1:  # what the others' misfits are without it
+            start = found.R_K_B, found.R_P_I
+            costs = [_fit(_without(kept, k), start, mounting, bias_m_s2).cost for k in range(len(kept))]
+            apart = np.sqrt(np.maximum(found.cost - np.array(costs), 0.0))
+        worst = int(np.argmax(apart))
+        if apart[worst] < CONTRADICTS_SIGMA:
+            return replace(found, sigmas_apart=apart, poses=tuple(kept), notes=tuple(sentences))
+        text = f"{kept[worst].view.name} contradicts the other poses by {apart[worst]:.0f} sigmas"
         if len(kept) <= FEWEST:
             raise CalibrationError(
                 f"The poses contradict each other: {text}; check that each IMU is fixed to its body and uses"
                 " the camera's clock, and record more poses."
             )
         sentences.append(f"{text} and is left out.")
-        kept.pop(worst)
-        # what followed it is no longer linked to what went before
-        if worst < len(kept):
-            kept[worst] = replace(kept[worst], panel_turn=None, base_turn=None)
+        kept = _without(kept, worst)
+
+
+def _without(poses: list[WorldPose], k: int) -> list[WorldPose]:
+    """The poses but one; what followed it is no longer linked to what went before."""
+    return [*poses[:k], *(replace(pose, turns=None) for pose in poses[k + 1 : k + 2]), *poses[k + 2 :]]
+
+
+#: Rounds of one and the other rotation; starts that end nearer to each other than this are one.
+_GUESS_ROUNDS, _SAME_RAD = 25, 0.3
+#: Mean square (rad^2 per pose) by which a start may fit worse than the best and still lead to the answer.
+_HOPELESS = 0.01
 
 
 def _solve(poses: list[WorldPose], bias_m_s2: float) -> WorldCalibration:
-    """The solution; with the mounting lined up by eye where the poses do not give it."""
+    """The best of the answers from every way to put a cube on the panel; with the IMU lined up by eye where
+    the poses do not give the mounting.
+    """
+    starts = _starts(poses)
     if len(poses) >= FEWEST:
-        starts = first_guesses(poses, lined_up=False)
-        tried = [_Chain(poses, start, None, bias_m_s2).solved() for start in starts]
-        best, *others = sorted(tried, key=lambda found: found.cost)
+        best, *others = sorted((_fit(poses, s, None, bias_m_s2) for s in starts[:-1]), key=lambda f: f.cost)
+        likely = [other.R_P_I for other in others if other.cost < best.cost + AS_LIKELY]
+        apart = [Rotation.from_matrix(best.R_P_I.T @ other).magnitude() for other in likely]
+        best = _fit(poses, (best.R_K_B, best.R_P_I), None, bias_m_s2)  # slopes about the answer
         known = np.sqrt(np.linalg.eigvalsh(best.covariance[6:, 6:])[-1]) < BY_EYE_RAD
-        likely = [other for other in others if other.cost < best.cost + AS_LIKELY]
-        apart = [(best.at.R_P_I.inv() * other.at.R_P_I).magnitude() for other in likely]
         if known and max(apart, default=0.0) < BY_EYE_RAD:
             return best
-    start = first_guesses(poses, lined_up=True)[0]
-    return replace(_Chain(poses, start, BY_EYE_RAD, bias_m_s2).solved(), by_eye=True)
+    rough = _fit(poses, starts[-1], BY_EYE_RAD, bias_m_s2)
+    return replace(_fit(poses, (rough.R_K_B, rough.R_P_I), BY_EYE_RAD, bias_m_s2), by_eye=True)
+
+
+def _starts(poses: list[WorldPose]) -> list[tuple[FloatArray, FloatArray]]:
+    """Camera from base IMU and mounting by every likely way to put a cube on the panel; lined up by eye last.
+
+    The two in turn, each by Wahba's problem on the directions that both IMUs know.
+    """
+    R_K_P = np.array([pose.view.R_K_P for pose in poses])
+    in_B, in_I = (_directions(each, np.zeros(6)) for each in _readings(poses))
+    R_P_I = np.concatenate([Rotation.create_group("O").as_matrix(), [np.eye(3)]])
+    for k in range(_GUESS_ROUNDS):
+        in_K = np.einsum("nij,sjk,mnk->smni", R_K_P, R_P_I, in_I)
+        R_K_B = nearest_rotation(np.einsum("smni,mnj->sij", in_K, in_B))
+        if k < _GUESS_ROUNDS - 1:
+            in_P = np.einsum("nji,sjk,mnk->smni", R_K_P, R_K_B[:-1], in_B)
+            R_P_I[:-1] = nearest_rotation(np.einsum("smni,mnj->sij", in_P, in_I))
+    left = in_K - np.einsum("sij,mnj->smni", R_K_B, in_B)
+    loss, chosen = np.sum(left**2, axis=(1, 2, 3))[:-1], list[int]()
+    for s in np.argsort(loss).tolist():
+        apart = [Rotation.from_matrix(R_P_I[s].T @ R_P_I[other]).magnitude() for other in chosen]
+        if loss[s] <= loss.min() + _HOPELESS * len(poses) and min(apart, default=np.inf) > _SAME_RAD:
+            chosen.append(s)
+    return [(R_K_B[s], R_P_I[s]) for s in (*chosen, -1)]
+
+
+def _readings(poses: list[WorldPose]) -> list[tuple[FloatArray, FloatArray | None]]:
+    """Accelerations and, if all have them, unit fields (n, 3) of the base's IMU and of the panel's."""
+    rests = [[pose.base for pose in poses], [pose.panel for pose in poses]]
+    acc = [np.array([rest.acc for rest in own]) for own in rests]
+    if any(rest.mag is None for own in rests for rest in own):
+        return [(each, None) for each in acc]
+    return list(zip(acc, (unit(np.array([rest.mag for rest in own])) for own in rests), strict=True))
+
+
+def _directions(reading: tuple[FloatArray, FloatArray | None], bias: FloatArray) -> FloatArray:
+    """(kinds, n, 3) up and, where it is known, magnetic east in an IMU's axes, less its biases (..., 6)."""
+    acc, magnetic = reading
+    up = unit(acc - bias[..., :3])
+    return up[None] if magnetic is None else np.stack([up, unit(np.cross(magnetic - bias[..., 3:], up))])
+
+
+def _fit(
+    poses: list[WorldPose],
+    start: tuple[FloatArray, FloatArray],  # R_K_B and R_P_I
+    mounting_rad: float | None,  # how well the panel's IMU was lined up by eye
+    bias_m_s2: float,
+) -> WorldCalibration:
+    """Least squares of the chain `R_K_P = R_K_B R_B_W R_W_I R_I_P` (JA eq 7 and 8) in the camera's axes.
+
+    Up, magnetic east where there are magnetometers, and the turn since the pose before are each known by both
+    IMUs: the base's by `R_K_B`, the panel's by `R_K_P R_P_I`. What is left is between the two.
+    """
+    seen, count = np.array([pose.view.R_K_P for pose in poses]), len(poses)
+    whiten = np.linalg.inv(np.linalg.cholesky([pose.view.covariance for pose in poses]))
+    readings = _readings(poses)
+    noise = np.array([[rest.acc_sigma.mean() for rest in (pose.base, pose.panel)] for pose in poses]).T
+    tilts = np.hypot(noise / [np.linalg.norm(acc, axis=1) for acc, _ in readings], TILT_RAD)
+    sigmas = [tilts[1]]
+    level = [np.linalg.norm(np.cross(m, unit(acc)), axis=1) for acc, m in readings if m is not None]
+    if level:
+        sigmas.append(ROOM_RAD * np.linalg.norm(1.0 / np.array(level), axis=0))
+    linked = np.array([i for i, pose in enumerate(poses) if i and pose.turns], dtype=int)
+    turns = [pose.turns for pose in poses[1:] if pose.turns]
+    T_B, T_I = (np.array([own[k].R for own in turns]).reshape(-1, 3, 3) for k in (0, 1))
+    swung = np.array([[turn.sigma_rad for turn in own] for own in turns]).reshape(-1, 2).T
+    # two rotations in {K} and {I}, the biases of the base's sensors and of the panel's, what the images leave
+    # of each pose's rotation in {K}, and the base's tilt (rad)
+    known = np.array([FREE_RAD] * 6 + 2 * ([bias_m_s2] * 3 + [IRON] * 3))
+
+    def moved(x: FloatArray) -> tuple[FloatArray, FloatArray]:
+        turn = Rotation.from_rotvec(x[:6].reshape(2, 3)).as_matrix()
+        return turn[0] @ start[0], start[1] @ turn[1]
+
+    def misfit(x: FloatArray) -> FloatArray:
+        """All misfits in sigmas, and what is known beforehand: biases are small, rotations free or nearly."""
+        (R_K_B, R_P_I), (left, off) = moved(x), x[18:].reshape(2, -1, 3)
+        R_K_I = Rotation.from_rotvec(left).as_matrix() @ seen @ R_P_I
+        of_base = _directions(readings[0], x[6:12] + np.pad(GRAVITY * off, ((0, 0), (0, 3)))) @ R_K_B.T
+        apart = of_base - np.einsum("nij,knj->kni", R_K_I, _directions(readings[1], x[12:18]))
+        turned = R_K_I[linked - 1] @ T_I @ np.swapaxes(R_K_I[linked], 1, 2)
+        of_turns = _rotvec(turned @ np.swapaxes(R_K_B @ T_B @ R_K_B.T, 1, 2))
+        up = of_base[0]
+        heading = np.sum(of_turns * up[linked - 1], axis=1) / np.hypot(*swung)
+        rows = [apart / np.array(sigmas)[..., None], off / tilts[0, :, None], heading, x[:18] / known]
+        rows.append(np.einsum("nij,nj->ni", whiten, left))
+        for R_K, T, sigma in ((np.tile(R_K_B, (count, 1, 1)), T_B, swung[0]), (R_K_I, T_I, swung[1])):
+            own = np.einsum("nji,nj->ni", R_K, up)  # up in the IMU's axes, before a turn and after it
+            after = np.einsum("nij,nj->ni", T, own[linked])
+            rows.append((own[linked - 1] - after) / sigma[:, None])
+        if mounting_rad is not None:
+            rows.append(_rotvec(R_P_I) / mounting_rad)
+        return np.concatenate([np.ravel(row) for row in rows])
+
+    scale = np.append(known, np.full(6 * count, 1e-3))
+    fit = least_squares(misfit, np.zeros(len(scale)), method="lm", x_scale=scale, ftol=1e-6)
+    R_K_B, R_P_I = moved(fit.x)
+    # three rows of up have two degrees, those of east one; a few poses may fit by luck
+    spare = len(fit.fun) - (3 if level else 1) * count - 2 * len(linked) - len(fit.x)
+    spread = max(1.0, 2 * float(fit.cost) / spare) if spare > 0 else 1.0
+    kept = np.r_[0:3, 6:9, 3:6]
+    return WorldCalibration(
+        R_K_B=R_K_B,
+        R_P_I=R_P_I,
+        bias=fit.x[6:9],
+        covariance=np.linalg.inv(fit.jac.T @ fit.jac)[np.ix_(kept, kept)] * spread,
+        left_rad=np.linalg.norm(fit.x[18 : 18 + 3 * count].reshape(-1, 3), axis=1),
+        cost=2 * float(fit.cost),
+    )
+
+
+def _rotvec(R: FloatArray) -> FloatArray:
+    return np.asarray(Rotation.from_matrix(R).as_rotvec()) if R.size else np.zeros((0, 3))
 
 
 def tilt_covariance(
@@ -498,7 +433,7 @@ class WorldAccuracy(NamedTuple):
 def accuracy(calibration: WorldCalibration) -> WorldAccuracy:
     """Sigmas of rotation, tilt, heading and mounting."""
     covariance, R_K_B = calibration.covariance, calibration.R_K_B
-    forces = np.array([pose.base.acc - calibration.at.rest[:3] for pose in calibration.poses])
+    forces = np.array([pose.base.acc - calibration.bias for pose in calibration.poses])
     tilts = [np.trace(tilt_covariance(R_K_B, covariance[:6, :6], acc)) / 2 for acc in forces]
     up = unit(R_K_B @ unit(forces).mean(axis=0))
     return WorldAccuracy(
@@ -523,8 +458,9 @@ NAME = "camera_from_base"
 
 def world_answer(calibration: WorldCalibration) -> Answer:
     """Camera from base IMU, and its tables; quaternions are qw, qx, qy, qz, sigmas one standard deviation."""
-    sigma, at = accuracy(calibration), calibration.at
-    down = -(at.R_K_B * at.R_W_B.inv()).apply([0.0, 0.0, 1.0])
+    sigma, mounting = accuracy(calibration), Rotation.from_matrix(calibration.R_P_I)
+    forces = np.array([pose.base.acc - calibration.bias for pose in calibration.poses])
+    down = -unit(forces) @ calibration.R_K_B.T
     grade = graded((sigma.tilt_deg, GOOD_DEG, USABLE_DEG))
     sentence = f"{grade}: the camera's tilt is known to {sigma.tilt_deg:.2f} degrees (one sigma)"
     checks = [
@@ -537,16 +473,18 @@ def world_answer(calibration: WorldCalibration) -> Answer:
     ]  # fmt: skip
     tables = {
         NAME: {
-            "rotation": at.R_K_B.as_quat(canonical=True, scalar_first=True).tolist(),
+            "rotation": Rotation.from_matrix(calibration.R_K_B)
+            .as_quat(canonical=True, scalar_first=True)
+            .tolist(),
             "rotation_sigma_deg": sigma.rotation_deg.tolist(),
-            "accelerometer_bias": at.rest[:3].tolist(),
+            "accelerometer_bias": calibration.bias.tolist(),
             "covariance": calibration.covariance[:6, :6].tolist(),
             "accelerometer_corrected": calibration.accelerometer_corrected,
         },
         "panel_from_imu": {
-            "rotation": at.R_P_I.as_quat(canonical=True, scalar_first=True).tolist(),
+            "rotation": mounting.as_quat(canonical=True, scalar_first=True).tolist(),
             "rotation_sigma_deg": sigma.mounting_deg.tolist(),
-            "off_deg": float(np.degrees(at.R_P_I.magnitude())),
+            "off_deg": float(np.degrees(mounting.magnitude())),
             "lined_up_by_eye": calibration.by_eye,
         },
         "world": {
@@ -558,10 +496,10 @@ def world_answer(calibration: WorldCalibration) -> Answer:
             "verdict": sentence,
             "residuals": [
                 {
-                    "pose": pose.name,
+                    "pose": pose.view.name,
                     "down": [round(float(x), 6) for x in down[i]],
-                    "rotation_deg": round(float(np.degrees(np.linalg.norm(calibration.camera_rad[i]))), 4),
-                    "worst_sigma": round(float(calibration.worst_sigma[i]), 2),
+                    "rotation_deg": round(float(np.degrees(calibration.left_rad[i])), 4),
+                    "worst_sigma": round(float(calibration.sigmas_apart[i]), 2),
                     "rest_s": round(min(pose.panel.length_s, pose.base.length_s), 2),
                 }
                 for i, pose in enumerate(calibration.poses)

@@ -208,7 +208,7 @@ def world_errors(made: SimulatedPanel) -> dict[str, float]:
     error = Rotation.from_matrix(found.R_K_B @ made.R_K_B.T).as_rotvec()
     tilts = []
     for pose, row in zip(made.poses, found.poses, strict=True):
-        up = row.base.acc - found.at.rest[:3]
+        up = row.base.acc - found.bias
         tilts.append(np.linalg.norm(np.cross(found.R_K_B @ up / np.linalg.norm(up), pose.R_W_K[2])))
     sigma = base.accuracy(found).tilt_deg
     return {
