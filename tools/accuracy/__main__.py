@@ -16,7 +16,6 @@ from tools.accuracy import (  # noqa: F401
     pairing,
 )
 from tools.accuracy.check import CHECKS
-from tools.reliability import setup_errors  # noqa: F401
 
 
 def main() -> None:

@@ -3,7 +3,7 @@
 A row is scored where the arm was hidden, told by the simulation or by what was hidden on purpose, never by
 the answer. Samples without an answer show in `answered`; a refused recording's gaps count as not trusted. A
 gap is wrong where it is trusted, above 10 cm rms and above 3 stated sigmas; in a set-up error, above 10 cm.
-Unusual set-ups are scored by a gap's rms. Workers have one thread each, so that their number changes nothing.
+Workers have one thread each, so that their number changes nothing.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ from smoother.evaluation.metrics import CHI2_95_3, rotation_error, squared_sigma
 from smoother.evaluation.validate import sample_errors
 from smoother.io import import_broad
 from smoother.linalg import interpolate, runs
-from smoother.recording import Recording
+from smoother.recording import Recording, Truth
 from smoother.result import Recovery
 from smoother.simulation import ArmSimulation, SimulatedArm, simulate_arm
 from smoother.smoothing import smooth
@@ -63,6 +63,8 @@ WHOLE = {"trusted": "recordings", "refused": "recordings", "gaps trusted": "gaps
 WORSE = ("crashed", "wrong")
 SECONDS = "cpu s"
 
+#: A gap counts as trusted where more of its samples than this are; as wrong beyond this many stated sigmas.
+TRUSTED_SHARE, SIGMAS = 0.5, 3.0
 #: In view between two long gaps, s.
 BETWEEN_GAPS_S = 8.0
 
@@ -99,15 +101,16 @@ def judged(
     except Exception as error:
         return Run([], counts | ended(error))
     (t_s, values), found = scored(recovery), []
-    believed = np.interp(t_s, recovery.t_s, scenes.trusted_samples(recovery).astype(float)) > 0.5
+    trusted = np.asarray(recovery.trusted, float) * (recovery.estimates.trusted is not False)
+    believed = np.interp(t_s, recovery.t_s, trusted) > 0.5
     counts["trusted"] += recovery.estimates.trusted is True
     for rows in ((t_s > start_s) & (t_s < end_s) for start_s, end_s in gaps):
         found.append(values[rows])
         known = found[-1][np.isfinite(found[-1][:, 1])]
-        if len(known) and believed[rows].mean() > scenes.TRUSTED_SHARE:
+        if len(known) and believed[rows].mean() > TRUSTED_SHARE:
             counts["gaps trusted"] += 1
             far = rms(known[:, 0]) > setup_errors.LARGEST_ERROR_M
-            counts["wrong"] += far and bool(known[:, 1].mean() / 3 > scenes.SIGMAS**2)
+            counts["wrong"] += far and bool(known[:, 1].mean() / 3 > SIGMAS**2)
     return Run(found, counts)
 
 
@@ -119,6 +122,17 @@ def pose_errors(answer: Any, motion: Any, t_s: FloatArray) -> FloatArray:
     squares = squared_sigmas(off, covariance[:, :3, :3]), squared_sigmas(turn, covariance[:, 3:, 3:])
     degrees = np.degrees(np.linalg.norm(turn, axis=1))
     return np.column_stack([np.linalg.norm(off, axis=1), squares[0], degrees, squares[1]])
+
+
+def by_truth(truth: Truth) -> Scored:
+    """The IMU's errors against a recorded truth."""
+
+    def scored(recovery: Recovery) -> tuple[FloatArray, FloatArray]:
+        found = sample_errors(recovery, truth)
+        names = ("distance_m", "squared_sigmas", "angle_deg", "turn_squared_sigmas")
+        return recovery.t_s[found.scored], np.column_stack([getattr(found, n)[found.scored] for n in names])
+
+    return scored
 
 
 def occlusions(made: SimulatedArm, least_s: float = 0.0) -> list[Interval]:
@@ -173,16 +187,10 @@ def arm(preset: str, settings: dict[str, Any], segment: str, least_s: float, see
 def broad(path: Path, length_s: float) -> list[list[Run]]:
     """Hidden gaps of a trial of BROAD; camera and IMU share a clock."""
     recording = import_broad(path, seed=SEED)
-    truth, gaps = recording.truth, place_gaps(recording, length_s, np.random.default_rng(SEED), count=8)
-
-    def scored(recovery: Recovery) -> tuple[FloatArray, FloatArray]:
-        assert truth is not None
-        found = sample_errors(recovery, truth)
-        names = ("distance_m", "squared_sigmas", "angle_deg", "turn_squared_sigmas")
-        return recovery.t_s[found.scored], np.column_stack([getattr(found, n)[found.scored] for n in names])
-
+    gaps = place_gaps(recording, length_s, np.random.default_rng(SEED), count=8)
     spans = [(gap.start_s, gap.end_s) for gap in gaps]
-    return [[judged(hide(recording, gaps), spans, scored)]]
+    assert recording.truth is not None
+    return [[judged(hide(recording, gaps), spans, by_truth(recording.truth))]]
 
 
 def utd(subject: int) -> list[list[Run]]:
@@ -224,19 +232,41 @@ def live(seed: int) -> list[list[Run]]:
     return found
 
 
-def second(job: Callable[[], Run]) -> list[list[Run]]:
+def second(draw: Callable[[], scenes.Scene]) -> list[list[Run]]:
     """A set-up of the second simulator."""
-    return [[job()]]
+    scene = draw()
+
+    def scored(recovery: Recovery) -> tuple[FloatArray, FloatArray]:
+        return recovery.t_s, pose_errors(recovery, scene, recovery.t_s)
+
+    return [[judged(scene.recording, scene.gaps, scored)]]
+
+
+def wrong_pair(preset: str, protocol: str, skeleton_seed: int, imu_seed: int) -> list[list[Run]]:
+    """A simulated arm's skeleton with the IMU of another one that does the same: wrong if it is trusted."""
+    config = ArmSimulation.preset(preset, protocol=protocol, repetitions=3, duration_s=70.0)
+    recording, imu = (simulate_arm(config, seed).recording for seed in (skeleton_seed, imu_seed))
+    run = judged(replace(recording, imu=imu.imu), [], lambda recovery: (recovery.t_s, np.empty((0, 4))))
+    return [[Run([], run.counts | Counter(wrong=run.counts["trusted"]))]]
 
 
 def set_up(job: setup_errors.Job) -> list[list[Run]]:
     """A wrong set-up: how it ended; a sound one: with its errors."""
+    setup = job.setup()
     if job.case is setup_errors.sound:
-        made = job.setup().simulated
-        return [[of_simulation(made, made.recording)]]
-    end = setup_errors.run(job)
-    trusted = end.trusted is True
-    return [[Run([], end.counts or Counter(recordings=1, trusted=trusted, wrong=end.off and trusted))]]
+        return [[of_simulation(setup.simulated, setup.recording)]]
+    run = judged(setup.recording, occlusions(setup.simulated), by_truth(setup.truth), setup.calibration)
+    known = np.concatenate([each[np.isfinite(each[:, 0]), 0] for each in run.errors] or [np.zeros(0)])
+    far = bool(len(known)) and rms(known) > setup_errors.LARGEST_ERROR_M
+    counts = {name: run.counts[name] for name in ("recordings", "refused", "crashed", "trusted")}
+    return [[Run([], Counter(counts, wrong=far and counts["trusted"]))]]
+
+
+def wrong_pairs(count: int, rng: np.random.Generator) -> Iterator[tuple[str, str, int, int]]:
+    """Presets, protocols and seeds of as many wrong pairs."""
+    for number in range(count):
+        seeds = int(rng.integers(2**30)), int(rng.integers(2**30, 2**31))
+        yield PRESETS[number % len(PRESETS)], ("behind", "random")[number % 2], *seeds
 
 
 def jobs() -> Iterator[Job]:
@@ -278,9 +308,9 @@ def jobs() -> Iterator[Job]:
     shown = tuple(f"live, {kind}, {where}" for kind in ("settled", "now") for where in ("visible", "gaps"))
     for seed in range(SEED, SEED + 3):
         yield shown, partial(live, seed)
-    for paired in scenes.wrong_pairs(12, np.random.default_rng(SEED)):
-        yield ("wrong pairs",), partial(second, paired)
-    for drawn in scenes.unusual_jobs(30, np.random.default_rng(SEED)):
+    for pair in wrong_pairs(12, np.random.default_rng(SEED)):
+        yield ("wrong pairs",), partial(wrong_pair, *pair)
+    for drawn in scenes.unusual_scenes(30, np.random.default_rng(SEED)):
         yield ("unusual set-ups",), partial(second, drawn)
     for wrong in setup_errors.draw(100, SEED):
         yield ("set-up errors",), partial(set_up, wrong)

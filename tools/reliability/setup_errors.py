@@ -1,19 +1,13 @@
-"""Answers on wrong set-ups: `python -m tools.accuracy setup --count 200 --sound 40`.
+"""Wrong set-ups, which `python -m tools.accuracy oracle --only "set-up errors"` counts.
 
 Each case is a mistake that people make with sensors, axes, clocks, units or names, put into a simulated
-recording; which case, recording, preset and length is drawn from the seed. `smooth` runs on it without a word
-of warning. The table shows how far the answer is off in the gaps, what sigma it states there, or the sentence
-that it ends with, and whether the result is called trusted. `--sound` adds recordings without a mistake.
+recording; which case, recording, preset and length is drawn from the seed.
 """
 
 from __future__ import annotations
 
-import argparse
-import textwrap
-from collections import Counter
-from collections.abc import Callable, Iterator
-from concurrent.futures import ProcessPoolExecutor
-from dataclasses import dataclass, field, fields, replace
+from collections.abc import Callable
+from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import numpy as np
@@ -21,7 +15,6 @@ from scipy.spatial.transform import Rotation
 
 from smoother.array_types import BoolArray, FloatArray
 from smoother.calibration import ArmCalibration
-from smoother.evaluation.validate import sample_errors
 from smoother.linalg import interpolate, unit
 from smoother.recording import JOINTS, CameraFrame, JointState, Recording, Truth
 from smoother.simulation import ArmSimulation, SimulatedArm, simulate_arm
@@ -29,8 +22,7 @@ from smoother.simulation.arm import true_motion
 from smoother.simulation.camera import add_noise, film
 from smoother.simulation.inertial import ideal_imu, measure
 from smoother.simulation.motion import ArmMotion
-from smoother.smoothing import smooth
-from tools.accuracy.check import ONE_PROCESS, PRESETS, check, ended, option, rms, table
+from tools.accuracy.check import PRESETS
 
 
 @dataclass(frozen=True)
@@ -64,12 +56,6 @@ class Setup:
     def another(self) -> SimulatedArm:
         """Another person before another camera, as long and with the same errors."""
         return simulate_arm(self.config, int(self.rng.integers(2**31)))
-
-    def occluded(self, t_s: FloatArray) -> BoolArray:
-        """(N,) True where the camera cannot see the forearm, at times on the IMU's clock."""
-        frame_t = self.simulated.recording.arm.t_s + self.simulated.parameters["clock_offset_s"]
-        nearest = np.abs(t_s[:, None] - frame_t).argmin(axis=1)
-        return np.asarray(self.simulated.occluded[nearest])
 
 
 def sound(setup: Setup) -> Setup:
@@ -302,11 +288,6 @@ class Job:
     preset: str
     duration_s: float
 
-    @property
-    def name(self) -> str:
-        """The case in words."""
-        return self.case.__name__.replace("_", " ")
-
     def setup(self) -> Setup:
         """The recording with its mistake."""
         config = ArmSimulation.preset(self.preset, protocol="random", duration_s=self.duration_s)
@@ -326,74 +307,3 @@ def draw(count: int, seed: int, cases: tuple[Callable[[Setup], Setup], ...] = CA
         )
         for number in range(count)
     ]
-
-
-@dataclass(frozen=True)
-class Outcome:
-    """How a job ended."""
-
-    error_m: float = float("nan")  # Rms of the IMU's position error in the gaps
-    sigma_m: float = float("nan")  # What is stated of it
-    sentence: str = ""  # The error that it ended with
-    counts: Counter[str] = field(default_factory=Counter)  # Of an error
-    trusted: bool | None = None  # The result's own verdict
-    reasons: tuple[str, ...] = ()  # The verdict's reasons or cautions
-
-    @property
-    def off(self) -> bool:
-        """The answer is off by more than it may be in a result that is trusted."""
-        return self.error_m > LARGEST_ERROR_M
-
-
-def run(job: Job) -> Outcome:
-    """Smooth a job's recording and judge the answer."""
-    setup = job.setup()
-    try:
-        recovery = smooth(replace(setup.recording, truth=None), setup.calibration, ONE_PROCESS)
-    except Exception as error:  # a mistake that ends in a traceback is what this program looks for
-        return Outcome(sentence=str(error), counts=ended(error))
-    errors, estimates = sample_errors(recovery, setup.truth), recovery.estimates
-    answered = setup.occluded(recovery.t_s) & np.isfinite(errors.distance_m)
-    reasons = estimates.reasons or estimates.cautions
-    if not answered.any():
-        return Outcome(trusted=estimates.trusted, reasons=reasons)
-    variance = np.trace(recovery.pose_covariance[answered, :3, :3], axis1=1, axis2=2)
-    sigma_m = float(np.sqrt(np.mean(variance)))
-    return Outcome(rms(errors.distance_m[answered]), sigma_m, trusted=estimates.trusted, reasons=reasons)
-
-
-VERDICTS = ("refused", "trusted", "not", "crashed")
-
-
-@check(
-    option("--count", type=int, default=44, help="wrong set-ups, the cases in turn"),
-    option("--sound", type=int, default=0, help="recordings without a mistake besides"),
-    option("--seed", type=int, default=0, help="of all draws"),
-    option("--only", default="", help="cases whose name contains this"),
-    option("--processes", type=int, default=1, help="recordings at a time"),
-)
-def setup(options: argparse.Namespace) -> Iterator[str]:
-    """Answers on wrong set-ups: refused, trusted or not, and how far off."""
-    cases = tuple(case for case in CASES if options.only in case.__name__.replace("_", " "))
-    if not cases:
-        raise SystemExit(f"no case is called '{options.only}'")
-    jobs = draw(options.count, options.seed, cases)
-    jobs += draw(options.sound, options.seed, (sound,))
-    rows = []
-    with ProcessPoolExecutor(options.processes) as pool:
-        for job, end in zip(jobs, pool.map(run, jobs), strict=True):
-            verdict = "crashed" if end.counts["crashed"] else "refused" if end.sentence else "not"
-            verdict = "trusted" if end.trusted else verdict
-            errors = {"error": 100 * end.error_m, "sigma": 100 * end.sigma_m}
-            rows.append({"case": job.name, "verdict": verdict, "off": end.off, **errors})
-            text = textwrap.shorten(end.sentence or "; ".join(end.reasons), 150)
-            drawn = f"{job.name:32} {job.seed:10} {job.preset:9} {job.duration_s:4.1f} s"
-            yield f"{drawn} {errors['error']:8.2f} / {errors['sigma']:6.2f} cm  {verdict:8} {text}"
-    counts = [f"count(*) filter (where verdict = '{word}') as {word}" for word in VERDICTS]
-    yield from table(
-        f"""select "case", count(*) as n, {", ".join(counts)},
-        max(error) filter (where not isnan(error)) as "worst, cm",
-        count(*) filter (where verdict = 'trusted' and off) as "trusted above {100 * LARGEST_ERROR_M:.0f} cm"
-        from found group by rollup ("case") order by all""",
-        rows,
-    )
