@@ -24,8 +24,7 @@ from ..recording import ImuStream
 from ..runtime.packages import load_open3d
 from ..units import GRAVITY
 from .config import SensorErrors, Settings, setting, size
-from .inertial import ideal_imu, measure
-from .motion import band_noise, ramp
+from .inertial import Held, ideal_imu, measure
 
 Point = tuple[float, float]
 
@@ -483,43 +482,6 @@ def photograph(
 
 #: The earth's field in {W}, uT: 60 degrees below the horizon, x to the north.
 FIELD_W = np.array([24.0, 0.0, -41.6])
-_SWAY_HZ = (0.5, 3.0)
-_SWAY_M_A_DEG = 0.005  # a hand that sways by a degree also moves by this
-
-
-@dataclass(frozen=True)
-class Held:
-    """A body that is held in one pose after the other, and sways a little."""
-
-    R_W: FloatArray  # (n, 3, 3): orientation in each pose, body to world
-    p_W: FloatArray  # (n, 3) m
-    hold_s: float  # Time in a pose
-    move_s: float  # From one to the next
-    sway_deg: float = 0.0  # Rms of the sway
-    seed: int = 0  # Of the sway
-
-    @property
-    def duration_s(self) -> float:
-        """From the start of the first hold to the end of the last."""
-        return len(self.R_W) * self.hold_s + (len(self.R_W) - 1) * self.move_s
-
-    def imu_pose(self, t_s: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Orientation (N, 3, 3) and position (N, 3) m in {W}: minimum jerk between the poses."""
-        poses, count = Rotation.from_matrix(self.R_W), len(self.R_W)
-        step = (poses[:-1].inv() * poses[1:]).as_rotvec()
-        middles = (np.arange(count) + 0.5) * self.hold_s + np.arange(count) * self.move_s
-        R = np.tile(self.R_W[0], (len(t_s), 1, 1))
-        p = np.tile(self.p_W[0], (len(t_s), 1))
-        for i, begin in enumerate(middles[:-1] + self.hold_s / 2):
-            now = t_s >= begin
-            share = ramp(t_s[now], begin, self.move_s)[:, None]
-            R[now] = (poses[i] * Rotation.from_rotvec(share * step[i])).as_matrix()
-            p[now] = self.p_W[i] + share * (self.p_W[i + 1] - self.p_W[i])
-        if self.sway_deg > 0:
-            sway = self.sway_deg * band_noise(t_s, *_SWAY_HZ, 6, np.random.default_rng(self.seed))
-            R = R @ Rotation.from_rotvec(np.radians(sway[:, :3]) / np.sqrt(3)).as_matrix()
-            p = p + _SWAY_M_A_DEG * sway[:, 3:]
-        return R, p
 
 
 def imu_stream(

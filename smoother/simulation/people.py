@@ -15,11 +15,10 @@ from scipy.interpolate import make_interp_spline
 from scipy.spatial.transform import Rotation
 
 from ..array_types import FloatArray
-from ..linalg import unit
 from ..recording import CameraFrame, ImuStream, JointTracks
 from .camera import debounce, exposures, shoot
 from .config import ArmSimulation, Settings, setting, size
-from .inertial import Pose, ideal_imu, measure
+from .inertial import Pose, SegmentImuMotion, draw_upper_mount, ideal_imu, measure
 from .motion import (
     ArmMotion,
     BodyMeasures,
@@ -81,28 +80,11 @@ class SimulatedPeople:
         return {one.stream.name: (one.body, one.joint) for one in self.worn}
 
 
-def _on_upper_arm(motion: ArmMotion, tissue_deg: float, rng: np.random.Generator) -> Pose:
-    """An IMU on an upper arm, on soft tissue, by the arm's joints and its flexion axis."""
-    along = rng.uniform(0.5, 0.8)
-    off = 0.045 * unit(rng.normal(size=3) * [1.0, 0.0, 1.0])
-    R_U_A = Rotation.from_quat(rng.normal(size=4)).as_matrix()
-    # soft tissue follows the motion: a few slow sines turn the sensor against the bone
-    rate = 2 * np.pi * rng.uniform(0.3, 1.5, (4, 3))
-    phase = rng.uniform(0, 2 * np.pi, (4, 3))
-    size = np.radians(tissue_deg) / np.sqrt(6.0)
-
-    def imu_pose(t_s: FloatArray) -> tuple[FloatArray, FloatArray]:
-        joints = motion.joints(t_s)
-        shoulder, elbow = joints["shoulder"], joints["elbow"]
-        lateral, _ = motion.bone_axes(t_s)
-        down = unit(elbow - shoulder)
-        front = unit(np.cross(down, lateral))
-        R_K_U = np.stack([front, down, np.cross(front, down)], axis=2)
-        angle = t_s[:, None, None] * rate + phase
-        slip = Rotation.from_rotvec(size * np.sin(angle).sum(axis=1)).as_matrix()
-        return R_K_U @ slip @ R_U_A, shoulder + along * (elbow - shoulder) + R_K_U @ off
-
-    return imu_pose
+def on_upper_arm(motion: ArmMotion, tissue_deg: float, rng: np.random.Generator) -> Pose:
+    """An IMU on an upper arm, on soft tissue."""
+    mount, wobble = draw_upper_mount(motion.measures, rng), draw_wobble(motion.performance, tissue_deg, rng)
+    spline = make_interp_spline(motion.performance.t_s, wobble, k=5)
+    return SegmentImuMotion(motion.upper_arm, mount, spline).imu_pose
 
 
 def _on_table(rng: np.random.Generator) -> Pose:
@@ -220,7 +202,7 @@ def _worn(
         if place is not None:
             motion = motions[place[:2]]
             is_wrist = place[2] == "wrist"
-            imu_pose = motion.imu_pose if is_wrist else _on_upper_arm(motion, people.tissue_deg, rng)
+            imu_pose = motion.imu_pose if is_wrist else on_upper_arm(motion, people.tissue_deg, rng)
         ideal = ideal_imu(imu_pose, duration_s, arm.imu_rate_hz, gravity)
         stream, _ = measure(ideal, arm, imu_rng)
         joint = "none" if place is None else f"{place[2]}_{place[1]}"

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 from scipy.signal import fftconvolve
-from scipy.spatial.transform import Rotation, Slerp
+from scipy.spatial.transform import Rotation
 
 from calib.clock import ClockLink, Receptions
 
@@ -18,6 +18,7 @@ from ..recording import ImuStream, Recording
 from ..units import GRAVITY
 from .arm import simulate_arm
 from .config import ArmSimulation, ClockSources
+from .inertial import Held, ideal_imu
 
 #: Bluetooth stamps count in steps of this, s.
 STEP_S = 0.3125e-3
@@ -185,55 +186,43 @@ def rest_poses(
     """A sensor laid still in one pose after the other, turned by hand between."""
     rng = np.random.default_rng(seed)
     up = REST_POSES[:poses] + rng.normal(0.0, 0.06, (poses, 3))
-    turns = [Rotation.align_vectors([[0.0, 0.0, 1.0]], [axis])[0] for axis in up]
-    step = rest_s + turn_s
-    knots = np.concatenate([[step * k, step * k + rest_s] for k in range(poses)])
-    curve = Slerp(knots, Rotation.concatenate([turn for turn in turns for _ in range(2)]))
-    t = np.arange(0.5 / rate_hz, knots[-1], 1.0 / rate_hz)
-    # a smooth start and end of every turn
-    k, within = np.divmod(t, step)
-    u = np.clip((within - rest_s) / turn_s, 0.0, 1.0)
-    eased = step * k + np.where(within < rest_s, within, rest_s + turn_s * u * u * (3.0 - 2.0 * u))
-    R = curve(np.minimum(eased, knots[-1]))
-    shake = ((u > 0) & (u < 1))[:, None] * rng.normal(0.0, 1.5, (len(t), 3))
-    force = R.inv().apply([0.0, 0.0, gravity]) + shake
-    rate = np.zeros((len(t), 3))
-    rate[:-1] = (R[:-1].inv() * R[1:]).as_rotvec() * rate_hz
+    turns = [Rotation.align_vectors([[0.0, 0.0, 1.0]], [axis])[0].as_matrix() for axis in up]
+    body = Held(np.array(turns), np.zeros((poses, 3)), rest_s, turn_s)
+    ideal = ideal_imu(body.imu_pose, body.duration_s, rate_hz, np.array([0.0, 0.0, -gravity]))
+    turning = (ideal.t_s % (rest_s + turn_s) > rest_s)[:, None]
+    shake = turning * rng.normal(0.0, 1.5, ideal.acc.shape)
     bias = rng.normal(0.0, 0.01, 3)
-    acc = model.distort(force) + rng.normal(0.0, acc_noise, force.shape)
-    gyro = rate + bias + rng.normal(0.0, gyro_noise, rate.shape)
-    return ImuStream("/imu/forearm_right", t, acc, gyro), bias
+    acc = model.distort(ideal.acc + shake) + rng.normal(0.0, acc_noise, shake.shape)
+    gyro = ideal.gyro + bias + rng.normal(0.0, gyro_noise, shake.shape)
+    return ImuStream("/imu/forearm_right", ideal.t_s, acc, gyro), bias
 
 
 def magnetometer_turns(model: SensorModel, count: int, *, noise: float = 0.01, seed: int = 0) -> FloatArray:
     """Samples (count, 3) of a sensor turned slowly about all its axes in a field of length 1."""
     rng = np.random.default_rng(seed)
-    field = np.array([np.cos(np.radians(60.0)), 0.0, -np.sin(np.radians(60.0))])
-    return model.distort(_turning(count, seed).inv().apply(field)) + rng.normal(0.0, noise, (count, 3))
+    R, _ = _turned(seed).imu_pose(np.linspace(0.0, TURNING_S, count))
+    field = R.transpose(0, 2, 1) @ [np.cos(np.radians(60.0)), 0.0, -np.sin(np.radians(60.0))]
+    return model.distort(field) + rng.normal(0.0, noise, (count, 3))
 
 
 def turning_sensor(
     model: SensorModel, *, seed: int = 0, field: float = 48.0, noise: float = 0.01
 ) -> ImuStream:
     """A sensor turned slowly about all its axes for a minute, on one spot, at 50 Hz."""
-    rate_hz = 50.0
-    count = round(TURNING_S * rate_hz)
+    ideal = ideal_imu(_turned(seed).imu_pose, TURNING_S, 50.0, np.array([0.0, 0.0, -GRAVITY]))
     rng = np.random.default_rng([seed, 1])
-    R = _turning(count, seed)
-    rate = np.zeros((count, 3))
-    rate[:-1] = (R[:-1].inv() * R[1:]).as_rotvec() * rate_hz
-    acc: FloatArray = R.inv().apply([0.0, 0.0, GRAVITY]) + rng.normal(0.0, 0.02, (count, 3))
-    gyro = rate + rng.normal(0.0, 0.002, (count, 3))
-    t = (np.arange(float(count)) + 0.5) / rate_hz
-    mag = field * magnetometer_turns(model, count, noise=noise, seed=seed)
-    return ImuStream("/imu/forearm_right", t, acc, gyro, mag)
+    acc, gyro = (
+        values + rng.normal(0.0, sigma, values.shape)
+        for values, sigma in ((ideal.acc, 0.02), (ideal.gyro, 0.002))
+    )
+    mag = field * magnetometer_turns(model, len(ideal), noise=noise, seed=seed)
+    return ImuStream("/imu/forearm_right", ideal.t_s, acc, gyro, mag)
 
 
-def _turning(count: int, seed: int) -> Rotation:
-    """Orientations of a sensor that is turned for a minute, through one at random a second."""
-    knots = round(TURNING_S) + 1
-    path = Slerp(np.arange(float(knots)), Rotation.random(knots, random_state=seed))
-    return path(np.linspace(0.0, TURNING_S, count))
+def _turned(seed: int) -> Held:
+    """A sensor that is turned for a minute, through an orientation at random a second."""
+    R = Rotation.random(round(TURNING_S) + 1, random_state=seed).as_matrix()
+    return Held(R, np.zeros((len(R), 3)), hold_s=0.0, move_s=1.0)
 
 
 def long_rest(

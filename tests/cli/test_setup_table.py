@@ -16,6 +16,7 @@ from calib.file import CalibrationFile, write_calibration
 from smoother.cli.run import run
 from smoother.evaluation.validate import sample_errors
 from smoother.io import read_recovery, write_recording
+from smoother.linalg import nearest
 from tools.reliability.setup_errors import CASES, LARGEST_ERROR_M, Job, Setup, sound
 
 #: What the first sentence says by case, and what undoes it ("" where no option does). Cases that leave the
@@ -78,7 +79,9 @@ def smoothed(folder: Path, setup: Setup, *options: str) -> tuple[int, dict, floa
     assert truth is not None
     moved_s = 1e-9 * (recovery.origin_ns - setup.recording.origin_ns)
     errors = sample_errors(replace(recovery, t_s=recovery.t_s + moved_s), truth)
-    answered = setup.occluded(recovery.t_s + moved_s) & np.isfinite(errors.distance_m)
+    frame_t = setup.simulated.recording.arm.t_s + setup.simulated.parameters["clock_offset_s"]
+    occluded = setup.simulated.occluded[nearest(frame_t, recovery.t_s + moved_s)]
+    answered = occluded & np.isfinite(errors.distance_m)
     error_m = float(np.sqrt(np.mean(errors.distance_m[answered] ** 2)))
     return code, json.loads(figures.read_text()), error_m
 

@@ -7,7 +7,7 @@ recording; which case, recording, preset and length is drawn from the seed.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -21,7 +21,7 @@ from smoother.simulation import ArmSimulation, SimulatedArm, simulate_arm
 from smoother.simulation.arm import true_motion
 from smoother.simulation.camera import add_noise, film
 from smoother.simulation.inertial import ideal_imu, measure
-from smoother.simulation.motion import ArmMotion
+from smoother.simulation.people import on_upper_arm
 from tools.accuracy.check import PRESETS
 
 
@@ -120,26 +120,16 @@ def skeleton_of_another_recording(setup: Setup) -> Setup:
     return setup.with_recording(arm=other.recording.arm, truth=other.recording.truth)
 
 
-class OnUpperArm(ArmMotion):
-    """A simulated arm whose IMU sits on the upper arm, 8 cm above the elbow."""
-
-    def imu_pose(self, t_s: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """See `ArmMotion.imu_pose`."""
-        joints = self.joints(t_s)
-        along, lateral = unit(joints["elbow"] - joints["shoulder"]), self.bone_axes(t_s)[0]
-        back = np.cross(along, lateral)
-        R_K_U = np.stack([back, along, np.cross(back, along)], axis=2)
-        return R_K_U @ self.measures.R_F_A, joints["elbow"] - 0.08 * along + 0.045 * back
-
-
 def sensor_on_the_upper_arm(setup: Setup) -> Setup:
     """The IMU strapped above the elbow."""
     made, config = setup.simulated, setup.config
-    motion = OnUpperArm(*(getattr(made.motion, each.name) for each in fields(made.motion)))
-    gravity = made.parameters["gravity"]
-    ideal = ideal_imu(motion.imu_pose, config.duration_s, config.imu_rate_hz, gravity)
+    imu_pose = on_upper_arm(made.motion, 0.0, setup.rng)
+    ideal = ideal_imu(imu_pose, config.duration_s, config.imu_rate_hz, made.parameters["gravity"])
     imu, _ = measure(ideal, config, setup.rng)
-    return setup.with_recording(imu=imu, truth=true_motion(motion, imu.t_s))
+    R, position = imu_pose(imu.t_s)
+    quaternion = Rotation.from_matrix(R).as_quat(scalar_first=True)
+    truth = replace(true_motion(made.motion, imu.t_s), position=position, quaternion=quaternion)
+    return setup.with_recording(imu=imu, truth=truth)
 
 
 def clocks_apart(setup: Setup) -> Setup:
