@@ -265,7 +265,8 @@ def _fit_end(
     first = max(int((near - before - SMOOTH_S) * rate_hz), 0)
     last = min(int((near + AFTER_S + SMOOTH_S) * rate_hz), len(samples))
     t = np.arange(first, last) / rate_hz
-    tone_hz = _steady(samples, rate_hz, max(start_s + 0.01, near - 0.1), near - 0.003, tone_hz)
+    # shortly before its end: the phase must not turn in the envelope that is fitted
+    tone_hz = _tone(samples, rate_hz, max(start_s + 0.01, near - 0.1), near - 0.003, tone_hz)
     periods = max(round(SMOOTH_S * tone_hz), 3)
     kernel = np.hanning(max(round(periods / tone_hz * rate_hz), 5) + 2)[1:-1]
     kernel /= kernel.sum()
@@ -282,20 +283,6 @@ def _fit_end(
     sigma = float(np.sqrt(variance + (1 / tone_hz) ** 2 / 12 + MODEL_SIGMA_S**2 + shape**2 + doubt**2))
     loud_room |= doubt > MODEL_SIGMA_S
     return Beep(start_s, end, sigma, tone_hz, above_db, loud_room)
-
-
-def _steady(samples: FloatArray, rate_hz: float, start_s: float, end_s: float, tone_hz: float) -> float:
-    """The tone shortly before its end, Hz: its phase must not turn in the envelope that is fitted."""
-    first, last = int(start_s * rate_hz), int(end_s * rate_hz)
-    count = max((last - first) // 4, 1)
-    if last - first < 0.02 * rate_hz:
-        return tone_hz
-    t = np.arange(first, first + 4 * count) / rate_hz
-    mixed = samples[first : first + 4 * count] * np.exp(-2j * np.pi * tone_hz * t)
-    quarters = mixed.reshape(4, count).sum(axis=1)
-    turn = float(np.angle(np.sum(quarters[1:] * np.conj(quarters[:-1]))))
-    found = turn * rate_hz / (2 * np.pi * count)
-    return tone_hz + (found if abs(turn) < 1.0 else 0.0)
 
 
 #: Speed of sound in a room, m/s.
