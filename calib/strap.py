@@ -10,6 +10,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter1d
+from scipy.signal import find_peaks
 
 from smoother.array_types import FloatArray
 from smoother.calibration import ArmCalibration, Length
@@ -171,8 +172,6 @@ class _Forearm:
 SEARCH = (0.05, 1.03)
 #: Samples along the line, and lines side by side over this half width, m.
 SAMPLES, LINES, BAND_M = 400, 5, 0.006
-#: This many dark places are looked at, the darkest first.
-CANDIDATES = 6
 #: A strap is this much darker than the arm (a part of its brightness), and so wide, m.
 CONTRAST = 0.3
 WIDTHS_M = (0.008, 0.07)
@@ -251,35 +250,18 @@ def find_strap(
 
 def _dark_stretch(profile: FloatArray, part: FloatArray, width: float) -> tuple[float, float, float]:
     """Middle, contrast and width (parts of the forearm) of the darkest stretch that has two edges."""
-    step = part[1] - part[0]
-    mean = uniform_filter1d(profile, max(int(width / step), 3), mode="nearest")
-    low = np.flatnonzero((mean <= np.roll(mean, 1)) & (mean <= np.roll(mean, -1)))
-    bright, inner = float(np.median(profile)), int(0.4 * width / step)
-    profile = np.minimum(profile, bright)  # a reflective marker beside the strap must not shift its edge
-    first = 0.0
-    for k in low[np.argsort(mean[low], kind="stable")][:CANDIDATES].tolist():
-        # the strap's own level, not that of its blurred edges
-        dark = float(np.percentile(profile[max(k - inner, 0) : k + inner + 1], 30))
-        contrast = (bright - dark) / max(bright, 1.0)
-        first = max(first, contrast)
-        edges = _edges(profile, part, k, 0.5 * (bright + dark))
-        if edges is not None and contrast > 0:
-            return 0.5 * (edges[0] + edges[1]), contrast, edges[1] - edges[0]
-    return float("nan"), first, float("nan")
-
-
-def _edges(profile: FloatArray, part: FloatArray, k: int, half: float) -> tuple[float, float] | None:
-    """Where the brightness crosses `half` on both sides of place k, between samples; None if it does not."""
-    light = np.flatnonzero(profile >= half)
-    before, after = light[light <= k], light[light >= k]
-    if not len(before) or not len(after) or after[0] - before[-1] < 2:
-        return None
-
-    def crossing(dim: int, light: int) -> float:
-        share = (half - profile[dim]) / (profile[light] - profile[dim])
-        return float(part[dim] + share * (part[light] - part[dim]))
-
-    return crossing(before[-1] + 1, before[-1]), crossing(after[0] - 1, after[0])
+    step, bright = part[1] - part[0], float(np.median(profile))
+    # a reflective marker beside the strap must not shift its edge
+    dark = bright - np.minimum(profile, bright)
+    peaks, of_peaks = find_peaks(dark, prominence=1e-9, width=0, rel_height=0.5)
+    if not len(peaks):
+        return float("nan"), 0.0, float("nan")
+    height = of_peaks["prominences"]  # that of noise on a dark stretch is small
+    mean = uniform_filter1d(dark, max(int(width / step), 3), mode="nearest")[peaks]
+    best = int(np.argmax(np.where(height > 0.5 * height.max(), mean, -1.0)))
+    left, right = (float(of_peaks[name][best]) for name in ("left_ips", "right_ips"))
+    contrast = float(height[best]) / max(bright, 1.0)
+    return float(part[0] + 0.5 * (left + right) * step), contrast, (right - left) * float(step)
 
 
 def _core(
