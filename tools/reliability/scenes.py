@@ -313,6 +313,44 @@ def behind_the_back(draw: Draw) -> Moves:
         yield draw.move(0.9, draw.reach((-0.32, -0.02, -0.2), 30.0, pronation=40.0))
 
 
+def wiping(draw: Draw) -> Moves:
+    """Circles and lines with a cloth on a table."""
+    centre, radius, angle = draw.near((-0.02, -0.30, -0.36), 0.02), draw.rng.uniform(0.07, 0.12), 0.0
+    sense = draw.rng.choice([-1.0, 1.0])
+    while True:
+        for _ in range(draw.rng.integers(6, 14)):
+            angle += sense * draw.rng.uniform(0.5, 0.9)
+            place = centre + radius * np.array([1.3 * np.cos(angle), 0.0, np.sin(angle)])
+            yield draw.move(
+                0.16, reaching(place, draw.bones, 30.0, pronation=np.radians(70 + 8 * np.cos(angle)))
+            )
+        sense = -sense
+        yield draw.move(0.5, reaching(centre, draw.bones, 25.0, pronation=np.radians(70)))
+
+
+def lifting(draw: Draw) -> Moves:
+    """A weight up to the front or to the side, the arm nearly straight, and down."""
+    while True:
+        down = pointing(draw.near((0.12, -1.0, -0.05), 0.03), draw.near((0.08, -1.0, -0.2), 0.04))
+        yield draw.move(0.6, down)
+        side = draw.rng.uniform(0, 1)
+        way = draw.near((side, draw.rng.uniform(-0.2, 0.4), -(1 - side) - 0.1), 0.05)
+        up = pointing(way, way + draw.near((0, 0.2, -0.1), 0.05), pronation=np.radians(draw.about(50, 15)))
+        yield draw.move(1.6, up)
+        yield draw.move(0.6, up)
+        yield draw.move(1.7, down)
+
+
+def pronating(draw: Draw) -> Moves:
+    """The elbow at the side, the palm turned up and down."""
+    while True:
+        for pronation in (80.0, -60.0):
+            at = pointing((0.1, -1.0, 0.0), draw.near((0.0, 0.05, -1.0), 0.08))
+            yield draw.move(1.0, at._replace(pronation=np.radians(draw.about(pronation, 10))))
+        if draw.rng.uniform() < 0.3:
+            yield draw.move(0.9, draw.reach((0.1, 0.0, -0.40), pronation=0.0))
+
+
 def wheelchair(draw: Draw) -> Moves:
     """Pushing the rims: a stroke forward and down, a loop back, the trunk swings along."""
     while True:
@@ -326,6 +364,17 @@ def wheelchair(draw: Draw) -> Moves:
             yield draw.move(seconds, at._replace(trunk=np.array([0.0, 0.3 * lean, lean])))
         if draw.rng.uniform() < 0.12:
             yield draw.move(1.0, _lap(draw))
+
+
+def daily_life(draw: Draw) -> Moves:
+    """A bit of everything, in any order."""
+    exercises = [exercise(draw) for exercise in (reaching_out, drinking, combing, lifting, pronating)]
+    while True:
+        one = exercises[draw.rng.integers(len(exercises))]
+        first = next(one)
+        yield draw.move(1.3, first.to)  # from wherever the last one ended
+        for _ in range(draw.rng.integers(3, 7)):
+            yield next(one)
 
 
 def bending_forward(draw: Draw) -> Moves:
@@ -363,9 +412,12 @@ def walking_about(draw: Draw) -> Moves:
 #: Exercises by name; in the first ones the arm moves enough in all directions for most set-ups to matter.
 EXERCISES: dict[str, Callable[[Draw], Moves]] = {
     each.__name__.replace("_", " "): each
-    for each in (reaching_out, drinking, combing, behind_the_back, wheelchair, bending_forward, walking_about)
+    for each in (
+        *(reaching_out, drinking, combing, behind_the_back, wiping, lifting, wheelchair, daily_life),
+        *(bending_forward, walking_about),
+    )
 }
-LIVELY = tuple(EXERCISES)[:5]
+LIVELY = tuple(EXERCISES)[:8]
 
 
 def perform(name: str, duration_s: float, rng: np.random.Generator) -> Motion:
