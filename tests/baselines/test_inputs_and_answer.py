@@ -6,7 +6,8 @@ from dataclasses import fields, replace
 
 import numpy as np
 import pytest
-from scenes import ALONE, SolvedArm, solved_arm, without_gaps
+from scenes import ALONE, solved_arm
+from scenes import Scene as Solved
 from scipy.spatial.transform import Rotation
 
 from smoother.baselines.registry import recover
@@ -17,24 +18,24 @@ from smoother.recording import JOINTS
 
 
 @pytest.fixture(scope="module")
-def behind() -> SolvedArm:
+def behind() -> Solved:
     return solved_arm("white", 3, protocol="behind", repetitions=1)
 
 
-def only(it: SolvedArm, orientation: str = "vqf") -> Scene:
-    (scene,) = scenes_of(it.recording, it.graph, orientation)
+def only(it: Solved, orientation: str = "vqf") -> Scene:
+    (scene,) = scenes_of(it.recording, it.recovery, orientation)
     return scene
 
 
-def test_a_scene_is_the_graphs_clock_and_samples(behind: SolvedArm):
+def test_a_scene_is_the_graphs_clock_and_samples(behind: Solved):
     scene = only(behind)
-    residuals = behind.graph.residuals
-    inside = (behind.graph.arm.t_s >= scene.t[0]) & (behind.graph.arm.t_s <= scene.t[-1])
-    np.testing.assert_array_equal(scene.frame_t, behind.graph.arm.t_s[inside])
+    residuals = behind.recovery.residuals
+    inside = (behind.recovery.arm.t_s >= scene.t[0]) & (behind.recovery.arm.t_s <= scene.t[-1])
+    np.testing.assert_array_equal(scene.frame_t, behind.recovery.arm.t_s[inside])
     np.testing.assert_array_equal(np.isfinite(scene.joints).all(axis=2), residuals.used[inside])
-    assert scene.gaps == behind.graph.gaps
-    assert scene.calibration is behind.graph.calibration
-    np.testing.assert_array_equal(scene.occluded, behind.occluded[scene.rows])
+    assert scene.gaps == behind.recovery.gaps
+    assert scene.calibration is behind.recovery.calibration
+    np.testing.assert_array_equal(scene.occluded, behind.recovery.occluded[scene.rows])
     # no frame inside a gap is a visible one, and the frames at its ends are
     for gap in scene.gaps:
         within = (scene.frame_t > gap.start_s) & (scene.frame_t < gap.end_s)
@@ -44,8 +45,8 @@ def test_a_scene_is_the_graphs_clock_and_samples(behind: SolvedArm):
 
 def test_a_scene_agrees_with_the_truth():
     """Without errors: orientation to the filter's 1.5 degrees, acceleration to what that tilts of gravity."""
-    it = without_gaps()
-    truth, scene = it.made.recording.truth, only(without_gaps())
+    it = solved_arm("clean", 21, protocol="random", duration_s=12.0, occlusion_lengths_s=())
+    truth, scene = it.made.recording.truth, only(it)
     true = Rotation.from_quat(truth.quaternion[scene.rows], scalar_first=True)
     off = (Rotation.from_matrix(scene.R_K_A) * true.inv()).magnitude()
     assert np.degrees(off.max()) < 1.5
@@ -57,12 +58,12 @@ def test_a_scene_agrees_with_the_truth():
     assert distance.max() < 0.003  # 1 degree over a lever of 0.1 m, and the truth between samples
 
 
-def test_the_graphs_path_and_the_truth_are_not_looked_at(behind: SolvedArm):
-    nonsense = np.where(np.isfinite(behind.graph.position), 7.0, np.nan)
+def test_the_graphs_path_and_the_truth_are_not_looked_at(behind: Solved):
+    nonsense = np.where(np.isfinite(behind.recovery.position), 7.0, np.nan)
     blind = replace(
-        behind.graph,
+        behind.recovery,
         position=nonsense,
-        quaternion=np.full_like(behind.graph.quaternion, 0.5),
+        quaternion=np.full_like(behind.recovery.quaternion, 0.5),
         velocity=nonsense,
         joints={},
         joint_covariance={},
@@ -71,7 +72,7 @@ def test_the_graphs_path_and_the_truth_are_not_looked_at(behind: SolvedArm):
         (only(behind), scene)
         for scene in (
             *scenes_of(behind.recording, blind),
-            *scenes_of(behind.made.recording, behind.graph),
+            *scenes_of(replace(behind.recording, truth=None), behind.recovery),
         )
     ]
     for expected, found in same_or_not:
@@ -81,16 +82,16 @@ def test_the_graphs_path_and_the_truth_are_not_looked_at(behind: SolvedArm):
                 np.testing.assert_array_equal(getattr(found, each.name), value, err_msg=each.name)
 
 
-def test_known_biases_are_taken_off(behind: SolvedArm):
-    calibration = behind.graph.calibration
+def test_known_biases_are_taken_off(behind: Solved):
+    calibration = behind.recovery.calibration
     acc, gyro = np.array([0.1, -0.2, 0.3]), np.array([0.01, 0.02, -0.03])
     known = replace(calibration, accelerometer_bias=acc, gyroscope_bias=gyro)
-    scene = only(replace(behind, graph=replace(behind.graph, calibration=known)))
+    scene = only(replace(behind, recovery=replace(behind.recovery, calibration=known)))
     np.testing.assert_allclose(scene.imu.acc, behind.recording.imu.acc[scene.rows] - acc)
     np.testing.assert_allclose(scene.imu.gyro, behind.recording.imu.gyro[scene.rows] - gyro)
 
 
-def test_pauses_of_the_imu_split_the_scenes(behind: SolvedArm):
+def test_pauses_of_the_imu_split_the_scenes(behind: Solved):
     from smoother.smoothing import smooth
 
     imu = behind.recording.imu
@@ -109,7 +110,7 @@ def test_pauses_of_the_imu_split_the_scenes(behind: SolvedArm):
     assert np.nanmax(error[~graph.occluded]) < 0.04
 
 
-def test_stamps_that_a_radio_made_uneven_get_their_answers(behind: SolvedArm):
+def test_stamps_that_a_radio_made_uneven_get_their_answers(behind: Solved):
     from smoother.smoothing import smooth
 
     rng = np.random.default_rng(5)
@@ -130,20 +131,20 @@ def test_stamps_that_a_radio_made_uneven_get_their_answers(behind: SolvedArm):
     assert np.allclose(np.linalg.norm(found.quaternion[~graph.occluded][known], axis=1), 1.0)
 
 
-def test_what_belongs_to_another_recording_is_refused(behind: SolvedArm):
+def test_what_belongs_to_another_recording_is_refused(behind: Solved):
     short = replace(behind.recording, imu=behind.recording.imu.select(slice(0, 500)))
     with pytest.raises(SolveError, match="another recording"):
-        scenes_of(short, behind.graph)
+        scenes_of(short, behind.recovery)
     with pytest.raises(UnoccludeError, match="hold has no option boundary_s"):
-        recover(behind.recording, behind.graph, "hold", "vqf", {"boundary_s": 1.0})
-    nothing = replace(behind.graph, position=np.full_like(behind.graph.position, np.nan))
+        recover(behind.recording, behind.recovery, "hold", "vqf", {"boundary_s": 1.0})
+    nothing = replace(behind.recovery, position=np.full_like(behind.recovery.position, np.nan))
     with pytest.raises(SolveError, match="never overlap"):
         scenes_of(behind.recording, nothing)
 
 
-def test_an_answer_repeats_what_is_the_graphs(behind: SolvedArm):
-    found = recover(behind.recording, behind.graph, "linear-drift", "comotti", {"boundary_s": 0.3})
-    graph = behind.graph
+def test_an_answer_repeats_what_is_the_graphs(behind: Solved):
+    found = recover(behind.recording, behind.recovery, "linear-drift", "comotti", {"boundary_s": 0.3})
+    graph = behind.recovery
     assert (found.method, found.gaps, found.clock_offset_s) == (
         "linear-drift",
         graph.gaps,
@@ -158,7 +159,7 @@ def test_an_answer_repeats_what_is_the_graphs(behind: SolvedArm):
     assert np.isnan(found.pose_covariance).all() and np.isnan(found.joint_covariance["wrist"]).all()
 
 
-def test_an_answers_joints_and_covariances(behind: SolvedArm):
+def test_an_answers_joints_and_covariances(behind: Solved):
     """Lever arms on the pose; a joint's covariance by finite differences through pose and lever arm."""
     scene = only(behind)
     count = len(scene.t)
@@ -170,7 +171,7 @@ def test_an_answers_joints_and_covariances(behind: SolvedArm):
         covariance=np.tile(np.diag(spread**2), (count, 1, 1)),
         attitude_covariance=np.tile(np.diag(turning**2), (count, 1, 1)),
     )
-    found = recovery_of(behind.recording, behind.graph, [scene], [path], "made up")
+    found = recovery_of(behind.recording, behind.recovery, [scene], [path], "made up")
     levers = scene.calibration.lever_arms
     row, lever = 700, levers["elbow"]
     R = scene.R_K_A[row]

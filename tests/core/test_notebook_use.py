@@ -6,7 +6,6 @@ from dataclasses import replace
 
 import made_results
 import numpy as np
-import pyarrow as pa
 import pytest
 from scenes import ALONE, moving
 
@@ -92,23 +91,3 @@ def test_recordings_and_recoveries_show_themselves(made: SimulatedArm, shown: Re
     ):
         lines = repr(value).splitlines()
         assert 3 <= len(lines) <= 5 and all(word in repr(value) for word in words)
-
-
-def test_the_table_has_the_columns_of_the_arrays_with_units(shown: Recovery) -> None:
-    table = shown.to_table()
-    assert isinstance(table, pa.Table) and table.num_rows == len(shown)
-    expected = ["t_s", "occluded", "imu_x", "imu_qw", "velocity_z", "sigma_x", "sigma_deg", "wrist_x"]
-    assert {*expected, "wrist_sigma_z"} <= set(table.column_names)
-    units = {name: table.schema.field(name).metadata[b"unit"].decode() for name in table.column_names}
-    assert units["t_s"] == "s" and units["velocity_z"] == "m/s" and units["sigma_deg"] == "deg"
-    assert units["wrist_x"] == units["sigma_x"] == "m" and units["imu_qw"] == units["occluded"] == ""
-    np.testing.assert_array_equal(
-        table["wrist_y"].to_numpy(zero_copy_only=False), shown.joints["wrist"][:, 1]
-    )
-    assert table["occluded"].type == pa.bool_()
-    nothing = np.isnan(shown.position[:, 0])
-    assert nothing.any() and table["imu_x"].null_count == nothing.sum()
-    pytest.importorskip("pandas")
-    frame = shown.to_dataframe()
-    assert len(frame) == len(shown) and set(expected) <= set(frame.columns)
-    np.testing.assert_array_equal(frame["wrist_y"], shown.joints["wrist"][:, 1])

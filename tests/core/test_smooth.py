@@ -14,12 +14,11 @@ from scenes import ALONE, OVER_CONFIDENT, Scene, answer, arm, blind, moving, poi
 
 import smoother
 from smoother import Recoveries, smooth_arms, write_recovery
-from smoother.array_types import BoolArray
 from smoother.errors import RecordingError, SolveError
 from smoother.evaluation.validate import sample_errors
 from smoother.linalg import interpolate
 from smoother.measurements.segment import Timeline
-from smoother.measurements.visibility import MISSING_FRAMES, MISSING_S
+from smoother.measurements.visibility import find_gaps, occluded_at
 from smoother.recording import FOREARM_JOINTS, JOINTS, JointState, Recording
 from smoother.recovery.samples import LINEAR_RAD, widen_turns
 from smoother.result.draws import USUAL_DRAWS
@@ -27,30 +26,17 @@ from smoother.selfcal.excerpts import CONTEXT_S, WANTED, spread_excerpts
 from smoother.simulation import ArmSimulation, SimulatedArm, simulate_both_arms
 from smoother.smoothing import smooth
 
-
-def occluded_by_definition(scene: Scene) -> BoolArray:
-    """A loop: a sample is visible at, or between neighbouring, visible frames with nothing lost between."""
-    forearm = [JOINTS.index(joint) for joint in FOREARM_JOINTS]
-    residuals = scene.recovery.residuals
-    present = (scene.recording.arm.state[:, forearm] == JointState.TRACKED).any(axis=0).sum()
-    seen, frames = residuals.used[:, forearm].sum(axis=1) >= min(2, present), residuals.t_s
-    limit = max(MISSING_S, MISSING_FRAMES * float(np.median(np.diff(frames))))
-    answer = []
-    for t in scene.recovery.t_s:
-        before, after = np.flatnonzero(frames <= t), np.flatnonzero(frames >= t)
-        if not len(before) or not len(after):  # before the first frame, after the last
-            end = after[0] if len(after) else before[-1]
-            answer.append(not (seen[end] and abs(frames[end] - t) <= limit))
-        else:  # two frames, or one that is at the sample
-            a, b = before[-1], after[0]
-            answer.append(not (seen[a] and seen[b] and frames[b] - frames[a] <= limit))
-    return np.array(answer)
+FOREARM = [JOINTS.index(joint) for joint in FOREARM_JOINTS]
 
 
 def test_gaps_and_the_occluded_column_are_those_of_the_streams(white_arm: Scene, white_point: Scene) -> None:
     for scene in (white_arm, white_point):
         recovery = scene.recovery
-        np.testing.assert_array_equal(recovery.occluded, occluded_by_definition(scene))
+        np.testing.assert_array_equal(recovery.occluded, occluded_at(recovery.t_s, recovery.gaps))
+        used, t = recovery.residuals.used[:, FOREARM], recovery.t_s
+        needed = min(2, len(set(scene.recording.arm.present) & set(FOREARM_JOINTS)))
+        seen = used.sum(axis=1) >= needed
+        assert recovery.gaps == find_gaps(recovery.residuals.t_s, seen, t[0], t[-1])
         tracked = scene.recording.arm.state == JointState.TRACKED
         # white noise: hardly a tracked sample may be set aside (4 sigmas of three axes: 1 in 1000)
         assert not (recovery.residuals.used & ~tracked).any()

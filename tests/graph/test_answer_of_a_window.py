@@ -9,7 +9,7 @@ from unittest.mock import DEFAULT, Mock
 import gtsam
 import numpy as np
 import pytest
-from gtsam.symbol_shorthand import B, C, E, G, L, M, S, U, V, W, X, Y
+from gtsam.symbol_shorthand import B, C, G, L, M, S, U, V, W, X, Y
 from scenes import arm, section_windows
 from small_window import (
     BIAS_LENGTH_S,
@@ -283,27 +283,6 @@ def _with_errors(best: Optimum, window: Window, error: FloatArray) -> gtsam.Nonl
     return build(with_forearm(changed, increments=replace(increments, acc=force, gyro=rate))).graph
 
 
-def test_the_chain_is_the_dense_system(pair: tuple[Optimum, Solution]) -> None:
-    best, _ = pair
-    system = best.system
-    for key in (X(0), X(5), X(9), V(4), S(0), S(5), Y(2), Y(7), W(3), E(6)):
-        like(system.covariances([key])[0], best.of(key), 1e-6)
-    shared = [G(0), C(0), L(WRIST), B(1), U(0)]
-    like(system.shared_covariance(shared), best.of(*shared), 1e-6)
-    follows = best.follows(np.zeros((best.A.shape[1], SIZE)))
-    of_border = system.shared_sensitivity(np.zeros((system.extras.start, SIZE)))
-    scale = np.abs(follows).max()
-    for key in (X(0), X(6), V(9), S(3), E(4), W(7)):
-        np.testing.assert_allclose(
-            system.sensitivities([key], of_border)[0], follows[system.columns(key)], atol=1e-6 * scale
-        )
-    np.testing.assert_allclose(
-        of_border[system.border_rows(shared)],
-        np.concatenate([follows[system.columns(key)] for key in shared]),
-        atol=1e-6 * scale,
-    )
-
-
 def test_what_the_window_says_of_constant_errors(pair: tuple[Optimum, Solution]) -> None:
     """All else eliminated from the dense equations, the prior on the constants taken off."""
     best, found = pair
@@ -374,19 +353,6 @@ def test_made_up_stamps_widen_the_covariance_by_their_square() -> None:
         traces.append(np.trace(found.forearm.pose_covariance[:, :3, :3], axis1=1, axis2=2))
     assert (traces[1] > traces[0]).all()
     np.testing.assert_allclose(traces[2] - traces[0], 4.0 * (traces[1] - traces[0]), rtol=1e-6)
-
-
-def test_between_computed_covariances_it_errs_on_the_careful_side(monkeypatch: pytest.MonkeyPatch) -> None:
-    window = replace(small_window()[0], considered=None)
-    sigmas = []
-    for apart_s in (0.12, 1e-6):
-        for name in ("COVARIANCE_S", "COVARIANCE_NEAR_S", "SHOULDER_COVARIANCE_S", "CHAIN_COVARIANCE_S"):
-            monkeypatch.setattr(smoother.graph.solve, name, apart_s)
-        covariance = solve(window, with_covariance=True).forearm.pose_covariance
-        sigmas.append(np.sqrt(np.einsum("nii->ni", covariance)))
-    ratio = sigmas[0] / sigmas[1]
-    assert ratio.min() > 0.85 and 1.0 < ratio.mean() < 1.15 and ratio.max() < 1.7
-    np.testing.assert_allclose(ratio[[0, -1]], 1.0)
 
 
 def test_covariances_are_computed_close_together_in_and_near_gaps() -> None:
@@ -576,19 +542,6 @@ def test_draws_have_covariances_within_and_between_times_as_gtsam(monkeypatch: p
     parts += [in_body(draws.turns["upper_arm"][:, i], Y(i)) for i in upper]
     same(np.concatenate(parts, axis=1), expected)
     assert np.isnan(draws.turns["upper_arm"][:, np.setdiff1d(np.arange(len(window.t)), upper)]).all()
-
-
-def test_draws_have_the_covariance_that_the_window_states() -> None:
-    """Considered errors included, at nodes whose covariance is computed."""
-    window = small_window()[0]
-    solution = solve(window, with_covariance=True, plan=basis(window))
-    draws, forearm = solution.draws, solution.forearm
-    for node in range(len(window.t)):
-        pose = np.concatenate([draws.position[:, node], draws.rotation[:, node]], axis=1)
-        same(pose, forearm.pose_covariance[node])
-        same(draws.velocity[:, node], forearm.velocity_covariance[node])
-    for node in window.shoulder.node:
-        same(draws.shoulder[:, node], solution.shoulder_covariance[node])
 
 
 def test_neighbouring_sections_draw_the_same_motion(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 
 import gtsam
@@ -46,12 +46,6 @@ def intervals(
     states = [NodeState(*state) for state in zip(t.tolist(), R, p, v, strict=True)]
     one = np.array([0, 1]), np.zeros(6), np.zeros(1)
     return states, [ImuIncrements(*(x[k : k + 1] for x in (acc, gyro, h)), *one) for k in range(len(h))]
-
-
-def constant(force: FloatArray, rate: FloatArray) -> ImuIncrements:
-    """An interval of one specific force and rate."""
-    two = np.stack([force, force])[None]
-    return ImuIncrements(two, rate[None], np.array([0.5 * DT]), np.array([0, 1]), np.zeros(6), np.zeros(1))
 
 
 def lag_window(
@@ -209,7 +203,7 @@ def test_what_comes_late_counts_as_in_time() -> None:
     for k in range(80):
         motion.add(lag, k, tuple(LEVERS))
         if k == 70:
-            lag.set_increments(len(lag.t) - 1, constant(exact.acc[0, 0] + 30.0, exact.gyro[0]))
+            lag.set_increments(len(lag.t) - 1, replace(exact, acc=exact.acc + 30.0))
         if k == 75:
             lag.set_increments(len(lag.t) - 6, exact)
         apart_m = np.linalg.norm(lag.solve(0.0).newest.p - in_time[k].newest.p)
@@ -300,7 +294,8 @@ def test_an_imu_that_rests_beside_a_moving_arm_does_not_fit(chain: Motion) -> No
     # 12 rows a node, three of them taken up by the shared joint's place and nine by the state
     assert sound < 0.7
     assert np.isnan(lag_window(chain.down, 1.0, True, (UPPER,)).misfit(UPPER, -np.inf))
-    rest = constant(-GRAVITY * chain.states[UPPER][0].R.T @ chain.down, np.zeros(3))
+    moving, force = chain.increments[UPPER][0], -GRAVITY * chain.states[UPPER][0].R.T @ chain.down
+    rest = replace(moving, acc=np.tile(force, (1, 2, 1)), gyro=np.zeros((1, 3)))
     for index in lag.nodes_of(UPPER)[30:]:
         lag.set_increments(index, rest, UPPER)
     lag.solve(0.0)

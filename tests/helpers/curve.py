@@ -30,13 +30,14 @@ class Curve:
     seed: int = 0
     fastest_hz: float = 1.5
     down: FloatArray = field(default_factory=lambda: np.array([0.0, -1.0, 0.0]))
+    turns_rad: tuple[float, float, float] = (0.5, 0.4, 0.5)  # About z, y and x
 
     def _sum(self, waves: FloatArray, t: FloatArray, order: int) -> FloatArray:
         a, w, phase = waves
         return (a * w**order * np.sin(w * t[:, None, None] + phase + 0.5 * np.pi * order)).sum(axis=-1)
 
     def _angles(self, t: FloatArray, order: int) -> FloatArray:
-        waves = _harmonics(self.seed, 3, np.array([0.5, 0.4, 0.5]), self.fastest_hz)
+        waves = _harmonics(self.seed, 3, np.array(self.turns_rad), self.fastest_hz)
         return self._sum(waves, t, order)
 
     def _position(self, t: FloatArray, order: int) -> FloatArray:
@@ -78,15 +79,6 @@ class Curve:
             for values in (self.force, self.rate)
         )
         return ImuStream("analytic", t, acc, gyro)
-
-    def increments(self, t: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """The true preintegrated (delta_R, delta_v, delta_p) between consecutive times."""
-        dt, g = np.diff(t)[:, None], G * self.down
-        R0, p, v = self.rotation(t[:-1]), self.position(t), self.velocity(t)
-        delta_R = (R0.inv() * self.rotation(t[1:])).as_matrix()
-        delta_v = R0.inv().apply(v[1:] - v[:-1] - g * dt)
-        delta_p = R0.inv().apply(p[1:] - p[:-1] - v[:-1] * dt - 0.5 * g * dt**2)
-        return delta_R, delta_v, delta_p
 
 
 def angle_rad(a: FloatArray, b: FloatArray) -> FloatArray:

@@ -15,7 +15,7 @@ import pytest
 from scipy.spatial.transform import Rotation, Slerp
 
 from smoother import Config, Recovery
-from smoother.array_types import BoolArray, FloatArray
+from smoother.array_types import FloatArray
 from smoother.calibration import ArmCalibration
 from smoother.evaluation.validate import Validation, validate
 from smoother.graph.solve import WindowOptimum, solution_of
@@ -92,33 +92,10 @@ def solved(seed: int, preset: str = "realistic", duration_s: float = 30.0) -> Re
     return answer(moving(seed, preset, duration_s).recording)
 
 
-@dataclass(frozen=True)
-class SolvedArm:
-    """A simulated arm, its recording without truth, and the graph's recovery of it."""
-
-    made: SimulatedArm
-    recording: Recording
-    graph: Recovery
-
-    def errors(self, answer: Recovery) -> FloatArray:
-        """Distance (N,) m of the IMU's position from the truth."""
-        return np.linalg.norm(answer.position - self.made.recording.truth.position, axis=1)
-
-    @property
-    def occluded(self) -> BoolArray:
-        return self.graph.occluded
-
-
 @cache
-def solved_arm(preset: str = "white", seed: int = 0, calibrated: bool = True, **changes: Any) -> SolvedArm:
-    made = arm(seed, preset, **changes)
-    graph = answer(made.recording, made.calibration if calibrated else None)
-    return SolvedArm(made, replace(made.recording, truth=None), graph)
-
-
-def without_gaps(seed: int = 21) -> SolvedArm:
-    """A recording without any error and without a gap."""
-    return solved_arm("clean", seed, protocol="random", duration_s=12.0, occlusion_lengths_s=())
+def solved_arm(preset: str = "white", seed: int = 0, **changes: Any) -> Scene:
+    """A simulated arm and its recovery with the true calibration; once a test run."""
+    return recovered(arm(seed, preset, **changes))
 
 
 def recovered(made: SimulatedArm, recording: Recording | None = None) -> Scene:

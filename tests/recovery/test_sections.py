@@ -32,7 +32,6 @@ from smoother.recovery.solve_section import solve_section, solve_sections
 from smoother.recovery.task import Task
 from smoother.rotation import Rotation
 from smoother.runtime.pool import Pool
-from smoother.selfcal.excerpts import informative_excerpts
 from smoother.simulation import SimulatedArm
 
 
@@ -142,32 +141,6 @@ def one_frame(start_s: float, end_s: float) -> Callable[[Recording], Recording]:
 
 #: The first and the last part of three minutes, s; any sigma.
 START, END, ANY = (-1.0, 45.0), (135.0, 181.0), (0.0, np.inf)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(("start_s", "end_s"), [START, END], ids=["start", "end"])
-def test_a_section_drops_out_and_the_others_answer_as_without_it(
-    start_s: float, end_s: float, three_minutes: SimulatedArm, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """By the same excerpts, so that nothing but the sections differs (other excerpts: up to 0.2 sigma)."""
-    recording = one_frame(start_s, end_s)(three_minutes.recording)
-    others = (recording.imu.t_s < start_s) | (recording.imu.t_s > end_s)
-    shorter = replace(recording, imu=recording.imu.select(others))
-    assert len(sections_of(recording)) == len(sections_of(shorter)) + 1
-    excerpts = informative_excerpts(shorter, Timeline.of(shorter))
-    monkeypatch.setattr("smoother.smoothing.informative_excerpts", lambda *_: excerpts)
-    recovery, expected = (answer(each, three_minutes.calibration) for each in (recording, shorter))
-    assert (~others).sum() > 3000 and recovery.occluded[~others].all()
-    assert not recovery.answered[~others].any() and np.isnan(recovery.joints["wrist"][~others]).all()
-    rest = recovery.rows(np.flatnonzero(others))
-    np.testing.assert_array_equal(rest.t_s, expected.t_s)
-    np.testing.assert_array_equal(rest.answered, expected.answered)
-    off = np.linalg.norm(rest.position - expected.position, axis=1)
-    # measured 2e-4 sigma: the optimiser's tolerance
-    assert np.nanmax(off / error_and_sigma(expected, three_minutes)[1]) < 0.002
-    np.testing.assert_allclose(rest.sigma_m, expected.sigma_m, rtol=2e-4)
-    np.testing.assert_array_equal(rest.occluded, expected.occluded)
-    np.testing.assert_array_equal(recovery.residuals.used, expected.residuals.used)
 
 
 @pytest.mark.slow

@@ -216,36 +216,35 @@ def test_the_clock_of_offsets_that_wander(synthetic: bool, walk: float, skew: fl
         assert_dense(t, x, variance, synthetic)
 
 
+#: Knots of a clock that may drift: five over half a minute are needed to tell.
+KNOTS = np.array([0.0, 1.0, 2.0, 3.0, 30.0])
+
+
 @pytest.mark.usefixtures("near")
 @pytest.mark.parametrize(
-    ("synthetic", "skew", "count", "walk", "is_line"),
+    ("synthetic", "skew", "t", "noise_s", "walk", "is_line"),
     [
-        (False, 8e-4, 40, 0.0, True),
-        (True, 8e-4, 40, 0.0, True),
-        (False, 8e-4, 150, 0.0003, True),
-        (True, 8e-4, 150, 0.001, True),
-        (False, 4e-4, 150, 0.001, False),  # likelier by 2.5 in the log-likelihood: not clear enough
+        (False, 8e-4, 4.0 * np.arange(40), 0.003, 0.0, True),
+        (True, 8e-4, 4.0 * np.arange(40), 0.003, 0.0, True),
+        (False, 8e-4, 2.0 * np.arange(150), 0.001, 0.0003, True),
+        (True, 8e-4, 2.0 * np.arange(150), 0.001, 0.001, True),
+        # likelier by 2.5 in the log-likelihood: not clear enough
+        (False, 4e-4, 2.0 * np.arange(150), 0.001, 0.001, False),
+        (False, 8e-4, KNOTS, 0.001, None, True),
+        (False, 8e-4, KNOTS * 0.999, 0.001, None, False),
+        (False, 8e-4, KNOTS[1:] * 2, 0.001, None, False),
     ],
 )
-def test_a_clock_that_drifts(synthetic: bool, skew: float, count: int, walk: float, is_line: bool) -> None:
+def test_a_clock_that_drifts(
+    synthetic: bool, skew: float, t: FloatArray, noise_s: float, walk: float | None, is_line: bool
+) -> None:
     """A line, with what wanders about it where there is enough of it to see; or a walk alone."""
-    rng = np.random.default_rng(0)
-    step_s, noise_s = (2.0, 0.001) if count == 150 else (4.0, 0.003)
-    t = 5.25 + step_s * np.arange(count)
-    t[0] -= 0.1
-    x = skew * (t - t.mean()) + np.cumsum(0.0003 * np.sqrt(step_s) * rng.normal(size=count))
-    found = assert_dense(t, x, np.full(count, noise_s**2), synthetic)
-    assert (found.skew != 0.0) is is_line and found.walk == walk
-
-
-@pytest.mark.usefixtures("near")
-def test_it_may_be_too_soon_for_a_line() -> None:
-    """Five knots over half a minute are needed."""
-    knots = np.array([0.0, 1.0, 2.0, 3.0, 30.0])
-    for t, is_line in ((knots, True), (knots * 0.999, False), (knots[1:] * 2, False)):
-        t = 5.25 + t
-        found = assert_dense(t, 8e-4 * (t - t.mean()), np.full(len(t), 1e-6), False)
-        assert (found.skew != 0.0) is is_line
+    t, rng = t + 5.25, np.random.default_rng(0)
+    t[0] -= 0.1 if walk is not None else 0.0
+    wanders = 0.0 if walk is None else 0.0003 * np.sqrt(t[2] - t[1]) * rng.normal(size=len(t))
+    x = skew * (t - t.mean()) + np.cumsum(wanders + 0.0 * t)
+    found = assert_dense(t, x, np.full(len(t), noise_s**2), synthetic)
+    assert (found.skew != 0.0) is is_line and (walk is None or found.walk == walk)
 
 
 def test_synthetic_stamps_are_taken_half_a_second_at_a_time() -> None:

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 import pytest
-from curve import G
+from curve import Curve
 from scenes import answer, arm, moving
 from scipy.spatial.transform import Rotation
 
@@ -14,7 +14,7 @@ from smoother.array_types import FloatArray
 from smoother.calibration import ArmCalibration, Length, LeverArm
 from smoother.measurements.outliers import reject_by_camera
 from smoother.measurements.segment import Segment, split_into_segments
-from smoother.recording import JOINTS, CameraFrame, ImuStream, JointState, JointTracks, Recording
+from smoother.recording import JOINTS, CameraFrame, JointState, JointTracks, Recording
 from smoother.selfcal.mounting import (
     CHUNK_S,
     DIRECTION_SIGMA_RAD,
@@ -124,58 +124,21 @@ def test_the_grid_against_another_solution_of_wahba_s_problem() -> None:
             assert fast[i, k] == pytest.approx(slow_loss(segment, offset, directions[k]), rel=1e-6, abs=1e-3)
 
 
-@dataclass(frozen=True)
-class Hinge:
-    """A forearm that only turns about one axis fixed in {K}: elbow and wrist seen, a sensor off the line."""
-
-    recording: Recording
-    along_A: FloatArray
-
-
-def hinge(axis_K: FloatArray, seed: int, camera_frame: CameraFrame | None = CameraFrame.KINECT) -> Hinge:
-    """20 s of swinging by up to 70 degrees about an axis (3,), {K} level, y up."""
-    rng = np.random.default_rng(seed)
-    along = rng.normal(size=3)
-    along /= np.linalg.norm(along)
-    across = np.cross(axis_K, [0.3, 0.5, 0.8])
-    across /= np.linalg.norm(across)
-    turn = Rotation.align_vectors([across], [along])[0]  # the forearm lies across the axis
-    turn = Rotation.from_rotvec(rng.uniform(0, 6.28) * across) * turn
-
-    def angle(t: FloatArray) -> FloatArray:
-        return np.asarray(0.9 * np.sin(2 * np.pi * 0.35 * t) + 0.3 * np.sin(2 * np.pi * 0.8 * t + 1.0))
-
-    def pose(t: FloatArray) -> Rotation:
-        return Rotation.from_rotvec(np.outer(angle(t), axis_K)) * turn
-
-    elbow, to_sensor = np.array([0.1, 0.2, 2.0]), 0.2 * along + 0.03 * np.cross(along, [0.0, 0.6, 0.8])
-
-    def sensor(t: FloatArray) -> FloatArray:
-        return np.asarray(elbow + pose(t).apply(to_sensor))
-
-    t, h = np.arange(0.0, 20.0, 0.01), 1e-3
-    acceleration = (sensor(t + h) - 2 * sensor(t) + sensor(t - h)) / h**2
-    acc = pose(t).inv().apply(acceleration - np.array([0.0, -G, 0.0])) + 0.03 * rng.normal(size=(len(t), 3))
-    rate = (angle(t + h) - angle(t - h)) / (2 * h)
-    gyro = pose(t).inv().apply(np.outer(rate, axis_K)) + 0.003 * rng.normal(size=(len(t), 3))
-    frames = np.arange(0.1, 19.9, 1 / 30)
-    position = np.full((len(frames), len(JOINTS), 3), np.nan)
-    position[:, JOINTS.index("elbow")] = elbow
-    position[:, JOINTS.index("wrist")] = elbow + pose(frames).apply(0.25 * along)
-    position += 0.008 * rng.normal(size=position.shape)
-    state = np.where(np.isfinite(position).all(axis=2), JointState.TRACKED, JointState.NOT_TRACKED)
-    tracks = JointTracks("camera", frames, position, state.astype(np.int8))
-    return Hinge(Recording(ImuStream("imu", t, acc, gyro), tracks, camera_frame=camera_frame), along)
-
-
 @pytest.mark.parametrize("seed", range(4))
 def test_the_sign_in_a_vertical_plane(seed: int) -> None:
     """Directions in a plane fit their opposites as well; only where down is shows which is which."""
-    made = hinge(np.array([1.0, 0.0, 0.0]), seed)
-    found = found_in(made.recording)
-    along = found.calibration.forearm_direction
-    assert degrees_between(along, made.along_A) < 3.0
-    blindly = found_in(replace(made.recording, camera_frame=None))
+    rng, curve = np.random.default_rng(seed), Curve(seed, 0.8, turns_rad=(0.0, 0.0, 1.2))
+    imu, t = curve.imu(100.0, 20.0), np.arange(0.1, 19.9, 1 / 30)
+    imu.acc[:] += 0.03 * rng.normal(size=imu.acc.shape)
+    imu.gyro[:] += 0.003 * rng.normal(size=imu.gyro.shape)
+    along, position = np.array([0.0, np.cos(seed), np.sin(seed)]), np.full((len(t), len(JOINTS), 3), np.nan)
+    for joint, reach_m in (("elbow", -0.2), ("wrist", 0.05)):
+        place = curve.position(t) + curve.rotation(t).apply(reach_m * along + np.array([0.03, 0.0, 0.0]))
+        position[:, JOINTS.index(joint)] = place + 0.008 * rng.normal(size=place.shape)
+    state = np.where(np.isfinite(position[:, :, 0]), JointState.TRACKED, JointState.NOT_TRACKED)
+    seen = Recording(imu, JointTracks("camera", t, position, state), camera_frame=CameraFrame.KINECT)
+    found, blindly = found_in(seen), found_in(replace(seen, camera_frame=None))
+    assert degrees_between(found.calibration.forearm_direction, along) < 4.0
     assert found.direction_spread_rad < np.pi / 2 < blindly.direction_spread_rad
 
 

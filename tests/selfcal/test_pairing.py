@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -12,6 +13,7 @@ from scipy.spatial.transform import Rotation
 from smoother.array_types import FloatArray
 from smoother.filters import gaussian_smoothed
 from smoother.measurements.clock import Clock, constant_clock
+from smoother.measurements.remedy import Remedy
 from smoother.measurements.rigid import best_fits, correlation, fits_along, known_at
 from smoother.recording import CameraFrame, ImuStream, JointTracks, Recording
 from smoother.selfcal.agreement import (
@@ -41,54 +43,44 @@ def other() -> Recording:
     return made(2)
 
 
-def late(recording: Recording, seconds: float) -> Recording:
-    return replace(recording, arm=replace(recording.arm, t_s=recording.arm.t_s - seconds))
-
-
-@pytest.mark.parametrize("unrelated", [False, True])
-def test_a_right_pair_proves_itself(right: Recording, unrelated: bool) -> None:
-    pairing, clock = find_pairing(replace(right, clocks_unrelated=unrelated))
-    assert pairing is not None and pairing.proved and pairing.chance < 1e-3
-    assert clock is None  # the fine search reaches it
-    assert not pairing.reason and not pairing.caution
-
-
-def test_the_imu_of_another_session_proves_nothing(right: Recording, other: Recording) -> None:
-    pairing, _ = find_pairing(replace(right, imu=other.imu))
-    assert not pairing.proved and TELLS in pairing.reason
-
-
-def test_data_cannot_be_left_out_to_win(right: Recording, other: Recording) -> None:
+def spliced(right: Recording, other: Recording) -> Recording:
     """Two seconds of the right motion at the end of another's: they alone would fit."""
-    wrong = replace(right, imu=other.imu)
-    n = round(2.0 * right.imu.rate_hz)
-    imu = wrong.imu
-    acc, gyro = imu.acc.copy(), imu.gyro.copy()
-    acc[-n:], gyro[-n:] = right.imu.acc[:n], right.imu.gyro[:n]
-    pairing, _ = find_pairing(replace(wrong, imu=replace(imu, acc=acc, gyro=gyro), clocks_unrelated=True))
-    assert pairing is not None and not pairing.proved
+    count, acc, gyro = round(2.0 * right.imu.rate_hz), other.imu.acc.copy(), other.imu.gyro.copy()
+    acc[-count:], gyro[-count:] = right.imu.acc[:count], right.imu.gyro[:count]
+    return replace(right, imu=replace(other.imu, acc=acc, gyro=gyro), clocks_unrelated=True)
 
 
-def test_an_offset_of_seconds_is_found(right: Recording) -> None:
-    near, _ = find_pairing(right)
-    pairing, clock = find_pairing(late(right, 11.3))
-    assert pairing.proved
-    assert clock.mean_s == pytest.approx(near.offset_s + 11.3, abs=0.02)
+def hand_as_wrist(right: Recording, other: Recording) -> Recording:
+    seen, places = right.arm, [0, 1, 4, 2, 4]
+    return replace(right, arm=replace(seen, position=seen.position[:, places], state=seen.state[:, places]))
 
 
-@pytest.mark.parametrize("change", ["mirrored", "down", "hand"])
-def test_what_is_wrong_with_the_axes_is_no_wrong_pair(right: Recording, change: str) -> None:
-    """A mirrored skeleton, or a wrong down, belongs to its IMU all the same: others name the mistake."""
-    recording = right
-    if change == "mirrored":
-        recording = replace(right, arm=replace(right.arm, position=right.arm.position * [-1.0, 1.0, 1.0]))
-    elif change == "down":
-        recording = replace(right, camera_frame=CameraFrame.ZUP)
-    else:  # a hand in place of the wrist
-        joints = right.arm.position[:, [0, 1, 4, 2, 4]], right.arm.state[:, [0, 1, 4, 2, 4]]
-        recording = replace(right, arm=replace(right.arm, position=joints[0], state=joints[1]))
-    pairing, _ = find_pairing(recording)
-    assert pairing is not None and pairing.proved
+@pytest.mark.parametrize(
+    ("change", "proved"),
+    [
+        (lambda right, other: right, True),
+        (lambda right, other: replace(right, clocks_unrelated=True), True),
+        # what is wrong with the axes belongs to its IMU all the same: others name the mistake
+        (lambda right, other: Remedy(mirror="x").applied(right), True),
+        (lambda right, other: replace(right, camera_frame=CameraFrame.ZUP), True),
+        (hand_as_wrist, True),
+        (lambda right, other: replace(right, imu=other.imu), False),
+        (spliced, False),
+    ],
+)
+def test_pairs_are_proved_by_their_motion(
+    change: Callable[[Recording, Recording], Recording], proved: bool, right: Recording, other: Recording
+) -> None:
+    recording = change(right, other)
+    pairing, clock = find_pairing(recording)
+    assert pairing is not None and pairing.proved is proved is (pairing.chance < 1e-3)
+    assert bool(pairing.reason) is not proved and not pairing.caution
+    assert proved or recording.clocks_unrelated or TELLS in pairing.reason
+    if recording is right:
+        assert clock is None  # the fine search reaches it
+        late = replace(right, arm=replace(right.arm, t_s=right.arm.t_s - 11.3))
+        again, clock = find_pairing(late)
+        assert again.proved and clock.mean_s == pytest.approx(pairing.offset_s + 11.3, abs=0.02)
 
 
 def found(
