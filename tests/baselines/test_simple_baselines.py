@@ -76,7 +76,7 @@ def test_hold_stands_still_in_a_gap(behind: Scene):
         last = behind.point[np.searchsorted(behind.frame_t, gap.start_s)]
         np.testing.assert_allclose(path.position[inside], np.tile(last, (inside.sum(), 1)))
         assert (path.R_K_A[inside] == path.R_K_A[inside][0]).all()
-    seen = ~behind.recovery.occluded
+    seen = ~behind.occluded
     np.testing.assert_allclose(
         path.position[seen],
         between(behind.frame_t, behind.point, behind.t)[seen],
