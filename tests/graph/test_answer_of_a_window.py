@@ -19,7 +19,6 @@ from small_window import (
     UPPER_FIRST,
     UPPER_NODES,
     small_window,
-    with_forearm,
 )
 
 import smoother.graph.build
@@ -98,7 +97,7 @@ class Optimum:
 def pair() -> tuple[Optimum, Solution]:
     with pytest.MonkeyPatch.context() as patch:
         patched(patch)
-        window = replace(small_window()[0], considered=None)
+        window = replace(small_window(), considered=None)
         return Optimum(window), solve(window, True, with_offset=True, with_evidence=True, tolerance=1e-13)
 
 
@@ -234,7 +233,7 @@ def test_a_column_is_the_derivative_of_the_data(
 ) -> None:
     """The graph is built anew from data that have the error: how its whitened errors move."""
     monkeypatch.setattr(smoother.graph.build, "BIAS_LENGTH_S", bias_s)
-    window = small_window(upper=upper)[0]
+    window = small_window(upper=upper)
     window = replace(window, noise=replace(window.noise, cauchy=1e6))  # weights that stay
     best = Optimum(window)
     rng, step = np.random.default_rng(3), 1e-5
@@ -280,7 +279,8 @@ def _with_errors(best: Optimum, window: Window, error: FloatArray) -> gtsam.Nonl
         joint_measurements=tuple(measured),
         shoulder=shoulder,
     )
-    return build(with_forearm(changed, increments=replace(increments, acc=force, gyro=rate))).graph
+    forearm = replace(window.forearm, increments=replace(increments, acc=force, gyro=rate))
+    return build(replace(changed, bodies=(forearm, *window.further))).graph
 
 
 def test_what_the_window_says_of_constant_errors(pair: tuple[Optimum, Solution]) -> None:
@@ -315,7 +315,7 @@ def test_what_the_window_says_of_constant_errors(pair: tuple[Optimum, Solution])
 @pytest.mark.parametrize("rows", [0, 6])
 def test_considered_errors_widen_the_covariance(rows: int) -> None:
     """The data and the prior's mean follow the errors; one without an upper-arm IMU has fewer rows."""
-    window, _ = small_window()
+    window = small_window()
     if rows:
         window = replace(
             window, considered=replace(window.considered, shared=window.considered.shared[:-rows])
@@ -346,7 +346,7 @@ def test_considered_errors_widen_the_covariance(rows: int) -> None:
 
 
 def test_made_up_stamps_widen_the_covariance_by_their_square() -> None:
-    window, traces = small_window(upper=False)[0], []
+    window, traces = small_window(upper=False), []
     for sigma_s in (0.0, 0.01, 0.02):
         considered = replace(window.considered, stamp_sigma_s=sigma_s)
         found = solve(replace(window, considered=considered), with_covariance=True)
@@ -370,9 +370,10 @@ def test_a_prior_that_alone_holds_the_orientation_is_tightened(monkeypatch: pyte
     """Where the solver calls a direction free; the covariance gets back what that took, and no more."""
     windows: list[Window] = []
     monkeypatch.setattr(smoother.graph.solve, "build", lambda window: build(windows.append(window) or window))
-    window = replace(small_window()[0], considered=None)
+    window = replace(small_window(), considered=None)
     prior = np.diag([1e-6, 2e-6, 4.0])  # about the third axis the data hold it
-    window = with_forearm(window, attitude_covariance=prior)
+    forearm = replace(window.forearm, attitude_covariance=prior)
+    window = replace(window, bodies=(forearm, *window.further))
     node = window.forearm.attitude_node
     straight = solve(window, with_covariance=True).forearm.pose_covariance[node, 3:, 3:]
     np.testing.assert_allclose(straight[:2, :2], prior[:2, :2], atol=5e-8)
@@ -399,7 +400,7 @@ def test_a_prior_that_alone_holds_the_orientation_is_tightened(monkeypatch: pyte
 
 def test_the_prior_on_gravity_stays_where_axes_across_it_turn() -> None:
     """GTSAM counts gravity's changes along axes that jump on the way; the prior is anything but round."""
-    window = small_window()[0]
+    window = small_window()
     layout, shared = window.priors.layout, window.priors.shared
     mean, covariance = shared.mean.copy(), shared.covariance.copy()
     mean[layout.gravity] = layout.gravity_axes @ unit(np.array([0.2, -0.95, 0.1]))  # x and z exchanged
@@ -427,7 +428,7 @@ def test_the_prior_on_gravity_stays_where_axes_across_it_turn() -> None:
 
 
 def test_without_a_shoulder_and_with_nothing_asked_for() -> None:
-    window = replace(small_window(upper=False)[0], shoulder=None)
+    window = replace(small_window(upper=False), shoulder=None)
     found = solve(window, with_covariance=False)
     assert found.shoulder is found.forearm.pose_covariance is found.evidence is None
     assert solve(window, with_covariance=True).forearm.pose_covariance is not None
@@ -437,7 +438,7 @@ def test_without_a_shoulder_and_with_nothing_asked_for() -> None:
 
 def test_a_stamp_s_column_is_the_derivative_of_the_data() -> None:
     """Frames that are late by a line between two knots show each joint where it was: its own velocity ago."""
-    window = replace(small_window(upper=False)[0], considered=None)
+    window = replace(small_window(upper=False), considered=None)
     alone = []
     for each in window.joint_measurements:
         _, rows = np.unique(each.node, return_index=True)
@@ -514,7 +515,7 @@ def test_draws_have_covariances_within_and_between_times_as_gtsam(monkeypatch: p
     """Of both IMUs, three biases of each, and of the shoulder, in a gap and outside."""
     monkeypatch.setattr(smoother.graph.build, "BIAS_LENGTH_S", 0.18)
     monkeypatch.setattr(smoother.graph.sampling, "_SLICE_S", 0.05)
-    window = replace(small_window()[0], considered=None)
+    window = replace(small_window(), considered=None)
     graph, values, groups = build(window)
     values = gtsam.LevenbergMarquardtOptimizer(graph, values).optimize()
     solved = SolvedWindow(window, graph, values, groups)
@@ -549,7 +550,7 @@ def test_neighbouring_sections_draw_the_same_motion(monkeypatch: pytest.MonkeyPa
     monkeypatch.undo()  # nodes and biases as they are
     monkeypatch.setattr("smoother.recovery.sections.SECTION_S", 10.0)
     made = arm(3, protocol="random", duration_s=20.0, occlusion_lengths_s=(2.0,), occlusion_every_s=6.0)
-    one, two = (job.window for job in section_windows(made.recording, made.calibration))
+    one, two = section_windows(made.recording, made.calibration)
     plan = DrawPlan(100, 5, "right", 4, one.priors.shared.covariance, one.considered)
     first, second = (solve(each, with_covariance=True, plan=plan).draws for each in (one, two))
     there = np.abs(two.t - two.core_start_s) < 0.5

@@ -48,7 +48,7 @@ def shifted(window: Window, start_s: float, end_s: float, shift_m: list[float]) 
 
 def test_shifts_are_those_of_dense_least_squares(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(changes, "CELL_S", 0.06)
-    window = small_window()[0]
+    window = small_window()
     window = replace(window, considered=None, core_start_s=window.t[0], core_end_s=window.t[-1] + 0.1)
     graph, values, groups = build(window)
     values = gtsam.LevenbergMarquardtOptimizer(graph, values).optimize()
@@ -70,7 +70,7 @@ def test_shifts_are_those_of_dense_least_squares(monkeypatch: pytest.MonkeyPatch
 
 def test_columns_of_steps_are_the_derivative_of_the_data() -> None:
     """Camera turned and moved, sensor turned and shifted on the arm, from either of two moments on."""
-    window = replace(small_window(upper=False)[0], considered=None)
+    window = replace(small_window(upper=False), considered=None)
     window = replace(window, noise=replace(window.noise, cauchy=1e6))  # weights that stay
     built = build(window)
     solved, by = SolvedWindow(window, *built), 1e-4 * np.random.default_rng(2).normal(size=(2, WIDTH))

@@ -136,7 +136,7 @@ def inertial(
 def test_each_factor_has_the_error_of_its_formula(monkeypatch: pytest.MonkeyPatch) -> None:
     """All of them at values that are a little off; the IMU's to what its linearised bias leaves."""
     monkeypatch.setattr(smoother.graph.build, "BIAS_LENGTH_S", BIAS_LENGTH_S)  # two of them
-    window = replace(small_window()[0], still=np.array([4, 5]))
+    window = replace(small_window(), still=np.array([4, 5]))
     graph, start, _ = build(window)
     values = moved(start)
     errors = errors_by_class(graph, values)

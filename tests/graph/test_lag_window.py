@@ -151,10 +151,13 @@ def followed(
     late: int | None = None,
     shoulder: bool = False,
     upper: int | None = None,
+    away: range = range(0),
+    wrong: int | None = None,
 ) -> tuple[LagWindow, list[LagSolution]]:
     """A window fed node by node; nothing is seen while hidden, but for a chain's shoulder.
 
-    One frame comes five nodes late; a second IMU's samples come `upper` nodes late.
+    One frame comes five nodes late, so do the right samples of a wrong interval; a second IMU's samples come
+    `upper` nodes late, and it is left out while away.
     """
     lag, solutions = lag_window(motion.down, length_s, shoulder, () if upper is None else (UPPER,)), []
     for k, state in enumerate(motion.states["forearm"]):
@@ -164,7 +167,13 @@ def followed(
         motion.add(lag, k, seen)
         if late is not None and k == late + 5:
             motion.see(lag, len(lag.t) - 6, late, tuple(LEVERS))
-        if upper is not None and k >= upper:
+        if wrong is not None and k in (wrong, wrong + 5):
+            exact = motion.increments["forearm"][wrong - 1]
+            off = replace(exact, acc=exact.acc + 30.0) if k == wrong else exact
+            lag.set_increments(len(lag.t) - 1 - (k - wrong), off)
+        if k in away:
+            lag.detach(UPPER, -np.inf)
+        elif upper is not None and k >= upper:
             motion.attach(lag, k - upper, -1 - upper)
         solutions.append(lag.solve(state.t - 0.2))
     return lag, solutions
@@ -191,24 +200,17 @@ def test_what_left_the_window_counts_as_if_it_were_there(kind: str) -> None:
 
 def test_what_comes_late_counts_as_in_time() -> None:
     """A frame, and samples of an interval in the place of wrong ones."""
-    motion = motion_of("tilted")
-    (_, late), (_, in_time), (_, never) = (
-        followed(motion, **how) for how in ({"late": 60}, {}, {"hidden": range(60, 61)})
+    events = ({"late": 60}, {}, {"hidden": range(60, 61)}, {"wrong": 70})
+    late, in_time, never, mended = (
+        [each.newest.p for each in followed(motion_of("tilted"), **how)[1]] for how in events
     )
     # iterations stop at a millimetre, and windows without the frame were solved in between
-    np.testing.assert_allclose(late[-1].newest.p, in_time[-1].newest.p, atol=2e-5)
-    np.testing.assert_allclose(late[63].newest.p, never[63].newest.p, atol=1e-12)
-    assert np.linalg.norm(late[65].newest.p - never[65].newest.p) > 1e-4
-    lag, exact = lag_window(motion.down), motion.increments["forearm"][69]
-    for k in range(80):
-        motion.add(lag, k, tuple(LEVERS))
-        if k == 70:
-            lag.set_increments(len(lag.t) - 1, replace(exact, acc=exact.acc + 30.0))
-        if k == 75:
-            lag.set_increments(len(lag.t) - 6, exact)
-        apart_m = np.linalg.norm(lag.solve(0.0).newest.p - in_time[k].newest.p)
-        assert k != 71 or apart_m > 5e-3  # 1 m/s too much
-    assert apart_m < 5e-4  # what left in between was linearised elsewhere (seen 0.14 mm)
+    np.testing.assert_allclose(late[-1], in_time[-1], atol=2e-5)
+    np.testing.assert_allclose(late[63], never[63], atol=1e-12)
+    assert np.linalg.norm(late[65] - never[65]) > 1e-4
+    assert np.linalg.norm(mended[71] - in_time[71]) > 5e-3  # 1 m/s too much
+    # what left in between was linearised elsewhere (seen 0.14 mm)
+    assert np.linalg.norm(mended[79] - in_time[79]) < 5e-4
 
 
 @pytest.mark.parametrize("shoulder", [False, True])
@@ -268,21 +270,13 @@ def test_left_out_the_rest_goes_on_and_it_may_begin_again(chain: Motion) -> None
         for lag in lags:
             chain.add(lag, k, ("shoulder", *LEVERS), 0.0)
         chain.attach(lags[0], k)
+    lags[0].detach(UPPER, lags[0].t[3])
+    assert len(lags[0].nodes_of(UPPER)) == 3
     lags[0].detach(UPPER, -np.inf)
     a, b = (lag.solve(0.0) for lag in lags)
     np.testing.assert_allclose(a.newest.p, b.newest.p, atol=1e-12)
     np.testing.assert_allclose(a.covariance, b.covariance, rtol=1e-9, atol=1e-15)
-    lag, solutions = lag_window(chain.down, 0.5, True, (UPPER,)), []
-    for k, state in enumerate(chain.states["forearm"]):
-        chain.add(lag, k, ("shoulder", *(() if k in chain.gap else LEVERS)), 0.0)
-        if k == 25:
-            lag.detach(UPPER, lag.t[3])
-            assert len(lag.nodes_of(UPPER)) == 3
-            lag.detach(UPPER, -np.inf)
-            assert not lag.nodes_of(UPPER)
-        if k < 25 or k >= 30:
-            chain.attach(lag, k)
-        solutions.append(lag.solve(state.t - 0.2))
+    lag, solutions = followed(chain, 0.5, chain.gap, shoulder=True, upper=0, away=range(25, 30))
     off, sigma = chain.errors(solutions)
     assert (off < 3.0 * sigma).all()
     assert lag.nodes_of(UPPER) == list(range(len(lag.t)))

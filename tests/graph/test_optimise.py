@@ -28,7 +28,7 @@ def small(monkeypatch: pytest.MonkeyPatch) -> Window:
     """A window whose gap of 0.18 s is a long one, with two knots of the shoulder in it."""
     for name, value in {"LONG_S": 0.15, "STEP_S": 0.025, "FINE_STEP_S": 0.01}.items():
         monkeypatch.setattr(module, name, value)
-    return replace(small_window(1, upper=False)[0], considered=None)
+    return replace(small_window(1, upper=False), considered=None)
 
 
 def test_stages_end_where_one_descent_does_or_stay_loose(small: Window) -> None:

@@ -29,7 +29,7 @@ ORIGIN = np.array([0.4, -0.2, -1.7])
 @pytest.fixture
 def window() -> Window:
     """A small window of which one camera sees no depth; losses are nearly square."""
-    small = small_window()[0]
+    small = small_window()
     flat = tuple(replace(each, origin_m=ORIGIN) for each in small.joint_measurements)
     return replace(small, joint_measurements=flat, noise=replace(small.noise, cauchy=1e5))
 

@@ -122,14 +122,6 @@ def with_field(recording: Recording, extra_A: FloatArray | float = 0.0, noise: f
     return replace(recording, imu=replace(recording.imu, mag=mag, mag_calibrated=True))
 
 
-@dataclass(frozen=True)
-class Job:
-    """The window of a section, with its answer."""
-
-    window: Window
-    solution: Solution
-
-
 def first_window(recording: Recording, calibration: ArmCalibration | None) -> Window:
     """The first section's window as it is solved first, from the camera's start values."""
     given: list[Window] = []
@@ -147,19 +139,17 @@ class Found(Exception):
     """What was waited for is there: the rest is of no interest."""
 
 
-def section_windows(recording: Recording, calibration: ArmCalibration | None) -> list[Job]:
+def section_windows(recording: Recording, calibration: ArmCalibration | None) -> list[Window]:
     """The windows that give the answer, one a section, in the order of time."""
-    jobs: list[Job] = []
+    windows: list[Window] = []
 
     def listen(optimised: WindowOptimum, with_covariance: bool, **more: Any) -> Solution:
-        solution = solution_of(optimised, with_covariance, **more)
-        if with_covariance:
-            jobs.append(Job(optimised.window, solution))
-        return solution
+        windows.extend([optimised.window] * with_covariance)
+        return solution_of(optimised, with_covariance, **more)
 
     with patch("smoother.recovery.solve_section.solution_of", listen):
         answer(recording, calibration)
-    return jobs
+    return windows
 
 
 def there(*parts: str) -> Path:

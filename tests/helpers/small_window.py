@@ -7,7 +7,7 @@ where a window of a simulated recording takes seconds.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -28,7 +28,7 @@ from smoother.window.problem import (
 )
 from smoother.window.shared import SIZE, Considered, Gaussian, SharedLayout, axes_across
 
-NODES, STEP_S, SUBSTEPS = 10, 0.06, 3
+NODES, STEP_S, SUBSTEPS, NOISE_M = 10, 0.06, 3, 0.004
 DOWN = np.array([0.1, -0.95, 0.2]) / np.linalg.norm([0.1, -0.95, 0.2])
 #: The nodes of the upper-arm IMU.
 UPPER_FIRST, UPPER_NODES = 2, 6
@@ -47,16 +47,6 @@ NOISE = NoiseModel(
     shoulder_walk=0.05,
     tissue_m=(("upper_arm", 0.01),),
 )
-
-
-@dataclass(frozen=True)
-class Truth:
-    """What the window's data were made of."""
-
-    states: States
-    upper: States
-    shared: FloatArray
-    shoulder: FloatArray
 
 
 def covariance(rng: np.random.Generator, sigmas: FloatArray) -> FloatArray:
@@ -90,8 +80,8 @@ def moving(rng: np.random.Generator, t: FloatArray, origin: FloatArray) -> tuple
     return States(*(np.array([state[k] for state in states]) for k in range(3))), increments
 
 
-def small_window(seed: int = 0, upper: bool = True, noise_m: float = 0.004) -> tuple[Window, Truth]:
-    """The window and what it was made of; its initial values are a little off."""
+def small_window(seed: int = 0, upper: bool = True) -> Window:
+    """A window of a forearm's and an upper arm's IMU; its initial values are a little off."""
     rng = np.random.default_rng(seed)
     t = 20.0 + STEP_S * np.arange(NODES) + 0.01 * rng.uniform(size=NODES)
     states, increments = moving(rng, t, np.array([0.1, 0.2, 1.9]))
@@ -114,11 +104,9 @@ def small_window(seed: int = 0, upper: bool = True, noise_m: float = 0.004) -> t
     node = np.array([0, 2, 4, 6, 7, 9])
     across = rng.normal(size=3)
     shoulder = elbow[node] + shared[layout.upper_arm] * across / np.linalg.norm(across)
-    measured = tuple(
-        _joint(rng, joint, t, states, lever, noise_m)
-        for joint, lever in [*_levers(layout, shared), ("strap", np.zeros(3))]
-    )
-    position = shoulder + noise_m * rng.normal(size=shoulder.shape)
+    levers = {joint: shared[layout.lever(joint)] for joint in LEVERS} | {"strap": np.zeros(3)}
+    measured = tuple(_joint(rng, joint, t, states, lever) for joint, lever in levers.items())
+    position = shoulder + NOISE_M * rng.normal(size=shoulder.shape)
     position[[1, 4]] = np.nan
     change = np.full(NODES - 1, np.inf)
     change[3:6] = [0.4, 0.5, 0.6]
@@ -147,7 +135,11 @@ def small_window(seed: int = 0, upper: bool = True, noise_m: float = 0.004) -> t
         attitude=states.R[3] @ Rotation.from_rotvec([-0.03, 0.02, 0.04]).as_matrix(),
         attitude_covariance=covariance(rng, np.array([0.05, 0.06, 0.04])),
     )
-    window = Window(
+    # errors that are left, and how the recording's estimate of what all share follows them
+    considered = Considered(
+        covariance(rng, np.full(SIZE, 0.003)), 0.05 * rng.normal(size=(layout.size, SIZE))
+    )
+    return Window(
         t=t,
         core_start_s=float(t[1]),
         core_end_s=float(t[-2]),
@@ -159,29 +151,19 @@ def small_window(seed: int = 0, upper: bool = True, noise_m: float = 0.004) -> t
         priors=Priors(layout, prior, np.repeat([0.02, 0.001], 3) * np.linspace(1.0, 2.0, 6)),
         noise=NOISE,
         field=field,
-        considered=_considered(rng, layout.size),
+        considered=considered,
     )
-    return window, Truth(states, upper_states, shared, shoulder)
-
-
-def with_forearm(window: Window, **changes: object) -> Window:
-    """The window with something else of the forearm's IMU."""
-    return replace(window, bodies=(replace(window.forearm, **changes), *window.further))
-
-
-def _levers(layout: SharedLayout, shared: FloatArray) -> list[tuple[str, FloatArray]]:
-    return [(joint, shared[layout.lever(joint)]) for joint in layout.joints]
 
 
 def _joint(
-    rng: np.random.Generator, joint: str, t: FloatArray, states: States, lever: FloatArray, noise_m: float
+    rng: np.random.Generator, joint: str, t: FloatArray, states: States, lever: FloatArray
 ) -> JointMeasurements:
     """One to four samples at each node outside the gap; the wrist has one everywhere."""
     nodes = np.array([0, 1, 2, 3, 6, 7, 8, 9])
     counts = np.ones(8, dtype=int) if joint == "wrist" else np.array([1, 2, 4, 1, 3, 1, 5, 2])
     node = np.repeat(nodes, counts)
     shift, velocity = 0.02 * rng.normal(size=(len(node), 3)), 0.2 * rng.normal(size=(len(node), 3))
-    sigma = noise_m * np.linspace(1.0, 2.0, len(node))
+    sigma = NOISE_M * np.linspace(1.0, 2.0, len(node))
     position = (
         states.p[node] + states.R[node] @ lever + shift + sigma[:, None] * rng.normal(size=(len(node), 3))
     )
@@ -198,8 +180,3 @@ def _shaken(rng: np.random.Generator, states: States) -> States:
         states.p + 0.005 * rng.normal(size=states.p.shape),
         states.v + 0.02 * rng.normal(size=states.v.shape),
     )
-
-
-def _considered(rng: np.random.Generator, size: int) -> Considered:
-    """Errors that are left, and how the recording's estimate of what all share follows them."""
-    return Considered(covariance(rng, np.full(SIZE, 0.003)), 0.05 * rng.normal(size=(size, SIZE)))

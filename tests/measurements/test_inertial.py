@@ -10,7 +10,6 @@ import pytest
 from curve import Curve
 from scipy.spatial import transform
 
-from smoother.array_types import FloatArray
 from smoother.measurements.alignment import (
     FILTER_SIGMA_RAD,
     VectorPairs,
@@ -32,15 +31,6 @@ from smoother.rotation import Rotation
 from smoother.window.prepare import states_from_camera
 
 NO_BIAS = np.zeros(6)
-
-
-def preintegrated(acc: FloatArray, gyro: FloatArray, h: float) -> gtsam.PreintegratedImuMeasurements:
-    """GTSAM's sum over steps of two equivalent samples: acc (n, 2, 3), gyro (n, 3)."""
-    pim = gtsam.PreintegratedImuMeasurements(gtsam.PreintegrationParams(np.array([0.0, 0.0, -9.81])))
-    for pair, rate in zip(acc, gyro, strict=True):
-        for sample in pair:
-            pim.integrateMeasurement(sample, rate, h)
-    return pim
 
 
 def test_the_mean_of_uneven_samples_is_weighted_by_their_time() -> None:
@@ -65,7 +55,9 @@ def test_equivalent_samples_are_exact_in_gtsam(seed: int) -> None:
     )
     acc, gyro, h = equivalent_samples(motion)
     for k in range(21):
-        pim = preintegrated(acc[k : k + 1], gyro[k : k + 1], h[k])
+        pim = gtsam.PreintegratedImuMeasurements(gtsam.PreintegrationParams(np.array([0.0, 0.0, -9.81])))
+        for force in acc[k]:
+            pim.integrateMeasurement(force, gyro[k], h[k])
         assert pim.deltaTij() == pytest.approx(motion.dt[k], rel=1e-12)
         np.testing.assert_allclose(pim.deltaRij().matrix(), motion.delta_R[k], atol=1e-12)
         np.testing.assert_allclose(pim.deltaVij(), motion.delta_v[k], atol=1e-10)

@@ -72,11 +72,11 @@ def by_hand(window: Window, answer: Solution) -> tuple[list[tuple[float, float, 
 @pytest.mark.parametrize(("share", "used"), [(0.4, 0.4), (0.001, 0.02), (3.0, 1.0)])
 def test_the_score_of_samples_in_the_core(share: float, used: float) -> None:
     """Slope and information sample by sample; of the bound the share that the window states."""
-    window, _ = small_window(upper=False)
+    window = small_window(upper=False)
     first = window.joint_measurements[1]
     window = replace(window, core_start_s=float(first.t_s[1]), core_end_s=float(first.t_s[-2]))
     empty = replace(window, joint_measurements=())
-    other, _ = small_window(1, upper=False)
+    other = small_window(1, upper=False)
     windows, answers = (
         [window, empty, other],
         [solution(each, k, 0.0) for k, each in enumerate((window, window, other))],
@@ -92,7 +92,7 @@ def test_the_score_of_samples_in_the_core(share: float, used: float) -> None:
 
 
 def test_no_samples_no_score() -> None:
-    window, _ = small_window(upper=False)
+    window = small_window(upper=False)
     for score in (clock_score([(replace(window, joint_measurements=()), solution(window, 0, 1.0))]), NOTHING):
         assert len(score.t) == len(score.slope) == len(score.information) == 0
     still = replace(
