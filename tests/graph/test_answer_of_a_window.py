@@ -436,34 +436,6 @@ def test_without_a_shoulder_and_with_nothing_asked_for() -> None:
         solve(replace(window, joint_measurements=()), with_covariance=True)
 
 
-def test_a_stamp_s_column_is_the_derivative_of_the_data() -> None:
-    """Frames that are late by a line between two knots show each joint where it was: its own velocity ago."""
-    window = replace(small_window(upper=False), considered=None)
-    alone = []
-    for each in window.joint_measurements:
-        _, rows = np.unique(each.node, return_index=True)
-        names = ("t_s", "node", "position", "sigma_m", "shift", "velocity")
-        alone.append(replace(each, **{name: getattr(each, name)[rows] for name in names}))
-    noise = replace(window.noise, cauchy=1e6)  # weights that stay
-    window = replace(window, joint_measurements=tuple(alone), noise=noise)
-    best = Optimum(window)
-    velocity = np.array([best.values.atVector(V(i)) for i in range(NODES)])
-    knots = np.linspace(window.t[0] - 0.1, window.t[-1] + 0.1, 4)
-    late_s = 1e-4 * np.array([1.0, -2.0, 3.0, 0.5])
-    at_node = np.interp(window.t, knots, late_s)
-    moved = tuple(
-        replace(
-            each, position=each.position - at_node[each.node][:, None] * (velocity[each.node] + each.velocity)
-        )
-        for each in window.joint_measurements
-    )
-    graph = build(replace(window, joint_measurements=moved)).graph
-    after = Jacobian.of(graph, best.values).rhs
-    columns = stamp_columns(best.solved, knots)
-    change = best.system.jacobian.rhs - after  # the right-hand side is minus the error
-    np.testing.assert_allclose(columns @ late_s, change, atol=1e-6 * np.abs(change).max())
-
-
 def test_what_the_window_says_of_its_clock(pair: tuple[Optimum, Solution]) -> None:
     """All variables eliminated from the dense equations; samples that share a node scatter about its mean."""
     best, found = pair

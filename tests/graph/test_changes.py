@@ -24,6 +24,7 @@ from smoother.graph.changes import (
     moments,
     step_columns,
 )
+from smoother.graph.columns import stamp_columns
 from smoother.graph.linear_system import Jacobian
 from smoother.graph.solve import optimise_window, solution_of
 from smoother.graph.solved import SolvedWindow, levers_of
@@ -68,36 +69,51 @@ def test_shifts_are_those_of_dense_least_squares(monkeypatch: pytest.MonkeyPatch
         assert shift.score == pytest.approx(score, rel=0.02, abs=1e-3)
 
 
-def test_columns_of_steps_are_the_derivative_of_the_data() -> None:
-    """Camera turned and moved, sensor turned and shifted on the arm, from either of two moments on."""
-    window = replace(small_window(upper=False), considered=None)
-    window = replace(window, noise=replace(window.noise, cauchy=1e6))  # weights that stay
+def test_columns_are_the_derivative_of_the_data() -> None:
+    """Camera turned and moved, sensor turned and shifted, frames late, from either of two moments on.
+
+    Frames that are late by a line between knots: each joint is shown where it was, its own velocity ago.
+    """
+    window, measured = small_window(upper=False), []
+    for each in window.joint_measurements:  # one sample a node, with its own velocity
+        _, rows = np.unique(each.node, return_index=True)
+        names = ("t_s", "node", "position", "sigma_m", "shift", "velocity")
+        measured.append(replace(each, **{name: getattr(each, name)[rows] for name in names}))
+    noise = replace(window.noise, cauchy=1e6)  # weights that stay
+    window = replace(window, considered=None, joint_measurements=tuple(measured), noise=noise)
     built = build(window)
     solved, by = SolvedWindow(window, *built), 1e-4 * np.random.default_rng(2).normal(size=(2, WIDTH))
-    by[:, 12] = 0.0  # the clock's is `stamp_columns`
     states, levers = solved.states["forearm"], levers_of(solved.shared, window.priors.layout)
     at_s, centre = window.t[[3, 6]] - 1e-6, states.p.mean(axis=0)
-
-    def seen(position: FloatArray, nodes: IntArray, joint: str) -> FloatArray:
-        position = position.copy()
-        for k, node in enumerate(nodes):
-            if window.t[node] > at_s[0]:
-                turn, move, mount, off, _ = np.split(by[int(window.t[node] > at_s[1])], [3, 6, 9, 12])
-                R, lever = states.R[node], levers.get(joint, np.zeros(3))
-                place = solved.shoulder[node] if joint == "shoulder" else states.p[node] + R @ lever
-                position[k] -= np.cross(turn, place - centre) + move
-                position[k] -= R @ (np.cross(mount, lever) + off) if joint in levers else 0.0
-        return position
-
-    measured = [replace(x, position=seen(x.position, x.node, x.joint)) for x in window.joint_measurements]
-    shoulder = replace(
-        window.shoulder, position=seen(window.shoulder.position, window.shoulder.node, "shoulder")
+    steps = np.where((window.t > at_s[0])[:, None], by[(window.t > at_s[1]).astype(int)], 0.0)
+    knots, late_s = (
+        np.linspace(window.t[0] - 0.1, window.t[-1] + 0.1, 4),
+        1e-4 * np.array([1.0, -2.0, 3.0, 0.5]),
     )
-    moved = replace(window, joint_measurements=tuple(measured), shoulder=shoulder)
-    change = solved.jacobian.rhs - Jacobian.of(build(moved).graph, built.values).rhs
-    np.testing.assert_allclose(
-        step_columns(solved, at_s) @ by.ravel(), change, atol=1e-6 * np.abs(change).max()
-    )
+    lines = np.zeros_like(steps)
+    lines[:, 12] = np.interp(window.t, knots, late_s)
+
+    def shift(change: FloatArray, nodes: IntArray, joint: str, velocity: FloatArray) -> FloatArray:
+        turn, move, mount, off, late = np.split(change[nodes], [3, 6, 9, 12], axis=1)
+        R, lever = states.R[nodes], levers.get(joint, np.zeros(3))
+        place = solved.shoulder[nodes] if joint == "shoulder" else states.p[nodes] + R @ lever
+        on_arm = np.einsum("nij,nj->ni", R, np.cross(mount, lever) + off) if joint in levers else 0.0
+        return np.cross(turn, place - centre) + move + on_arm + late * velocity
+
+    for change, columns in (
+        (steps, step_columns(solved, at_s) @ by.ravel()),
+        (lines, stamp_columns(solved, knots) @ late_s),
+    ):
+        seen = [
+            replace(x, position=x.position - shift(change, x.node, x.joint, states.v[x.node] + x.velocity))
+            for x in window.joint_measurements
+        ]
+        knot, position = window.shoulder.node, window.shoulder.position
+        position = position - shift(change, knot, "shoulder", np.zeros(3))
+        shoulder = replace(window.shoulder, position=position)
+        graph = build(replace(window, joint_measurements=tuple(seen), shoulder=shoulder)).graph
+        moved = solved.jacobian.rhs - Jacobian.of(graph, built.values).rhs
+        np.testing.assert_allclose(columns, moved, atol=1e-6 * np.abs(moved).max())
 
 
 def test_steps_are_looked_for_in_the_middle_of_gaps_where_the_shoulder_jumps_and_now_and_then(
