@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from smoother.calibration import ArmCalibration, Length, LeverArm
 from smoother.evaluation.validate import Validation
 from smoother.measurements.visibility import Gap
-from smoother.recording import JOINTS, ImuStream, JointState, JointTracks, Recording, Truth
+from smoother.recording import JOINTS, JointTracks, Recording, Truth
 from smoother.report import write_report
 from smoother.result import FrameResiduals, Recovery
 
@@ -61,26 +61,14 @@ def make_recording(
     seed: int = 0,
 ) -> Recording:
     """An arm whose camera runs `offset_s` behind the IMU's clock (t_imu = t_camera + offset)."""
-    rng = np.random.default_rng(seed)
-    t_imu = np.arange(0, duration_s, 0.0125)
-    t_camera = np.arange(0.1, duration_s - 0.1, 1 / 30)
-    position = np.full((len(t_camera), len(JOINTS), 3), np.nan)
-    at = t_camera + offset_s
-    for joint, lever in LEVERS.items():
-        position[:, JOINTS.index(joint)] = path(at) + turn(at).apply(lever)
-    position[:, JOINTS.index("shoulder")] = [0.0, 0.3, 2.1]
-    position += rng.normal(size=position.shape) * noise_m
-    state = np.where(np.isfinite(position).all(axis=2), JointState.TRACKED, JointState.NOT_TRACKED)
-    imu = ImuStream(
-        "/imu/forearm_right", t_imu, np.tile([0, 9.81, 0.0], (len(t_imu), 1)), np.zeros((len(t_imu), 3))
-    )
-    return Recording(
-        imu,
-        JointTracks("/skeleton", t_camera, position, state.astype(np.int8)),
-        side="right",
-        truth=make_truth(t_imu) if truth else None,
-        name="made by hand",
-    )
+    t, frames = np.arange(0, duration_s, 0.0125), np.arange(0.1, duration_s - 0.1, 1 / 30)
+    noise = noise_m * np.random.default_rng(seed).normal(size=(len(frames), len(JOINTS), 3))
+    joints = make_joint_truth(frames + offset_s).joints
+    joints = {name: place + noise[:, JOINTS.index(name)] for name, place in joints.items()}
+    acc, gyro, known = np.tile([0, 9.81, 0.0], (len(t), 1)), np.zeros((len(t), 3)), make_truth(t)
+    made = Recording.from_arrays(t, acc, gyro, frames, joints, side="right", name="made by hand")
+    imu, arm = replace(made.imu, name="/imu/forearm_right"), replace(made.arm, name="/skeleton")
+    return replace(made, imu=imu, arm=arm, truth=known if truth else None)
 
 
 def make_recovery(

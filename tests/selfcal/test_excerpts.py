@@ -19,7 +19,7 @@ from smoother.config import Config
 from smoother.errors import CalibrationError
 from smoother.measurements.clock import constant_clock
 from smoother.measurements.segment import Segment, Timeline, split_into_segments
-from smoother.recording import FOREARM_JOINTS, JOINTS, ImuStream, JointState, JointTracks, Recording
+from smoother.recording import FOREARM_JOINTS, Recording
 from smoother.runtime.pool import Pool
 from smoother.selfcal import rounds
 from smoother.selfcal.error_estimate import JointBias
@@ -34,7 +34,6 @@ from smoother.selfcal.excerpts import (
 )
 
 IMU_HZ, FRAME_HZ = 50.0, 25.0
-FOREARM = [JOINTS.index(joint) for joint in FOREARM_JOINTS]
 Times = Sequence[tuple[float, float]]
 
 
@@ -52,14 +51,11 @@ def recording(
     frame_t = np.arange(0.003, length_s, 1 / FRAME_HZ)
     gyro = np.zeros((len(t), 3))
     gyro[within(t, everywhere if moving is None else moving), 2] = 1.0
-    position = np.full((len(frame_t), len(JOINTS), 3), np.nan)
-    state = np.full((len(frame_t), len(JOINTS)), JointState.NOT_TRACKED, np.int8)
-    seen = np.flatnonzero(within(frame_t, everywhere if visible is None else visible))
-    for place, column in enumerate(FOREARM):
-        position[seen, column] = [0.1 * place, 0.0, 2.0]
-        state[seen, column] = JointState.TRACKED
-    acc = np.tile([0.0, 9.81, 0.0], (len(t), 1))
-    return Recording(ImuStream("imu", t, acc, gyro), JointTracks("camera", frame_t, position, state))
+    seen = within(frame_t, everywhere if visible is None else visible)[:, None]
+    joints = {
+        joint: np.where(seen, [0.1 * place, 0.0, 2.0], np.nan) for place, joint in enumerate(FOREARM_JOINTS)
+    }
+    return Recording.from_arrays(t, np.tile([0.0, 9.81, 0.0], (len(t), 1)), gyro, frame_t, joints)
 
 
 def spans(segments: list[Segment]) -> Times:

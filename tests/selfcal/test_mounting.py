@@ -14,7 +14,7 @@ from smoother.array_types import FloatArray
 from smoother.calibration import ArmCalibration, Length, LeverArm
 from smoother.measurements.outliers import reject_by_camera
 from smoother.measurements.segment import Segment, split_into_segments
-from smoother.recording import JOINTS, CameraFrame, JointState, JointTracks, Recording
+from smoother.recording import JOINTS, Recording
 from smoother.selfcal.mounting import (
     CHUNK_S,
     DIRECTION_SIGMA_RAD,
@@ -129,14 +129,13 @@ def test_the_sign_in_a_vertical_plane(seed: int) -> None:
     """Directions in a plane fit their opposites as well; only where down is shows which is which."""
     rng, curve = np.random.default_rng(seed), Curve(seed, 0.8, turns_rad=(0.0, 0.0, 1.2))
     imu, t = curve.imu(100.0, 20.0), np.arange(0.1, 19.9, 1 / 30)
-    imu.acc[:] += 0.03 * rng.normal(size=imu.acc.shape)
-    imu.gyro[:] += 0.003 * rng.normal(size=imu.gyro.shape)
-    along, position = np.array([0.0, np.cos(seed), np.sin(seed)]), np.full((len(t), len(JOINTS), 3), np.nan)
+    noise = np.array([0.03, 0.003])[:, None, None] * rng.normal(size=(2, len(imu), 3))
+    along, joints = np.array([0.0, np.cos(seed), np.sin(seed)]), {}
     for joint, reach_m in (("elbow", -0.2), ("wrist", 0.05)):
         place = curve.position(t) + curve.rotation(t).apply(reach_m * along + np.array([0.03, 0.0, 0.0]))
-        position[:, JOINTS.index(joint)] = place + 0.008 * rng.normal(size=place.shape)
-    state = np.where(np.isfinite(position[:, :, 0]), JointState.TRACKED, JointState.NOT_TRACKED)
-    seen = Recording(imu, JointTracks("camera", t, position, state), camera_frame=CameraFrame.KINECT)
+        joints[joint] = place + 0.008 * rng.normal(size=place.shape)
+    samples = imu.t_s, imu.acc + noise[0], imu.gyro + noise[1]
+    seen = Recording.from_arrays(*samples, t, joints, camera_frame="kinect")
     found, blindly = found_in(seen), found_in(replace(seen, camera_frame=None))
     assert degrees_between(found.calibration.forearm_direction, along) < 4.0
     assert found.direction_spread_rad < np.pi / 2 < blindly.direction_spread_rad
