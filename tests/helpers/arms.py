@@ -6,14 +6,15 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from measured_arms import recovery_of
 from scipy.spatial.transform import Rotation
 
 from smoother.calibration import ArmCalibration, Length, LeverArm
 from smoother.evaluation.validate import Validation
-from smoother.measurements.visibility import Gap
-from smoother.recording import JOINTS, JointTracks, Recording, Truth
+from smoother.measurements.visibility import Gap, occluded_at
+from smoother.recording import JOINTS, Recording, Truth
 from smoother.report import write_report
-from smoother.result import FrameResiduals, Recovery
+from smoother.result import Estimates, FrameResiduals, Recovery
 
 LEVERS = {"elbow": np.array([0.0, -0.15, 0.0]), "wrist": np.array([0.0, 0.07, 0.0])}
 LEVERS["hand"] = np.array([0.0, 0.15, 0.0])
@@ -75,53 +76,31 @@ def make_recovery(
     recording: Recording, *, error_m: float = 0.0, sigma_m: float = 0.01, offset_s: float = 0.0, seed: int = 0
 ) -> Recovery:
     """A recovery that knows the path; `error_m` white noise on it, stated as `sigma_m`."""
-    rng = np.random.default_rng(seed)
-    t = recording.imu.t_s
-    count = len(t)
-    shift = rng.normal(size=(count, 3)) * error_m
-    covariance = np.tile(np.diag([sigma_m**2] * 3 + [0.01**2] * 3), (count, 1, 1))
-    arm = recording.arm
-    seen = arm.tracked("wrist")
-    on_imu = JointTracks(arm.name, arm.t_s + offset_s, arm.position, arm.state)
-    joints = {name: path(t) + shift + turn(t).apply(lever) for name, lever in LEVERS.items()}
-    joints["shoulder"] = np.tile([0.0, 0.3, 2.1], (count, 1))
-    gaps = []
-    for index in np.flatnonzero(np.diff(arm.t_s[seen]) > 0.1):
-        times = arm.t_s[seen] + offset_s
-        gaps.append(Gap(float(times[index]), float(times[index + 1])))
-    occluded = np.zeros(count, dtype=bool)
-    for gap in gaps:
-        occluded |= (t > gap.start_s) & (t < gap.end_s)
-    residual = rng.normal(size=arm.position.shape) * 0.008
-    return Recovery(
-        method="graph",
-        t_s=t,
-        occluded=occluded,
-        position=path(t) + shift,
-        quaternion=turn(t).as_quat(scalar_first=True),
-        velocity=np.gradient(path(t), t, axis=0),
+    rng, t, arm = np.random.default_rng(seed), recording.imu.t_s, recording.arm
+    truth, shift = make_joint_truth(t), error_m * rng.normal(size=(len(t), 3))
+    joints = {name: place + (0.0 if name == "shoulder" else shift) for name, place in truth.joints.items()}
+    covariance = np.tile(np.diag([sigma_m**2] * 3 + [0.01**2] * 3), (len(t), 1, 1))
+    seen, on_imu = arm.t_s[arm.tracked("wrist")] + offset_s, replace(arm, t_s=arm.t_s + offset_s)
+    gaps = tuple(Gap(float(seen[k]), float(seen[k + 1])) for k in np.flatnonzero(np.diff(seen) > 0.1))
+    residual, used = 0.008 * rng.normal(size=arm.position.shape), np.isfinite(arm.position).all(axis=2)
+    levers = {name: LeverArm(lever, np.full(3, 0.004)) for name, lever in LEVERS.items()}
+    return replace(
+        recovery_of(t, joints, "right"),
+        occluded=occluded_at(t, gaps),
+        position=truth.position + shift,
+        quaternion=truth.quaternion,
+        velocity=np.gradient(truth.position, t, axis=0),
         pose_covariance=covariance,
-        velocity_covariance=np.tile(np.eye(3) * 1e-4, (count, 1, 1)),
-        joints=joints,
+        velocity_covariance=np.tile(np.eye(3) * 1e-4, (len(t), 1, 1)),
         joint_covariance={name: covariance[:, :3, :3] for name in joints},
-        gaps=tuple(gaps),
-        calibration=ArmCalibration(
-            "right",
-            {name: LeverArm(lever, np.full(3, 0.004)) for name, lever in LEVERS.items()},
-            Length(0.31, 0.01),
-        ),
-        gravity_direction=np.array([0.0, -1.0, 0.0]),
+        gaps=gaps,
+        calibration=ArmCalibration("right", levers, Length(0.31, 0.01)),
         clock_offset_s=offset_s,
         clock_offset_sigma_s=0.002,
         arm=on_imu,
-        residuals=FrameResiduals(
-            on_imu.t_s,
-            residual,
-            np.isfinite(arm.position).all(axis=2),
-            np.zeros(arm.state.shape, np.uint8),
-        ),
-        side="right",
+        residuals=FrameResiduals(on_imu.t_s, residual, used, np.zeros(arm.state.shape, np.uint8)),
+        origin_ns=0,
         name=recording.name,
         notes=("The path was made by hand.",),
-        config={"camera": {"joint_sigma_m": 0.01}},
+        estimates=Estimates(),
     )
