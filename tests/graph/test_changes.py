@@ -24,11 +24,12 @@ from smoother.graph.changes import (
     moments,
     step_columns,
 )
-from smoother.graph.columns import stamp_columns
+from smoother.graph.columns import constant_error_columns, stamp_columns
 from smoother.graph.linear_system import Jacobian
 from smoother.graph.solve import optimise_window, solution_of
 from smoother.graph.solved import SolvedWindow, levers_of
 from smoother.window.problem import Window
+from smoother.window.shared import SIZE
 
 
 @pytest.fixture(scope="module")
@@ -47,25 +48,31 @@ def shifted(window: Window, start_s: float, end_s: float, shift_m: list[float]) 
     return replace(window, joint_measurements=tuple(moved))
 
 
-def test_shifts_are_those_of_dense_least_squares(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("is_considered", [False, True])
+def test_shifts_are_those_of_dense_least_squares(
+    is_considered: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(changes, "CELL_S", 0.06)
     window = small_window()
-    window = replace(window, considered=None, core_start_s=window.t[0], core_end_s=window.t[-1] + 0.1)
+    window = replace(window, core_start_s=window.t[0], core_end_s=window.t[-1] + 0.1)
     graph, values, groups = build(window)
     values = gtsam.LevenbergMarquardtOptimizer(graph, values).optimize()
     solved, cells = SolvedWindow(window, graph, values, groups), Cells.of_window(window)
-    columns = block_columns(solved, cells)
-    system = solved.system([columns])
-    A, blocks = system.jacobian.toarray(), cells.blocks()
+    columns, considered = block_columns(solved, cells), window.considered if is_considered else None
+    errors = [constant_error_columns(solved)] if is_considered else []
+    system = solved.system([*errors, columns])
+    A, blocks = np.hstack([system.jacobian.toarray(), *errors]), cells.blocks()
+    prior = np.zeros((A.shape[1] + 3, A.shape[1] + 3))
+    if considered is not None:
+        prior[-SIZE - 3 : -3, -SIZE - 3 : -3] = np.linalg.inv(considered.covariance)
     assert len(blocks) > len(cells) >= 4
-    for shift, block in zip(block_shifts(system, None, cells), blocks, strict=True):
-        own = columns.reshape(len(A), -1, 3)[:, block].sum(axis=1)
-        wide = np.column_stack([A, own])
-        expected = np.linalg.solve(wide.T @ wide, wide.T @ system.jacobian.rhs)[-3:]
-        covariance = np.linalg.inv(wide.T @ wide)[-3:, -3:] + np.diag(SLOW_M**2)
+    for shift, block in zip(block_shifts(system, considered, cells), blocks, strict=True):
+        wide = np.column_stack([A, columns.reshape(len(A), -1, 3)[:, block].sum(axis=1)])
+        inverse = np.linalg.inv(wide.T @ wide + prior)
+        expected = (inverse @ wide.T @ system.jacobian.rhs)[-3:]
         # a ridge of 1e-6 of the information keeps what nothing is known of finite
         np.testing.assert_allclose(shift.shift_m, expected, atol=1e-4 + 1e-3 * np.abs(expected).max())
-        score = expected @ np.linalg.solve(covariance, expected) / 3.0
+        score = expected @ np.linalg.solve(inverse[-3:, -3:] + np.diag(SLOW_M**2), expected) / 3.0
         assert shift.score == pytest.approx(score, rel=0.02, abs=1e-3)
 
 

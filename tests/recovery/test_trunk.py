@@ -17,7 +17,7 @@ from smoother.array_types import FloatArray
 from smoother.io import read_recovery, write_recovery
 from smoother.linalg import unit
 from smoother.measures.measuring import measure
-from smoother.recording import JOINTS, ImuStream, JointTracks, Recording, TrunkSensors
+from smoother.recording import Recording, TrunkSensors
 from smoother.recovery.trunk import with_trunk
 from smoother.recovery.trunk_by_shoulders import LEAN_RAD, trunk_by_shoulders
 from smoother.result import Recovery, SegmentMotion
@@ -124,15 +124,13 @@ def turning(side: str, seed: int = 0, turn_deg: float = 30.0) -> tuple[Recovery,
         z = Rotation.from_rotvec(heading[:, None] * UP).apply(right)
         return np.stack([np.cross(UP, z), np.tile(UP, (len(t), 1)), z], axis=2)
 
-    def shoulder(where: float) -> JointTracks:
-        position = np.full((len(frames), len(JOINTS), 3), np.nan)
-        position[:, 0] = where * WIDTH_M * axes(frames)[:, :, 2] + rng.normal(0.0, NOISE_M, (len(frames), 3))
-        state = np.where(np.isfinite(position[:, :, 0]), 2, 0).astype(np.int8)
-        return JointTracks("camera", frames - 0.3, position, state)
+    def seen(where: float) -> Recording:
+        place = where * WIDTH_M * axes(frames)[:, :, 2] + rng.normal(0.0, NOISE_M, (len(frames), 3))
+        still = np.zeros((2000, 3))
+        return Recording.from_arrays(made.t_s, still, still, frames - 0.3, {"shoulder": place}, side=side)
 
-    own, other = (shoulder(0.5), shoulder(-0.5)) if side == "right" else (shoulder(-0.5), shoulder(0.5))
-    stream = ImuStream("imu", made.t_s, np.zeros((2000, 3)), np.zeros((2000, 3)))
-    recording = Recording(stream, own, side, opposite=other)
+    own, other = (seen(where) for where in ((0.5, -0.5) if side == "right" else (-0.5, 0.5)))
+    recording, own = replace(own, opposite=other.arm), own.arm
     made = replace(made, gravity_direction=-UP, arm=replace(own, t_s=frames), trunk=None)
     return made, recording, axes(made.t_s)
 
