@@ -14,12 +14,6 @@ settings.register_profile("any machine", suppress_health_check=[HealthCheck.too_
 settings.load_profile("any machine")
 
 
-@pytest.fixture(scope="session", params=[0, 1], ids=["seed0", "seed1"])
-def white_arm(request: pytest.FixtureRequest) -> Scene:
-    """The clinical protocol twice, 8 mm of white noise, true calibration: four gaps of 1 to 2 s."""
-    return recovered(arm(request.param))
-
-
 @pytest.fixture(scope="session")
 def white_point() -> Scene:
     """The strap alone, four gaps of 0.5 to 3 s."""
@@ -28,7 +22,7 @@ def white_point() -> Scene:
 
 @pytest.fixture(scope="session")
 def white_arms() -> list[Scene]:
-    """The clinical protocol, 8 mm of white noise, nothing calibrated."""
+    """The clinical protocol, 8 mm of white noise, nothing calibrated: four gaps of 1 to 2 s each."""
     return [blind(arm(seed)) for seed in SEEDS]
 
 

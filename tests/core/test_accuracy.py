@@ -145,15 +145,22 @@ def test_where_nothing_is_seen(
 def test_what_it_found_in_white_noise(white_arms: list[Scene]) -> None:
     """Lever arms and lengths to 5 mm and inside 3 sigmas (4 here: 24 numbers a recording), offset to 1 ms."""
     for scene in white_arms:
-        found, true = scene.recovery.calibration, scene.made.calibration
+        recovery, truth, drawn = scene.recovery, scene.recording.truth, scene.made.parameters
+        found, true = recovery.calibration, scene.made.calibration
         for joint, lever in found.lever_arms.items():
             error = lever.position_m - true.lever_arms[joint].position_m
             assert np.linalg.norm(error) < 0.006 and (np.abs(error) < 4 * lever.sigma_m).all()
         assert found.upper_arm.value_m == pytest.approx(true.upper_arm.value_m, abs=0.006)
-        assert scene.recovery.clock_offset_s == pytest.approx(
-            scene.made.parameters["clock_offset_s"], abs=1e-3
-        )
+        assert recovery.clock_offset_s == pytest.approx(drawn["clock_offset_s"], abs=1e-3)
         assert np.degrees(np.arccos(found.forearm_direction @ true.forearm_direction)) < 2.0
+        for joint, limit_m in (("elbow", 0.012), ("wrist", 0.010), ("shoulder", 0.020)):
+            error = recovery.joints[joint] - truth.joints[joint]
+            assert np.sqrt((error**2).sum(axis=1)[recovery.occluded].mean()) < limit_m
+        slope = np.gradient(truth.position, truth.t_s, axis=0)
+        assert np.sqrt(((recovery.velocity - slope)[5:-5] ** 2).sum(axis=1).mean()) < 0.03
+        down = drawn["gravity"] / np.linalg.norm(drawn["gravity"])
+        assert np.degrees(np.arccos(np.clip(recovery.gravity_direction @ down, -1, 1))) < 1.0
+        np.testing.assert_allclose(recovery.estimates.gyroscope_bias, drawn["gyroscope_bias"], atol=0.004)
 
 
 @pytest.mark.slow

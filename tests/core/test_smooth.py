@@ -29,8 +29,10 @@ from smoother.smoothing import smooth
 FOREARM = [JOINTS.index(joint) for joint in FOREARM_JOINTS]
 
 
-def test_gaps_and_the_occluded_column_are_those_of_the_streams(white_arm: Scene, white_point: Scene) -> None:
-    for scene in (white_arm, white_point):
+def test_gaps_and_the_occluded_column_are_those_of_the_streams(
+    white_arms: list[Scene], white_point: Scene
+) -> None:
+    for scene in (*white_arms, white_point):
         recovery = scene.recovery
         np.testing.assert_array_equal(recovery.occluded, occluded_at(recovery.t_s, recovery.gaps))
         used, t = recovery.residuals.used[:, FOREARM], recovery.t_s
@@ -43,27 +45,15 @@ def test_gaps_and_the_occluded_column_are_those_of_the_streams(white_arm: Scene,
         assert recovery.residuals.used.sum() > 0.99 * tracked.sum()
         np.testing.assert_array_equal(recovery.t_s, scene.recording.imu.t_s)  # the IMU's own stamps
         np.testing.assert_allclose(np.linalg.norm(recovery.quaternion, axis=1), 1.0, atol=1e-9)
-    recovery, hidden = white_arm.recovery, white_arm.recording.arm.t_s[white_arm.made.occluded]
-    assert len(recovery.gaps) == 4
-    inside = [((hidden > gap.start_s) & (hidden < gap.end_s)) for gap in recovery.gaps]
-    assert np.any(inside, axis=0).mean() > 0.99
-    assert all(a.end_s < b.start_s for a, b in itertools.pairwise(recovery.gaps))
+    for scene in white_arms:
+        recovery, hidden = scene.recovery, scene.recording.arm.t_s[scene.made.occluded]
+        assert len(recovery.gaps) == 4
+        inside = [((hidden > gap.start_s) & (hidden < gap.end_s)) for gap in recovery.gaps]
+        assert np.any(inside, axis=0).mean() > 0.99
+        assert all(a.end_s < b.start_s for a, b in itertools.pairwise(recovery.gaps))
     arrays = recovery.to_arrays()
     assert {"t_s", "occluded", "imu", "imu_quaternion", "sigma", "sigma_deg", "elbow", "wrist"} <= set(arrays)
     assert all(len(values) == len(recovery) for values in arrays.values())
-
-
-def test_joints_velocity_gravity_and_biases_are_found(white_arm: Scene) -> None:
-    truth, recovery, drawn = white_arm.recording.truth, white_arm.recovery, white_arm.made.parameters
-    for joint, limit in (("elbow", 0.012), ("wrist", 0.010), ("shoulder", 0.020)):
-        error = recovery.joints[joint] - truth.joints[joint]
-        assert np.sqrt((error**2).sum(axis=1)[recovery.occluded].mean()) < limit
-    slope = np.gradient(truth.position, truth.t_s, axis=0)
-    assert np.sqrt(((recovery.velocity - slope)[5:-5] ** 2).sum(axis=1).mean()) < 0.03
-    down = drawn["gravity"] / np.linalg.norm(drawn["gravity"])
-    assert np.degrees(np.arccos(np.clip(recovery.gravity_direction @ down, -1, 1))) < 1.0
-    bias = np.array(recovery.estimates.gyroscope_bias)
-    np.testing.assert_allclose(bias, drawn["gyroscope_bias"], atol=0.004)
 
 
 def test_progress_is_told() -> None:
