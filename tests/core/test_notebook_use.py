@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import made_results
 import numpy as np
+import pyarrow as pa
 import pytest
 from scenes import ALONE, moving
 
@@ -91,3 +92,21 @@ def test_recordings_and_recoveries_show_themselves(made: SimulatedArm, shown: Re
     ):
         lines = repr(value).splitlines()
         assert 3 <= len(lines) <= 5 and all(word in repr(value) for word in words)
+
+
+def test_the_table_has_units_and_nulls_where_nothing_is_known(shown: Recovery) -> None:
+    table, wrist_y = shown.to_table(), shown.joints["wrist"][:, 1]
+    units = {
+        "t_s": "s",
+        "occluded": "",
+        "imu_qw": "",
+        "velocity_z": "m/s",
+        "sigma_deg": "deg",
+        "wrist_x": "m",
+    }
+    assert {name: table.schema.field(name).metadata[b"unit"].decode() for name in units} == units
+    assert table.num_rows == len(shown) and table["occluded"].type == pa.bool_()
+    assert table["imu_x"].null_count == np.isnan(shown.position[:, 0]).sum() > 0
+    np.testing.assert_array_equal(table["wrist_y"].to_numpy(zero_copy_only=False), wrist_y)
+    pytest.importorskip("pandas")
+    np.testing.assert_array_equal(shown.to_dataframe()["wrist_y"], wrist_y)

@@ -16,10 +16,13 @@ from smoother.measurements.outliers import reject_by_camera
 from smoother.measurements.segment import Segment, split_into_segments
 from smoother.recording import JOINTS, Recording
 from smoother.selfcal.mounting import (
+    ACCELERATION_SHARE,
     CHUNK_S,
+    DIRECTION_DEG,
     DIRECTION_SIGMA_RAD,
     HINT_SIGMA_RAD,
     SURE_RAD,
+    ClosedForm,
     Mounting,
     _both,
     _losses,
@@ -175,6 +178,18 @@ def test_another_mounting_or_person_is_named_with_its_angle_or_length() -> None:
     (sentence,) = contradictions(segments, replace(arm, upper_arm=other))
     assert "its upper arm is" in sentence
     assert not list(contradictions(segments, replace(arm, upper_arm=replace(other, sigma_m=0.08))))
+
+
+@pytest.mark.parametrize(
+    ("direction", "share", "fits"),
+    [(0.9, 0.9, True), (1.1, 0.9, False), (0.9, 1.1, False), (np.nan, 0.1, False)],
+)
+def test_a_closed_form_fits_where_directions_and_accelerations_do(
+    direction: float, share: float, fits: bool
+) -> None:
+    found = ClosedForm(direction * DIRECTION_DEG, share * ACCELERATION_SHARE, np.zeros(3), ArmCalibration())
+    assert found.fits is fits
+    assert found.misfit == pytest.approx(np.hypot(direction, share) if direction > 0 else np.inf)
 
 
 @pytest.mark.slow
