@@ -21,10 +21,7 @@ Scenes = Callable[[pytest.FixtureRequest], list[Scene]]
 def hidden(scene: Scene) -> BoolArray:
     """IMU samples (N,) at which the camera cannot see the forearm, whatever it says."""
     frames = scene.recording.arm.t_s + scene.made.parameters["clock_offset_s"]
-    t = scene.recovery.t_s
-    after = np.clip(np.searchsorted(frames, t), 1, len(frames) - 1)
-    nearest = np.where(t - frames[after - 1] < frames[after] - t, after - 1, after)
-    return np.asarray(scene.made.occluded[nearest])
+    return np.asarray(np.interp(scene.recovery.t_s, frames, scene.made.occluded.astype(float)) > 0.5)
 
 
 def pooled(scenes: list[Scene]) -> tuple[float, float, float, float]:

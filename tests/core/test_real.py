@@ -26,19 +26,9 @@ PART_S = (30.0, 110.0)
 TRIALS = ("11_undisturbed_slow_translation_B.mat", "16_undisturbed_fast_translation_B.mat")
 
 
-def part(recording: Recording, between_s: tuple[float, float]) -> Recording:
-    a, b = between_s
-    imu, frames = recording.imu.t_s, recording.arm.t_s
-    return replace(
-        recording,
-        imu=recording.imu.select((imu >= a) & (imu < b)),
-        arm=recording.arm.select((frames >= a) & (frames < b)),
-    )
-
-
 @pytest.fixture(scope="module", params=TRIALS)
 def table(request: pytest.FixtureRequest) -> GapTable:
-    trial = part(import_broad(there("broad", request.param)), PART_S)
+    trial = import_broad(there("broad", request.param)).crop(*PART_S)
     return evaluate_gaps(trial, list(LIMITS), {"graph": answer}, seed=1)
 
 
@@ -107,7 +97,7 @@ def test_a_real_magnetometer(trial: str, part_s: tuple[float, float], words: str
     field = calibrate_magnetometer(import_broad(there("broad", ROTATION)).imu.mag)
     # a factory-calibrated sensor of 44 uT: hard iron below 2 uT, 1.7 % off the sphere measured
     assert np.abs(field.offset).max() < 2.0 and field.residual < 0.025
-    recording = part(import_broad(there("broad", trial), seed=5), part_s)
+    recording = import_broad(there("broad", trial), seed=5).crop(*part_s)
     mag = (recording.imu.mag - field.offset) @ field.matrix.T
     imu = replace(recording.imu, mag=mag, mag_calibrated=True)
     answers = answer(recording), answer(replace(recording, imu=imu))
