@@ -250,6 +250,10 @@ def test_a_perfect_pair_is_explained_as_far_as_the_imu_was_there() -> None:
     up, along = np.array([0.0, 1.0, 0.0]), np.array([0.6, 0.0, 0.8])
     Q = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]])  # turns z up into y up
     whole = camera_of(Y[25:] @ along @ Q.T)
+    # an offset counts where 0.35 of the camera's 19 s are in common
+    curve, least = TurningSums(whole, [ImuTurning(0, Y)], None).curve(), 166
+    assert curve.searched == 475 + 500 - 1 - 2 * (least - 1)
+    assert not curve.evidence[: least - 1].any()
     # an IMU that paused: each part has a heading of its own
     turned = Rotation.from_rotvec([0, 0, 0.9]).as_matrix() @ Y[260:]
     one, two = [ImuTurning(0, Y)], [ImuTurning(0, Y[:240]), ImuTurning(260, turned)]
