@@ -355,6 +355,19 @@ def test_made_up_stamps_widen_the_covariance_by_their_square() -> None:
     np.testing.assert_allclose(traces[2] - traces[0], 4.0 * (traces[1] - traces[0]), rtol=1e-6)
 
 
+def test_between_computed_covariances_it_errs_on_the_careful_side(monkeypatch: pytest.MonkeyPatch) -> None:
+    window, sigmas = replace(small_window(), considered=None), []
+    for apart_s in (0.12, 1e-6):
+        for name in ("COVARIANCE_S", "COVARIANCE_NEAR_S", "SHOULDER_COVARIANCE_S", "CHAIN_COVARIANCE_S"):
+            monkeypatch.setattr(smoother.graph.solve, name, apart_s)
+        bodies = solve(window, with_covariance=True).bodies
+        sigmas.append([np.sqrt(np.einsum("nii->ni", body.pose_covariance)) for body in bodies])
+    for sparse, every in zip(*sigmas, strict=True):
+        ratio = (sparse / every)[np.isfinite(every[:, 0])]
+        assert ratio.min() > 0.85 and 1.0 < ratio.mean() < 1.15 and ratio.max() < 1.7
+        np.testing.assert_allclose(ratio[[0, -1]], 1.0)
+
+
 def test_covariances_are_computed_close_together_in_and_near_gaps() -> None:
     t = 0.05 * np.arange(401)
     in_gap = (t[:-1] > 7.99) & (t[1:] < 10.01)
@@ -387,8 +400,10 @@ def test_a_prior_that_alone_holds_the_orientation_is_tightened(monkeypatch: pyte
         windows.clear()
         monkeypatch.setattr(smoother.graph.solve, "optimise", Mock(wraps=refuse, side_effect=refusals))
         if error is None:
-            found = solve(window, with_covariance=True).forearm.pose_covariance[node, 3:, 3:]
-            like(found, straight, 0.05)
+            found = solve(window, with_covariance=True, plan=basis(window))
+            rotation = found.forearm.pose_covariance[node, 3:, 3:]
+            like(rotation, straight, 0.05)
+            same(found.draws.rotation[:, node], rotation)
         else:
             with pytest.raises((SolveError, RuntimeError), match=error):
                 solve(window, with_covariance=True)
@@ -515,6 +530,19 @@ def test_draws_have_covariances_within_and_between_times_as_gtsam(monkeypatch: p
     parts += [in_body(draws.turns["upper_arm"][:, i], Y(i)) for i in upper]
     same(np.concatenate(parts, axis=1), expected)
     assert np.isnan(draws.turns["upper_arm"][:, np.setdiff1d(np.arange(len(window.t)), upper)]).all()
+
+
+def test_draws_have_the_covariance_that_the_window_states() -> None:
+    """Considered errors included, at nodes whose covariance is computed."""
+    window = small_window()
+    solution = solve(window, with_covariance=True, plan=basis(window))
+    draws, forearm = solution.draws, solution.forearm
+    for node in range(len(window.t)):
+        pose = np.concatenate([draws.position[:, node], draws.rotation[:, node]], axis=1)
+        same(pose, forearm.pose_covariance[node])
+        same(draws.velocity[:, node], forearm.velocity_covariance[node])
+    for node in window.shoulder.node:
+        same(draws.shoulder[:, node], solution.shoulder_covariance[node])
 
 
 def test_neighbouring_sections_draw_the_same_motion(monkeypatch: pytest.MonkeyPatch) -> None:
