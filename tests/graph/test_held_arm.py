@@ -39,6 +39,8 @@ def test_an_error_across_the_upper_arm_moves_the_elbow_along_it(sigma_m: float) 
     swing = Swing(along, UPPER_ARM_M, lever)
     rng = np.random.default_rng(3)
     root = np.diag([sigma_m] * 3 + [0.03] * 3)
+    root[:3, 3:] = root[3:, :3] = 0.01 * rng.normal(size=(3, 3))  # place and turn have something in common
+    root = 0.5 * (root + root.T)
     added = swing.variance((root @ root)[None])[0]
     drawn = rng.normal(size=(20_000, 6)) @ root
     elbow = drawn[:, :3] + np.cross(drawn[:, 3:], lever[0])
