@@ -1,8 +1,9 @@
-"""Baseline `gaussian-process`: Feng (thesis, Glasgow 2014), chapter 4, as a smoother over gaps and margins.
+"""Baselines `gaussian-process` and `gaussian-process-online`: Feng (thesis, Glasgow 2014), chapter 4.
 
-The published form answers live from the last frames; here the joint prior (4.24) is conditioned
-on everything in a window about its mean position. Hyper-parameters by maximum likelihood on visible motion
-(2.13), but v0: seconds do not show how far a movement goes, so it is the variance over the whole segment.
+The published form (online) answers from the last frames that have arrived; the smoother conditions the joint
+prior (4.24) on everything in a window about its mean position. Hyper-parameters by maximum likelihood on
+visible motion (2.13), but v0: seconds do not show how far a movement goes, so it is the variance over the
+whole segment.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ from scipy.linalg import cho_factor, cho_solve
 from scipy.optimize import minimize
 
 from ..array_types import FloatArray
+from ..linalg import interpolate
 from ..measurements.position_process import (
     FIRST,
     PUBLISHED,
@@ -72,6 +74,24 @@ def _to_measurements(
     return np.hstack([positions, mapped_covariance(kernel, at, rows, data.acc_t, SECOND) * STEP_S**-2])
 
 
+def predict(
+    kernel: Kernel, data: Measurements, at: FloatArray, latency_s: float = 0.1, order: int = 5
+) -> tuple[FloatArray, FloatArray]:  # mean (k, c) m, sigma (k,) m
+    """The autoregressive predictor: the position now, from late frames and prompt accelerations (4.3)."""
+    mean, sigma = np.full((len(at), data.position.shape[1]), np.nan), np.full(len(at), np.nan)
+    arrived = np.searchsorted(data.frame_t + latency_s, at + 1e-9, side="right")
+    for k in np.flatnonzero(arrived):
+        frames = slice(max(int(arrived[k]) - order, 0), int(arrived[k]))
+        frame_t, position = data.frame_t[frames], data.position[frames]
+        first_s = max(frame_t[0], at[k] - LONGEST_S)  # frames before it say nothing any more
+        a, b = np.searchsorted(data.acc_t, [first_s - 1e-9, at[k] + 1e-9])
+        level = position.mean(axis=0)
+        window = Measurements(frame_t, position - level, data.acc_t[a:b], data.acceleration[a:b])
+        posterior, now = Posterior(kernel, window), at[k : k + 1]
+        mean[k], sigma[k] = posterior.position(now)[0] + level, np.sqrt(posterior.variance(now)[0])
+    return mean, sigma
+
+
 #: Accelerations are averaged to at most this rate, Hz.
 HIGHEST_RATE_HZ = 110.0
 #: Windows: visible time on both sides, s; where no gap decides their length, s; the longest, s.
@@ -85,7 +105,7 @@ TRAINING_S = 3.0
 TRAINING_RATE_HZ = 55.0
 #: What the likelihood may choose: w 1/s^2, acceleration noise m/s^2.
 BOUNDS = np.log([(1.0, 60.0), (0.05, 5.0)])
-#: Variances are computed at this rate and interpolated, Hz.
+#: Variances, and the predictor's answers, are computed at this rate and interpolated, Hz.
 SIGMA_RATE_HZ = 30.0
 LEAST_SIGMA_M = 2e-4
 
@@ -109,6 +129,18 @@ def gaussian_process(scene: Scene, kernel: Kernel | None = None) -> Path:
         coarse = np.linspace(t[0], t[-1], int((t[-1] - t[0]) * SIGMA_RATE_HZ) + 2)
         variance[rows] = np.interp(t, coarse, posterior.variance(coarse))
     return path_at(scene, np.arange(n), position, velocity, variance[:, None])
+
+
+def gaussian_process_online(scene: Scene) -> Path:
+    """Recover one segment by the predictor; hyper-parameters and orientation are of the whole segment."""
+    if scene.visible.sum() < 2:
+        return no_answer(scene)
+    data = measurements(scene)
+    coarse = np.linspace(scene.t[0], scene.t[-1], int((scene.t[-1] - scene.t[0]) * SIGMA_RATE_HZ) + 2)
+    mean, sigma = predict(likeliest(scene, data), data, coarse)
+    position, variance = interpolate(coarse, mean, scene.t), np.interp(scene.t, coarse, sigma**2)
+    velocity = np.gradient(position, scene.t, axis=0)
+    return path_at(scene, np.arange(len(scene.t)), position, velocity, variance[:, None])
 
 
 def measurements(scene: Scene) -> Measurements:

@@ -45,6 +45,7 @@ def _by_name(*entries: BaselineEntry) -> dict[str, BaselineEntry]:
 
 _RTS = "an iterated error-state Kalman filter with Rauch-Tung-Striebel smoothing [@bell1994]"
 _GAUSSIAN = "Gaussian-process regression of positions and accelerations after [@feng2014]"
+_ONLINE = "an autoregressive Gaussian-process predictor of the present after [@feng2014]"
 _MULTIRATE = "a multi-rate Kalman filter of positions and accelerations after [@feng2014]"
 _LINEAR = (
     "double integration of the accelerometer through each gap, its error spread linearly in time"
@@ -61,6 +62,7 @@ BASELINES = _by_name(
     BaselineEntry(
         "kalman", "kalman", "a Kalman filter of position, velocity and acceleration after [@le2017]"
     ),
+    BaselineEntry("gaussian-process-online", "gaussian_process", _ONLINE),
     BaselineEntry("linear-drift", "simple", _LINEAR, options=frozenset({"boundary_s"})),
     BaselineEntry("camera-only", "simple", _CAMERA, needs_orientation=False),
     BaselineEntry("pchip", "simple", _PCHIP),

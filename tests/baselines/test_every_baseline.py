@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 from simulated_scenes import NO_GAPS, arm, errors, rms, scene_of, turned_off
 
 from smoother.array_types import BoolArray
-from smoother.baselines.gaussian_process import gaussian_process
+from smoother.baselines.gaussian_process import gaussian_process, gaussian_process_online
 from smoother.baselines.kalman import kalman, multirate_kalman
 from smoother.baselines.rts import rts, ukf
 from smoother.baselines.scene import Baseline, Path, Scene
@@ -177,7 +177,7 @@ def test_ends_are_bridged_by_smoothers_and_followed_by_all(baseline: Baseline):
 
 @pytest.mark.parametrize(
     "baseline",
-    [*BASELINES, camera_only, hold, pchip, linear_drift],
+    [*BASELINES, gaussian_process_online, camera_only, hold, pchip, linear_drift],
 )
 def test_nothing_seen_gives_no_answer(baseline: Baseline):
     scene = scene_of(arm("white", 2, occlusion_lengths_s=NO_GAPS, duration_s=4.0))

@@ -16,6 +16,7 @@ from smoother.baselines.gaussian_process import (
     borders,
     gaussian_process,
     log_likelihood,
+    predict,
 )
 from smoother.baselines.kalman import (
     FENG_SIGMAS,
@@ -313,23 +314,6 @@ def reach(seed: int, seconds: float = 1.0) -> tuple[FloatArray, FloatArray, Meas
     frames = t[::3]
     point = path(frames) + 0.008 * rng.normal(size=len(frames))
     return t, path(t), Measurements(frames, point[:, None], t, acc[:, None])
-
-
-def predict(
-    kernel: Kernel, data: Measurements, at: FloatArray, latency_s: float = 0.1, order: int = 5
-) -> tuple[FloatArray, FloatArray]:  # mean (k, c) m, sigma (k,) m
-    """Feng's autoregressive predictor: the position now, from late frames and prompt accelerations (4.3)."""
-    mean, sigma = np.full((len(at), data.position.shape[1]), np.nan), np.full(len(at), np.nan)
-    arrived = np.searchsorted(data.frame_t + latency_s, at + 1e-9, side="right")
-    for k in np.flatnonzero(arrived):
-        frames = slice(max(int(arrived[k]) - order, 0), int(arrived[k]))
-        frame_t, position = data.frame_t[frames], data.position[frames]
-        a, b = np.searchsorted(data.acc_t, [frame_t[0] - 1e-9, at[k] + 1e-9])
-        level = position.mean(axis=0)
-        window = Measurements(frame_t, position - level, data.acc_t[a:b], data.acceleration[a:b])
-        posterior, now = Posterior(kernel, window), at[k : k + 1]
-        mean[k], sigma[k] = posterior.position(now)[0] + level, np.sqrt(posterior.variance(now)[0])
-    return mean, sigma
 
 
 @pytest.mark.slow

@@ -157,7 +157,7 @@ ALONE = Config.model_validate({"windows": {"processes": 1}})
 #: The contract with users.
 PROMISED = {
     *("graph", "rts", "ukf", "gaussian-process", "multirate-kalman", "kalman", "linear-drift"),
-    *("camera-only", "pchip", "hold"),
+    *("gaussian-process-online", "camera-only", "pchip", "hold"),
 }
 
 
