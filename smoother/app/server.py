@@ -28,7 +28,7 @@ from .. import __version__
 from ..errors import UnoccludeError
 from ..io.tables.recording_toml import read_templates, template_text
 from ..io.tables.video import is_model
-from ..runtime.local_requests import LocalDoor, is_token, joined
+from ..runtime.local_requests import is_token, joined, refusal
 from . import steps
 from .folder import (
     AppError,
@@ -72,19 +72,19 @@ OTHER_SITE = "Refused: the request came from another site.\n"
 
 def guard(token: str, port: int) -> Middleware:
     """Let requests through that may come: the first with the token, all others with its cookie."""
-    door, cookie = LocalDoor(port), f"unocclude-{port}"
+    cookie = f"unocclude-{port}"
 
     async def answer(request: Request, go_on: RequestResponseEndpoint) -> Response:
         reads, headers = request.method in ("GET", "HEAD"), joined(request.headers.items())
         is_first = request.scope["path"] == "/" and reads
         with_token = is_first and is_token(request.query_params.get("token", ""), token)
-        refusal = "" if with_token or is_token(request.cookies.get(cookie, ""), token) else NO_TOKEN
-        if why := door.refusal(headers, not reads, by_address=with_token):
-            refusal = WRONG_HOST if why == "host" else OTHER_SITE
-        response = PlainTextResponse(refusal, 403) if refusal else await go_on(request)
+        refused = "" if with_token or is_token(request.cookies.get(cookie, ""), token) else NO_TOKEN
+        if why := refusal(headers, port, not reads, by_address=with_token):
+            refused = WRONG_HOST if why == "host" else OTHER_SITE
+        response = PlainTextResponse(refused, 403) if refused else await go_on(request)
         for name, value in _HEADERS.items():
             response.headers.setdefault(name, value)
-        if with_token and not refusal:
+        if with_token and not refused:
             response.set_cookie(cookie, token, httponly=True, samesite="strict")
         return response
 

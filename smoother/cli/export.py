@@ -5,9 +5,11 @@ from __future__ import annotations
 import os
 import subprocess
 import tempfile
-from contextlib import suppress
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from importlib.util import find_spec
 from pathlib import Path
+from socket import socket
 from typing import TYPE_CHECKING, Annotated, Any, Literal, get_args
 
 from ..errors import UnoccludeError
@@ -250,10 +252,10 @@ def view(result: o.Result, arms: ResultInput) -> None:
         file = Path(folder) / f"{result.stem}.rrd"
         ready.write(file, False)
         say("the window of Rerun opens; close it to end")
-        show_window(window(file))
+        show_window(window("--port", "auto", str(file)))
 
 
-def window(file: Path) -> list[str]:
+def window(*options: str) -> list[str]:
     """Command line of the viewer itself: its wrapper in Python hides how it ended, and outlives it."""
     spec = find_spec("rerun_cli")
     folders = list(spec.submodule_search_locations or ()) if spec else []
@@ -261,7 +263,22 @@ def window(file: Path) -> list[str]:
     programs = [path for folder in folders for name in names if (path := Path(folder) / name).is_file()]
     if not programs:
         raise UnoccludeError(f"rerun-sdk is installed without its viewer; {INSTEAD}")
-    return [str(programs[0]), "--bind", LOOPBACK, "--port", "auto", "--hide-welcome-screen", str(file)]
+    return [str(programs[0]), "--bind", LOOPBACK, "--hide-welcome-screen", *options]
+
+
+@contextmanager
+def live_window() -> Iterator[str]:
+    """The address at which a viewer listens meanwhile."""
+    with socket() as free:
+        free.bind((LOOPBACK, 0))
+        port = free.getsockname()[1]
+    silent = subprocess.DEVNULL
+    viewer = subprocess.Popen(window("--port", str(port)), env=environment(), stdout=silent, stderr=silent)
+    try:
+        yield f"rerun+http://{LOOPBACK}:{port}/proxy"
+    finally:
+        viewer.terminate()
+        viewer.wait()
 
 
 def environment() -> dict[str, str]:

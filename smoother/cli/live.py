@@ -70,10 +70,6 @@ def print_session(figures: dict[str, Any], arm: str = "") -> None:
         say(f"{event['t_s']:8.1f} s  {event['event']}")
 
 
-#: `--foxglove` alone: the usual port.
-ALONE = {"--foxglove": "8765"}
-
-
 def live(
     out: Out,
     imu: Annotated[
@@ -100,9 +96,7 @@ def live(
     ] = None,
     replay: Annotated[o.File, o.value("REC.mcap", "Replay a recording in real time.")] = None,
     speed: Annotated[float, o.value("X", "Of the replay; 0 = as fast as possible.", min=0)] = 1.0,
-    foxglove: Annotated[
-        o.Count, o.value("[PORT]", "Show it in Foxglove, on port 8765 (0: a free one).", min=0, max=65535)
-    ] = None,
+    view: Annotated[bool, o.option("Show it in Rerun; needs `pip install '.[view]'`.", "--view")] = False,
     config_file: o.ConfigFile = None,
     latency: Annotated[
         o.Number, o.rare_value("S", "Of a replay's camera.  [default: 0.1 s]", min=0, max=2)
@@ -120,7 +114,7 @@ def live(
     Streams come from the Lab Streaming Layer, with labelled channels and units. Ctrl-C ends the session with
     a complete recording. Needs `pip install '.[live]'`.
 
-    Example: unocclude live --imu wrist --skeleton kinect --side right --record session.mcap --foxglove
+    Example: unocclude live --imu wrist --skeleton kinect --side right --record session.mcap --view
     """
     both: list[str | None] = ["left", "right"] if side == "left" else ["right", "left"]
     sides = [side] if arms == "one" else both
@@ -142,19 +136,20 @@ def live(
     from ..body import SEGMENTS
     from ..live.calibrations import InlineCalibrator
     from ..live.smoother import LiveSmoother
-    from ..streams.foxglove import FoxgloveServer, foxglove_module
     from ..streams.lsl import LslSender, LslSource, lsl_module
     from ..streams.replay import CAMERA_LATENCY_S, Replay
     from ..streams.session import LiveSession, SessionCalibration
     from ..streams.session_recording import SessionRecording, check_recording
+    from ..streams.viewer import RerunView, rerun_module
     from .config import read_config
+    from .export import live_window
 
     if record is not None:
         check_recording(record, out.force)
     if replay is None or lsl_out is not None:
         lsl_module()
-    if foxglove is not None:
-        foxglove_module()
+    if view:
+        rerun_module()
     config = read_config(config_file)
     file = None if calibration is None else read_calibration(calibration)
     known_sides = [] if file is None else [name for name in file.arms if name != "any"]
@@ -188,11 +183,10 @@ def live(
                 say(f"IMU {name} on the {SEGMENTS[segment].label}")
             print_notes([*info.notes, *known.notes])
         receivers: list[Receiver] = []
-        if foxglove is not None:
-            receivers.append(server := FoxgloveServer(infos, foxglove))
-            stack.callback(server.close)
-            say(f"Foxglove: open connection, Foxglove WebSocket, {server.address}; layout:"
-                " docs/unocclude.foxglove-layout.json")  # fmt: skip
+        if view:
+            receivers.append(viewer := RerunView(infos, stack.enter_context(live_window())))
+            stack.callback(viewer.close)
+            say("the window of Rerun opens; it closes when the session ends")
         if lsl_out is not None:
             names = [f"{lsl_out}_{each.side}" if len(infos) > 1 else lsl_out for each in infos]
             receivers.append(sender := LslSender(names, infos, lsl_network))

@@ -16,13 +16,12 @@ import numpy as np
 from ..errors import UnoccludeError
 from ..io.mcap.merge import Output, OutputStream
 from ..io.mcap.messages import nanoseconds
-from ..io.recording.read import METADATA, RESULT_PREFIX
+from ..io.recording.read import METADATA
 from ..io.recording.streams import ARRIVAL, ORDER, ArmFrames, ImuSamples, RecordingFile
 from ..io.recording.write import CAMERA, arm_messages, imu_messages, imu_topic, recording_metadata
 from ..recording import JOINTS
 from ..runtime.outputs import check_output, umask
 from .arrivals import LiveStep, Rows, SourceInfo, drained
-from .foxglove import LiveMessages
 
 Item = TypeVar("Item")
 
@@ -58,9 +57,6 @@ class Outbox(Generic[Item]):
 
 #: What came is written after this long, s: a killed program loses no more.
 _FLUSH_S = 1.0
-#: What was shown; readers of recordings leave it alone.
-SHOWN_TOPIC, _FOREARM = "/live/forearm", f"{RESULT_PREFIX}forearm"
-_SHOWN_EACH_S = 0.03
 #: So much may wait for a slow disk; what comes then is not recorded.
 _MOST_WAITING = 20_000
 #: The file's end is waited for no longer than this, s.
@@ -91,7 +87,6 @@ class SessionRecording:
             self._topics.append(
                 {at: f"{each}_{info.side}" if each in taken else each for at, each in named.items()}
             )
-        self._messages, self._shown_s = [LiveMessages(info) for info in infos], [-np.inf] * len(infos)
         self._flushed_s = -np.inf
         self._notes: list[str] = []
         self.is_whole = False  # it has its end, and its name
@@ -102,7 +97,7 @@ class SessionRecording:
         self._steps = Outbox(self._take, _MOST_WAITING, "recorder")
 
     def send(self, step: LiveStep) -> None:
-        """Write what arrived before a step, and some 30 times per second the pose of the IMU *now*."""
+        """Write what arrived before a step."""
         if self._has_ended or self._steps.put(step, _CLOSE_S if self._patient else 0.0):
             return
         self._lost += 1
@@ -155,20 +150,11 @@ class SessionRecording:
         streams = [
             replace(messages, time_ns=nanoseconds(rows.arrival_s, origin)) for rows, messages in outgoing
         ]
-        now_s, now = step.output.now_s, step.output.now
-        if now is not None and abs(now_s - self._shown_s[step.arm]) >= _SHOWN_EACH_S:
-            self._shown_s[step.arm] = now_s
-            shown = self._messages[step.arm].arm(now, {_FOREARM}.__contains__)
-            data = [each.data for each in shown]
-            topic = f"{SHOWN_TOPIC}/{info.side}" if len(self._infos) > 1 else SHOWN_TOPIC
-            time_ns = np.full(len(data), round(now_s * 1e9) + origin)
-            channel = self._output.channel(topic, "foxglove.Odometry")
-            streams.append(OutputStream(channel, time_ns, lambda part: data[part]))
         if streams:
             self._output.write(streams)
-        if now_s - self._flushed_s > _FLUSH_S:
+        if step.output.now_s - self._flushed_s > _FLUSH_S:
             self._output.flush()
-            self._flushed_s = now_s
+            self._flushed_s = step.output.now_s
 
     def close(self) -> None:
         """Write what waits and the file's end, and give it its name; one without any sample goes."""

@@ -100,15 +100,17 @@ def test_streams_that_never_overlap(tmp_path, capsys):
     assert "do not overlap in time" in refused(capsys, "live", "--replay", tmp_path / "apart.mcap")
 
 
-@pytest.mark.parametrize("option, package", [("--imu=a", "pylsl"), ("--foxglove", "foxglove-sdk")])
-def test_an_extra_that_is_missing_is_asked_for(option, package, recording, monkeypatch, capsys):
+@pytest.mark.parametrize(
+    ("option", "package", "extra"), [("--imu=a", "pylsl", "live"), ("--view", "rerun-sdk", "view")]
+)
+def test_an_extra_that_is_missing_is_asked_for(option, package, extra, recording, monkeypatch, capsys):
     lsl_module.cache_clear()
-    for name in ("pylsl", "foxglove"):
+    for name in ("pylsl", "rerun"):
         monkeypatch.setitem(sys.modules, name, None)  # as if it were not there
     replay = [] if package == "pylsl" else ["--replay", str(recording)]
     assert run(["live", option, *replay]) == 1
     said = capsys.readouterr().err
-    assert f"{package}, which is not installed; get it with `pip install '.[live]'`" in said
+    assert f"{package}, which is not installed; get it with `pip install '.[{extra}]'`" in said
     lsl_module.cache_clear()
 
 

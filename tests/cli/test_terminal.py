@@ -320,10 +320,19 @@ def needs_rerun():
 
 
 def test_the_viewer_binds_to_the_loopback_address(needs_rerun):
-    arguments = viewer.window(Path("a.rrd"))
+    arguments = viewer.window("--port", "auto", "a.rrd")
     assert arguments[arguments.index("--bind") + 1] == "127.0.0.1"
     assert Path(arguments[0]).is_file()
     assert arguments[-1] == "a.rrd"
+
+
+def test_a_session_is_shown_at_an_address_of_this_computer_until_it_ends(monkeypatch):
+    waits = [sys.executable, "-c", "import time; time.sleep(60)"]
+    monkeypatch.setattr(viewer, "window", lambda *options: [*waits, *options])
+    began = time.monotonic()
+    with viewer.live_window() as address:
+        assert re.fullmatch(r"rerun\+http://127\.0\.0\.1:\d+/proxy", address)
+    assert time.monotonic() - began < 30.0
 
 
 def test_the_viewer_speaks_to_nobody_else(monkeypatch):

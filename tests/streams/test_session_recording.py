@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 from live_engine import CameraEcho
 from made_recordings import make
-from mcap.reader import make_reader
 from scenes import ALONE, arm
 
 import smoother.live.smoother
@@ -24,7 +23,6 @@ from smoother.streams import session_recording
 from smoother.streams.replay import Replay
 from smoother.streams.session import LiveSession
 from smoother.streams.session_recording import (
-    SHOWN_TOPIC,
     SessionRecording,
     check_recording,
     growing_name,
@@ -56,17 +54,12 @@ def same(one, other) -> None:
         np.testing.assert_allclose(one.gravity_hint, other.gravity_hint)
 
 
-def test_what_is_recorded_is_what_was_played_and_what_was_shown(original, tmp_path):
+def test_what_is_recorded_is_what_was_played(original, tmp_path):
     _, recording, session = begun(original, tmp_path / "session.mcap", patient=True)
     session.run(never)
     recording.close()
     same(read_recording(original), read_recording(tmp_path / "session.mcap"))
     assert not growing_name(tmp_path / "session.mcap").exists()
-    with open(tmp_path / "session.mcap", "rb") as file:
-        messages = [(channel.topic, message) for _, channel, message in make_reader(file).iter_messages()]
-    shown = [message for topic, message in messages if topic == SHOWN_TOPIC]
-    seconds = (shown[-1].log_time - shown[0].log_time) / 1e9
-    assert 20 < len(shown) / seconds < 40
 
 
 @pytest.mark.slow

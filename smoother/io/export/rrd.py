@@ -53,11 +53,20 @@ def packed(color: Color) -> int:
     return int.from_bytes(bytes(round(255 * part) for part in color), "big")
 
 
-class _Arm:
+class ArmPicture:
     """One arm, and how it is called and coloured."""
 
-    def __init__(self, rr: Any, stream: Any, recovery: Recovery, name: str, number: int | None):
+    def __init__(
+        self,
+        rr: Any,
+        stream: Any,
+        recovery: Recovery,
+        name: str,
+        number: int | None,
+        is_styled: bool = True,  # the looks of its curves are sent, too
+    ):
         self.rr, self.stream, self.recovery, self.name = rr, stream, recovery, name
+        self._is_styled = is_styled
         self.color_name = list(ARM_COLORS)[(number or 0) % len(ARM_COLORS)]
         self.label = "" if number is None else f"{name} "
         self.point = "wrist" if "wrist" in recovery.joints else "imu"  # whose place and sigma are shown
@@ -115,7 +124,7 @@ class _Arm:
             half_sizes=2.0 * np.sqrt(np.maximum(variance, 0.0)),
             centers=point[good],
             quaternions=Rotation.from_matrix(turn).as_quat() if len(turn) else np.empty((0, 4)),
-            colors=shade[good] - 0xFF + 0x60,
+            colors=(shade[good] - 0xFF + 0x60).astype(np.uint32),
             fill_mode=[rr.components.FillMode.TransparentFillMajorWireframe] * int(good.sum()),
         )
         self._send(f"scene/camera/{self.name}/two_sigma", r.t_s, columns.partition(good.astype(int)))
@@ -144,26 +153,26 @@ class _Arm:
         has = np.asarray(np.isfinite(places).all(axis=2))
         drawn = has.sum(axis=1) > 1
         strips = [places[row][has[row]] for row in np.flatnonzero(drawn)]
-        radii = np.full(len(strips), radius)
-        columns = self.rr.LineStrips3D.columns(strips=strips, colors=shade[drawn], radii=radii)
+        colors, radii = shade[drawn].astype(np.uint32), np.full(len(strips), radius)
+        columns = self.rr.LineStrips3D.columns(strips=strips, colors=colors, radii=radii)
         self._send(f"scene/camera/{self.name}/{path}", t_s, columns.partition(drawn.astype(int)))
 
     def _dots(self, path: str, t_s: FloatArray, places: FloatArray, shade: IntArray, radius: float) -> None:
         """Points (n, J, 3) where they are there, of a shade (n,) or (n, J)."""
         has = np.asarray(np.isfinite(places).all(axis=2))
-        shades = np.broadcast_to(shade.reshape(len(shade), -1), has.shape)[has]
-        radii = np.full(int(has.sum()), radius)
-        columns = self.rr.Points3D.columns(positions=places[has], colors=shades, radii=radii)
+        shades = np.broadcast_to(shade if shade.ndim == 2 else shade[:, None], has.shape)
+        colors, radii = shades[has].astype(np.uint32), np.full(int(has.sum()), radius)
+        columns = self.rr.Points3D.columns(positions=places[has], colors=colors, radii=radii)
         self._send(f"scene/camera/{self.name}/{path}", t_s, columns.partition(has.sum(axis=1)))
 
     def _send(self, path: str, t_s: FloatArray, columns: Any, style: Any = None) -> None:
         if len(t_s):
             self.stream.send_columns(path, [self.rr.TimeColumn(TIMELINE, duration=t_s)], columns)
-        if style is not None:
+        if style is not None and self._is_styled:
             self.stream.log(path, style, static=True)
 
 
-def _views(rr: Any, arms: list[_Arm]) -> Any:
+def views(rr: Any, arms: Sequence[ArmPicture]) -> Any:
     """The blueprint: the arm in space and its gaps on the left, curves on the right."""
     rrb = rr.blueprint
     whose = ", ".join(f"{arm.color_name}: {arm.name}" for arm in arms) if len(arms) > 1 else ""
@@ -202,6 +211,14 @@ def _views(rr: Any, arms: list[_Arm]) -> Any:
     )
 
 
+def level_scene(rr: Any, stream: Any, down: FloatArray | None) -> None:
+    """Stand the scene upright, as far as the direction of gravity (3,) is known."""
+    if down is not None:
+        stream.log("scene", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
+    axes = np.eye(3) if down is None else world_axes(down)
+    stream.log("scene/camera", rr.Transform3D(mat3x3=axes), static=True)
+
+
 def rerun_module() -> ModuleType:
     """The package `rerun`, an extra."""
     return extra_module("rerun", "rerun-sdk", "view", ["StateChange"], ["blueprint"])
@@ -226,15 +243,12 @@ def prepare_rrd(
         with writing(path, force) as temporary:
             stream = rr.RecordingStream("unocclude", recording_id=identity, send_properties=False)
             arms = [
-                _Arm(rr, stream, recovery, name, number if len(names) > 1 else None)
+                ArmPicture(rr, stream, recovery, name, number if len(names) > 1 else None)
                 for number, (recovery, name) in enumerate(zip(recoveries, names, strict=True))
             ]
-            stream.save(str(temporary), default_blueprint=_views(rr, arms))
+            stream.save(str(temporary), default_blueprint=views(rr, arms))
             stream.send_recording_name(recoveries[0].name)
-            if down is not None:
-                stream.log("scene", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
-            axes = np.eye(3) if down is None else world_axes(down)
-            stream.log("scene/camera", rr.Transform3D(mat3x3=axes), static=True)
+            level_scene(rr, stream, down)
             stream.log("notes", rr.TextDocument(_notes(recoveries), media_type="text/markdown"), static=True)
             for arm in arms:
                 arm.log()
