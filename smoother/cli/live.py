@@ -105,7 +105,7 @@ def live(
         o.Text, o.rare_value("NAME", "Send the arm as LSL streams NAME and NAME_settled.")
     ] = None,
     lsl_network: Annotated[
-        bool, o.rare("Announce them to the whole network, not only here.", "--lsl-network")
+        bool, o.rare("With --lsl-out: send to, and find streams on, the whole network.", "--lsl-network")
     ] = False,
     wait: Annotated[float, o.rare_value("S", "How long to wait for the streams.", min=0)] = 30.0,
 ) -> None:
@@ -136,7 +136,7 @@ def live(
     from ..body import SEGMENTS
     from ..live.calibrations import InlineCalibrator
     from ..live.smoother import LiveSmoother
-    from ..streams.lsl import LslSender, LslSource, lsl_module
+    from ..streams.lsl import LslSender, LslSource, lsl_module, stay_here
     from ..streams.replay import CAMERA_LATENCY_S, Replay
     from ..streams.session import LiveSession, SessionCalibration
     from ..streams.session_recording import SessionRecording, check_recording
@@ -146,8 +146,12 @@ def live(
 
     if record is not None:
         check_recording(record, out.force)
+    where = "the network"
     if replay is None or lsl_out is not None:
         lsl_module()
+    if lsl_out is not None and not lsl_network:
+        stay_here()
+        where = "this computer (--lsl-network: on the network)"
     if view:
         rerun_module()
     config = read_config(config_file)
@@ -168,8 +172,7 @@ def live(
                     " right=TOPIC --imu left=TOPIC"
                 )
         else:
-            source = LslSource(imus, skeleton, prefer, body, gyro)
-            stack.callback(source.close)
+            source = LslSource(imus, skeleton, prefer, body, gyro, where)
             say(f"looking for the streams, at most {wait:g} s")
             if not source.open(wait, lambda: bool(wanted), say):
                 say("ended before the streams were there; nothing was recorded")
@@ -189,7 +192,7 @@ def live(
             say("the window of Rerun opens; it closes when the session ends")
         if lsl_out is not None:
             names = [f"{lsl_out}_{each.side}" if len(infos) > 1 else lsl_out for each in infos]
-            receivers.append(sender := LslSender(names, infos, lsl_network))
+            receivers.append(sender := LslSender(names, infos))
             stack.callback(sender.close)
             for name in names:
                 who = "all computers of this network" if lsl_network else "this computer"

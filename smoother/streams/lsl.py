@@ -1,15 +1,13 @@
 """The Lab Streaming Layer: the library `pylsl`, an extra; a session's source and the arm as streams.
 
-The library announces all streams of a program alike, and inlets have to see the network: outlets are in a
-process of their own, whose settings keep them on this computer; it ends with this one. A source's stream is
-received by a thread, again after a loss.
+The library announces all streams of a program alike, and looks for streams as far as it announces its own:
+what is sent to this computer only goes with streams that this computer sends. A stream that is lost is
+connected again when it is back.
 """
 
 from __future__ import annotations
 
-import multiprocessing
 import os
-import threading
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from configparser import ConfigParser, Error
@@ -17,10 +15,7 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cache
 from io import StringIO
-from multiprocessing.queues import Queue
-from multiprocessing.synchronize import Event
 from pathlib import Path
-from queue import Full, SimpleQueue
 from types import ModuleType
 from typing import Any
 
@@ -34,9 +29,8 @@ from ..io.recording.streams import named_side
 from ..live.answers import LiveEstimate, LiveOutput, LiveState
 from ..recording import JOINTS
 from ..runtime.packages import extra_module
-from ..runtime.pool import prepare_worker, starting_processes
 from ..runtime.printable import printable
-from .arrivals import STEP_OF_IMU_S, Arrivals, LiveStep, Rows, SourceInfo, StampSteps, drained
+from .arrivals import STEP_OF_IMU_S, Arrivals, LiveStep, Rows, SourceInfo, StampSteps
 from .channels import ImuChannels, SkeletonChannels, StreamLabels, belongs, is_accelerometer
 
 #: Where liblsl looks for settings of the user's own.
@@ -171,10 +165,6 @@ class LslOutlet:
         yield "trusted", "", "State", "1 trusted, 0 with care or no answer", float(is_trusted)
 
 
-#: The process may take this long to begin, and to end, s.
-_BEGINS_S, _ENDS_S = 60.0, 3.0
-#: This many answers wait for it at most; one that comes too late for that is not sent.
-_MOST_WAITING = 60
 #: The library's settings that keep its announcements to this computer.
 _LOCAL = {
     "multicast": {"ResolveScope": "machine", "ListenAddress": "127.0.0.1"},
@@ -182,55 +172,24 @@ _LOCAL = {
 }
 
 
-class LslSender:
-    """Sends the arms of a session, from a process that only this computer can find, or the whole network."""
+def stay_here() -> None:
+    """Find and announce streams on this computer only; before the first of them."""
+    lsl_module().set_config_content(local_settings(user_settings()))
 
-    def __init__(self, names: Sequence[str], infos: Sequence[SourceInfo], network: bool) -> None:
-        context = multiprocessing.get_context("spawn")
-        self._waiting: Queue[tuple[int, LiveOutput] | None] = context.Queue(_MOST_WAITING)
-        ready = context.Event()
-        arguments = (names, infos, network, self._waiting, ready)
-        self._process = context.Process(target=_send, args=arguments, name="lsl-out", daemon=True)
-        with starting_processes():
-            self._process.start()
-        for _ in range(round(10 * _BEGINS_S)):
-            if ready.wait(0.1) or not self._process.is_alive():
-                break
-        if not ready.is_set():
-            self.close()
-            raise UnoccludeError("the process that sends --lsl-out cannot be started; leave --lsl-out out")
+
+class LslSender:
+    """Sends the arms of a session."""
+
+    def __init__(self, names: Sequence[str], infos: Sequence[SourceInfo]) -> None:
+        self._outlets = [LslOutlet(*each) for each in zip(names, infos, strict=True)]
 
     def send(self, step: LiveStep) -> None:
-        """Hand over what a step answered; never waits."""
-        with suppress(Full):
-            self._waiting.put_nowait((step.arm, step.output))
+        """Send what a step answered; the library never waits for its receivers."""
+        self._outlets[step.arm].send(step.output)
 
     def close(self) -> None:
-        """End the process, and let all receivers go."""
-        with suppress(Full):
-            self._waiting.put_nowait(None)
-        self._process.join(_ENDS_S)
-        self._process.kill()
-        self._process.join(_ENDS_S)
-        self._waiting.cancel_join_thread()  # what was not sent is not waited for
-        self._waiting.close()
-
-
-def _send(
-    names: Sequence[str],
-    infos: Sequence[SourceInfo],
-    network: bool,
-    waiting: Queue[tuple[int, LiveOutput] | None],
-    ready: Event,
-) -> None:
-    """The process: outlets that send what comes."""
-    prepare_worker()
-    if not network:
-        lsl_module().set_config_content(local_settings(user_settings()))
-    outlets = [LslOutlet(*each) for each in zip(names, infos, strict=True)]
-    ready.set()
-    while (job := waiting.get()) is not None:
-        outlets[job[0]].send(job[1])
+        """Let all receivers go."""
+        self._outlets.clear()
 
 
 def local_settings(file: Path | None) -> str:
@@ -257,34 +216,23 @@ def listed(streams: Sequence[Any]) -> str:
 
 
 #: Samples that are received together at most, and for how long the library holds them, s.
-_MOST, _BUFFER_S = 512, 120
-#: Waits of the thread: for streams to answer, for samples, for the first estimate of the clocks, s.
-_RESOLVE_S, _PULL_S, _CLOCK_S = 1.0, 0.2, 3.0
+_MOST, _BUFFER_S = 4096, 120
+#: How long a stream has to answer, all streams to be listed, and between two looks at what has come, s.
+_ANSWERS_S, _LISTED_S, _LOOK_S = 1.0, 1.0, 0.002
 
 
 class LslInlet:
-    """Receives a stream by a thread, also after it was lost."""
+    """Receives a stream, also after it was lost."""
 
-    def __init__(
-        self,
-        option: str,
-        wanted: str | None,
-        types: tuple[str, ...],
-        wake: Callable[[], None],
-        start_s: float = 0.0,
-    ) -> None:
-        self._option, self._wanted, self._types = option, wanted, types
-        self._wake, self._start_s = wake, start_s
+    def __init__(self, option: str, wanted: str | None, types: tuple[str, ...], start_s: float = 0.0) -> None:
+        self._option, self._wanted, self._types, self._start_s = option, wanted, types, start_s
         self.stream: Any = None
-        self.labels: StreamLabels | None = None  # Of the stream, once it is received
-        self.others: list[Any] = []
-        self.correction_s = float("nan")
-        self._samples: SimpleQueue[Rows] = SimpleQueue()
-        self._events: SimpleQueue[str] = SimpleQueue()
-        self._failure: UnoccludeError | None = None
-        self._closing = threading.Event()
-        self._thread = threading.Thread(target=self._work, name="lsl-inlet", daemon=True)
-        self.start = self._thread.start
+        self.labels: StreamLabels | None = None  # Of the stream, once it was connected
+        self.correction_s, self.is_open = float("nan"), False
+        self._inlet: Any = None
+        self._lost = ""  # the stream that has ended, which the library lists for some seconds more
+        self._came: list[Rows] = []
+        self._events: list[str] = []
 
     @property
     def name(self) -> str:
@@ -298,69 +246,77 @@ class LslInlet:
             return f"{self._option}{self._wanted}"
         return f"{self._option.strip(' -')} of type {self._types[0]}"
 
+    def connect(self, there: Sequence[Any]) -> None:
+        """Go on to connect with the stream that is meant, where it is among those that are there."""
+        try:
+            if self._inlet is None:
+                if (found := self._matching([each for each in there if each.uid() != self._lost])) is None:
+                    return
+                # the library itself would wait for the same source_id for ever
+                inlet = lsl_module().StreamInlet(found, max_buflen=_BUFFER_S, recover=False)
+                self._take_down(inlet.info(_ANSWERS_S))
+                self._inlet = inlet
+            self.correction_s = self._inlet.time_correction(0.0)
+            self._inlet.open_stream(_ANSWERS_S)  # last: what waits inside has no arrival of its own
+            self.is_open = True
+        except lsl_module().util.TimeoutError:
+            return  # the library is at it
+        except RuntimeError:
+            self._lose()
+
+    def receive(self) -> bool:
+        """Take in what has come; whether anything has."""
+        if not self.is_open:
+            return False
+        try:
+            values, stamps = self._inlet.pull_chunk(timeout=0.0, max_samples=_MOST, as_numpy=True)
+            if not len(stamps):
+                return False
+            with suppress(lsl_module().util.TimeoutError):  # the one before holds until there is a new one
+                self.correction_s = self._inlet.time_correction(0.0)
+        except RuntimeError:
+            self._lose()
+            return False
+        t_s = np.asarray(stamps, float) + self.correction_s - self._start_s
+        arrival_s = np.full(len(t_s), lsl_module().local_clock() - self._start_s)
+        self._came.append(Rows(t_s, arrival_s, {"values": np.asarray(values)}))
+        return True
+
     def samples(self) -> Rows:
         """What came since the last call: `values` (n, channels), stamped as sent, by the library's clock."""
-        self.check()
-        return Rows.joined(drained(self._samples))
+        self.receive()
+        came, self._came = self._came, []
+        return Rows.joined(came)
 
     def events(self) -> list[str]:
         """What happened to the stream since the last call, a sentence each."""
-        return drained(self._events)
+        events, self._events = self._events, []
+        return events
 
-    def check(self) -> None:
-        """Raise what the thread failed by."""
-        if self._failure is not None:
-            raise self._failure
+    def _lose(self) -> None:
+        self._lost, self._inlet, self.is_open = "" if self.stream is None else self.stream.uid(), None, False
 
-    def close(self) -> None:
-        """Stop receiving."""
-        self._closing.set()
-        if self._thread.is_alive():
-            self._thread.join(3 * _RESOLVE_S)
-
-    def _work(self) -> None:
-        while not self._closing.is_set():
-            # the library's error: lost, or no answer in time; it is looked for again
-            with suppress(RuntimeError):
-                try:
-                    self.others = list(lsl_module().resolve_streams(_RESOLVE_S))
-                    if (found := self._matching()) is not None:
-                        inlet = self._connected(found)
-                        while not self._closing.is_set():
-                            self._receive(inlet)
-                except UnoccludeError as failure:
-                    self._failure = failure
-                    self._wake()
-                    return
-
-    def _connected(self, found: Any) -> Any:
-        """An inlet of a stream; refused where it came back as another one."""
-        # the library itself would wait for the same source_id for ever
-        inlet = lsl_module().StreamInlet(found, max_buflen=_BUFFER_S, recover=False)
-        stream = inlet.info(_CLOCK_S)
+    def _take_down(self, stream: Any) -> None:
+        """What a stream says of itself; refused where it came back as another one."""
         labels = StreamLabels.of(stream)
         if self.labels not in (None, labels):
             raise UnoccludeError(
                 f"the stream {self.name} came back with other labels, units or channels; begin a new session"
             )
         if self.stream is not None and stream.source_id() != self.stream.source_id():
-            self._events.put(f"{self.name}: found again by its name, its source_id is another")
-        self.correction_s = inlet.time_correction(_CLOCK_S)
-        inlet.open_stream(_CLOCK_S)  # last: what waits inside has no arrival of its own
+            self._events.append(f"{self.name}: found again by its name, its source_id is another")
         self.stream, self.labels = stream, labels
-        self._wake()
-        return inlet
 
-    def _matching(self) -> Any:
-        """The stream that is meant among those that answered; None where it is not there."""
+    def _matching(self, there: Sequence[Any]) -> Any:
+        """The stream that is meant among those that are there; None where it is not."""
         if self.stream is not None:  # received before: the same source_id, or the only one of name and type
             meant = self.stream.name(), self.stream.type()
-            named = [each for each in self.others if (each.name(), each.type()) == meant]
+            named = [each for each in there if (each.name(), each.type()) == meant]
             same = [each for each in named if each.source_id() == self.stream.source_id()]
             return next((each[0] for each in (same, named) if _is_one(each)), None)
         part = (self._wanted or "").lower()
-        exact = [each for each in self.others if self._wanted in (each.name(), each.source_id())]
-        fitting = exact or [each for each in self.others if part in each.name().lower()]
+        exact = [each for each in there if self._wanted in (each.name(), each.source_id())]
+        fitting = exact or [each for each in there if part in each.name().lower()]
         # some devices give all of their streams one name
         of_type = [each for each in fitting if each.type().lower() in self._types]
         fitting = of_type if self._wanted is None else of_type or fitting
@@ -370,18 +326,6 @@ class LslInlet:
             f"several streams are meant by {self.described}: {listed(fitting)}; give the whole name or the"
             " source_id"
         )
-
-    def _receive(self, inlet: Any) -> None:
-        values, stamps = inlet.pull_chunk(timeout=_PULL_S, max_samples=_MOST, min_samples=1, as_numpy=True)
-        if not len(stamps):
-            return
-        arrival = lsl_module().local_clock()
-        with suppress(lsl_module().util.TimeoutError):  # the one before holds until there is a new one
-            self.correction_s = inlet.time_correction(0.0)
-        t_s = np.asarray(stamps, float) + self.correction_s - self._start_s
-        arrival_s = np.full(len(t_s), arrival - self._start_s)
-        self._samples.put(Rows(t_s, arrival_s, {"values": np.asarray(values)}))
-        self._wake()
 
 
 def _is_one(streams: Sequence[Any]) -> bool:
@@ -443,7 +387,9 @@ class _Imu:
     halves: ImuHalves | None = None
     channels: ImuChannels | None = None  # Once the streams are there
 
-    def take(self, say: Callable[[str], None], found_gyro: Callable[..., LslInlet]) -> None:
+    def take(
+        self, say: Callable[[str], None], there: Sequence[Any], found_gyro: Callable[..., LslInlet]
+    ) -> None:
         """Take down what it sends, unless its gyroscope has a stream that is still to come."""
         labels = self.inlet.labels
         if self.channels is not None or labels is None:
@@ -451,11 +397,10 @@ class _Imu:
         name = self.inlet.name
         where = "" if self.segment == FOREARM.name else f" of the {SEGMENTS[self.segment].label}"
         if self.gyro is None and is_accelerometer(labels):
-            beside = [each for each in self.inlet.others if each.uid() != self.inlet.stream.uid()]
+            beside = [each for each in there if each.uid() != self.inlet.stream.uid()]
             found = [each for each in beside if belongs(each.name(), each.type(), labels.name)]
             if len(found) == 1:
                 self.gyro = found_gyro("--gyro ", found[0].name(), found[0].type().lower())
-                self.gyro.start()
         if self.gyro is None:
             self.channels = ImuChannels.of(labels)
             say(f"IMU stream {name}{where} is there")
@@ -496,9 +441,10 @@ class LslSource:
         prefer_side: str | None = None,
         body: str | None = None,
         gyro: str | None = None,  # Stream of the first arm's gyroscope where it has one of its own
+        where: str = "the network",  # What can be found, in words
     ) -> None:
         lsl = lsl_module()
-        self._something = threading.Event()
+        self._resolver, self._since_s = lsl.ContinuousResolver(), time.monotonic()
         self._start_s = float(np.floor(lsl.local_clock()))
         self._origin_ns = time.time_ns() - int((lsl.local_clock() - self._start_s) * 1e9)
         self._inlets: list[LslInlet] = []
@@ -510,11 +456,11 @@ class LslSource:
                 arm.imus.append(_Imu(segment, self._inlet(f"--imu {place}", wanted, *_IMU_TYPES)))
         if gyro is not None:
             self._arms[0].imus[0].gyro = self._inlet("--gyro ", gyro, *_GYRO_TYPES)
-        self._prefer_side, self._body = prefer_side, body
+        self._prefer_side, self._body, self._where = prefer_side, body, where
         self.infos: list[SourceInfo] = []
 
     def _inlet(self, option: str, wanted: str | None, *types: str) -> LslInlet:
-        self._inlets.append(LslInlet(option, wanted, types, self._something.set, self._start_s))
+        self._inlets.append(LslInlet(option, wanted, types, self._start_s))
         return self._inlets[-1]
 
     def open(
@@ -524,39 +470,43 @@ class LslSource:
         say: Callable[[str], None] = lambda _: None,
     ) -> bool:
         """Wait until all streams are there; what the first one sends meanwhile is not lost."""
-        for inlet in self._inlets:
-            inlet.start()
         until = time.monotonic() + seconds
         while not self._all_there(say):
             if stopped():
                 return False
             if time.monotonic() > until:
-                names = [inlet.described for inlet in self._inlets if inlet.stream is None]
-                there = listed([stream for inlet in self._inlets for stream in inlet.others])
+                names = [inlet.described for inlet in self._inlets if not inlet.is_open]
                 raise UnoccludeError(
-                    f"no stream for {' and '.join(names)} arrived within {seconds:g} s; streams on the"
-                    f" network: {there}"
+                    f"no stream for {' and '.join(names)} arrived within {seconds:g} s; streams on"
+                    f" {self._where}: {listed(self._resolver.results())}"
                 )
             self.wait(0.1)
         self.infos = [self._described(arm) for arm in self._arms]
         return True
 
+    def _connect(self) -> list[Any]:
+        """Connect the inlets that have no stream; the streams that are there."""
+        there = self._resolver.results()
+        for inlet in self._inlets:
+            # until all have answered, part of a name may mean another stream
+            if not inlet.is_open and time.monotonic() - self._since_s > _LISTED_S:
+                inlet.connect(there)
+        return there
+
     def _all_there(self, say: Callable[[str], None]) -> bool:
         """Take down the streams that have come; whether none is missing."""
-        for inlet in self._inlets:
-            inlet.check()
-        labels = self._skeleton.labels
+        there, labels = self._connect(), self._skeleton.labels
         for arm in self._arms:
             for imu in arm.imus:
-                imu.take(say, self._inlet)
+                imu.take(say, there, self._inlet)
             if arm.skeleton is None and labels is not None:
                 forearm = arm.imus[0].inlet.labels
                 side = arm.side or named_side("" if forearm is None else forearm.name)
                 arm.skeleton = SkeletonChannels.of(labels, side or None, self._prefer_side, self._body)
                 if arm is self._arms[0]:
                     say(f"skeleton stream {self._skeleton.name} is there")
-        imus = [imu for arm in self._arms for imu in arm.imus]
-        return labels is not None and all(imu.channels is not None for imu in imus)
+        are_known = all(imu.channels is not None for arm in self._arms for imu in arm.imus)
+        return are_known and all(inlet.is_open for inlet in self._inlets)
 
     def now_s(self) -> float:
         """The LSL clock of this computer, after the session's beginning."""
@@ -564,11 +514,14 @@ class LslSource:
 
     def wait(self, seconds: float) -> None:
         """Until something comes, at most this long."""
-        self._something.wait(seconds)
-        self._something.clear()
+        until = time.monotonic() + seconds
+        while not any(inlet.receive() for inlet in self._inlets) and time.monotonic() < until:
+            time.sleep(_LOOK_S)
 
     def arrivals(self) -> list[Arrivals]:
         """What came since the last call; what happened to a stream is said with the first arm."""
+        if not all(inlet.is_open for inlet in self._inlets):
+            self._connect()
         came, events = list[Arrivals](), [text for inlet in self._inlets for text in inlet.events()]
         seen = self._skeleton.samples()
         for arm in self._arms:
@@ -581,11 +534,6 @@ class LslSource:
             came.append(Arrivals(imus, frames, tuple(events)))
             events = []
         return came
-
-    def close(self) -> None:
-        """Let the streams go."""
-        for inlet in self._inlets:
-            inlet.close()
 
     def _described(self, arm: _Arm) -> SourceInfo:
         assert arm.skeleton is not None

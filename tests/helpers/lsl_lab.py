@@ -201,20 +201,23 @@ def sent(source_id: str, unit: str) -> Iterator[None]:
 
 def again() -> None:
     """Print what an inlet says of an outlet that comes back, then with another unit."""
+    import pylsl
+
     from smoother.errors import UnoccludeError
     from smoother.streams.lsl import LslInlet
 
-    said, inlet = {}, LslInlet("--imu ", "wrist", ("imu",), lambda: None)
+    said, inlet, resolver = {}, LslInlet("--imu ", "wrist", ("imu",)), pylsl.ContinuousResolver()
 
     def received(key: str, is_enough: Callable[[], object]) -> None:
         """How many samples came at last, once it is enough."""
         until = time.monotonic() + PATIENCE_S
         said[key] = 0
         while not is_enough() and time.monotonic() < until:
+            if not inlet.is_open:
+                inlet.connect(resolver.results())
             said[key] = len(inlet.samples())
             time.sleep(0.02)
 
-    inlet.start()
     try:
         with sent("first", "m/s^2"):
             received("first", lambda: said["first"])
@@ -225,8 +228,6 @@ def again() -> None:
             received("third", lambda: False)
     except UnoccludeError as error:
         said["refused"] = str(error)
-    finally:
-        inlet.close()
     print(json.dumps(said))
 
 
