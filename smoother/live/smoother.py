@@ -20,7 +20,6 @@ from ..recovery.samples import widen_turns
 from ..rotation import Rotation
 from ..selfcal.self_calibration import SelfCalibration
 from ..window.shared import JOINT_ERRORS
-from ..window.solution import LagSolution
 from .answers import LiveEstimate, LiveOutput, LiveState
 from .buffers import USUAL_LATENCY_S, CameraClock, FrameBuffer, Shift, ShiftCause, SkeletonFrame
 from .calibrations import JUMP_SIGMA_S, BackgroundCalibrator, Calibrations, InlineCalibrator
@@ -29,65 +28,7 @@ from .monitor import Culprit
 from .signal import Prediction, joint_at, predict
 from .tracker import AROUND_S, LENGTH_S, Tracker, first_state
 
-#: A discontinuity is spread over this long, s.
-SPREAD_S = 0.2
 _POSE = np.ix_([3, 4, 5, 0, 1, 2], [3, 4, 5, 0, 1, 2])
-
-
-class Display:
-    """Answers of a tracker; where what is known changes at once, what is shown follows within `SPREAD_S`."""
-
-    def __init__(self, lag_s: float) -> None:
-        self._lag_s = lag_s
-        #: When what is known changed at once, and what was shown then less what is known: m, rad, in {K}
-        self._jump: tuple[float, FloatArray, FloatArray] | None = None
-
-    def forget(self) -> None:
-        """Nothing is shown any more that a change could be spread from."""
-        self._jump = None
-
-    def spread(self, before: Prediction, tracker: Tracker, now_s: float) -> None:
-        """Spread the change from what was shown to what a tracker knows now."""
-        if tracker.solution is None:
-            return
-        shown, known = before.state, predict(tracker.solution, tracker.signal, now_s, tracker.noise).state
-        offset, turn = self._left(shown.t)
-        turned = Rotation.from_matrix(Rotation.from_rotvec(turn).as_matrix() @ shown.R @ known.R.T)
-        self._jump = known.t, shown.p + offset - known.p, turned.as_rotvec()
-
-    def now(
-        self, tracker: Tracker, solution: LagSolution, now_s: float, clock_sigma_s: float, delay_s: float
-    ) -> LiveEstimate:
-        """The arm at the present; what the camera's clock is known to, and the frames' usual delay, s."""
-        if self._jump is not None and now_s - self._jump[0] > SPREAD_S:
-            self._jump = None
-        prediction = predict(solution, tracker.signal, now_s, tracker.noise)
-        t_s, known = prediction.state.t, tracker.history.state_now(now_s, delay_s)
-        estimate = _estimate("now", known, prediction, tracker.model, clock_sigma_s, *self._left(t_s))
-        if solution.shoulder is not None:  # how far it may have gone since its knot
-            beyond_s = max(t_s - solution.newest.t, 0.0)
-            estimate.joint_covariance["shoulder"] += tracker.noise.shoulder_walk**2 * beyond_s * np.eye(3)
-        return estimate
-
-    def settled(
-        self, tracker: Tracker, solution: LagSolution, now_s: float, clock_sigma_s: float
-    ) -> LiveEstimate | None:
-        """The arm a lag ago; None where the window does not reach so far back."""
-        settled_s = now_s - self._lag_s
-        if settled_s < float(tracker.window.t[0]):
-            return None
-        at_s, known = max(settled_s, solution.settled.t), tracker.history.state_at(settled_s)
-        prediction = predict(solution, tracker.signal, at_s, tracker.noise, settled=True)
-        return _estimate("settled", known, prediction, tracker.model, clock_sigma_s, np.zeros(3), np.zeros(3))
-
-    def _left(self, t_s: float) -> tuple[FloatArray, FloatArray]:
-        """Offset and turn that are left at a time: all at first, none after `SPREAD_S`, smooth between."""
-        if self._jump is None:
-            return np.zeros(3), np.zeros(3)
-        at_s, offset, turn = self._jump
-        u = float(np.clip((t_s - at_s) / SPREAD_S, 0.0, 1.0))
-        share = 1.0 - u * u * (3.0 - 2.0 * u)
-        return share * offset, share * turn
 
 
 def _estimate(
@@ -96,8 +37,6 @@ def _estimate(
     prediction: Prediction,
     model: SelfCalibration,
     clock_sigma_s: float,  # of the camera's clock
-    offset: FloatArray,  # what of a change is still to be spread, m and rad
-    turn: FloatArray,
 ) -> LiveEstimate:
     """The arm at a moment with its covariance."""
     solution, state = prediction.solution, prediction.state
@@ -105,14 +44,11 @@ def _estimate(
     covariance = prediction.covariance([*names, *([] if solution.shoulder is None else ["shoulder"])])
     # a clock that is off by a moment moves the whole path along itself
     common = common_error(model) + clock_sigma_s**2 * state.v[:, None] * state.v
-    common = common + np.outer(offset, offset)
-    covariance[:3, :3] += np.outer(turn, turn)
-    p, R = state.p + offset, Rotation.from_rotvec(turn).as_matrix() @ state.R
     pose = covariance[_POSE]
     pose[:3, :3] += common
     places, spreads = {}, {}
     for k, joint in enumerate(names):
-        places[joint], spread = joint_at(R, p, solution.levers[joint], k, covariance)
+        places[joint], spread = joint_at(state.R, state.p, solution.levers[joint], k, covariance)
         spreads[joint] = spread + common
     if solution.shoulder is not None:
         places["shoulder"], spreads["shoulder"] = solution.shoulder, covariance[-3:, -3:].copy()
@@ -121,8 +57,8 @@ def _estimate(
         kind=kind,
         state=known[0],
         since_s=known[1],
-        position=p,
-        quaternion=Rotation.from_matrix(R).as_quat(scalar_first=True),
+        position=state.p,
+        quaternion=Rotation.from_matrix(state.R).as_quat(scalar_first=True),
         velocity=state.v,
         pose_covariance=widen_turns(pose[None])[0],
         joints=places,
@@ -187,7 +123,6 @@ class LiveSmoother:
         self._calibrations = Calibrations(self._calibrator, given, self._config, session)
         self._imus = {name: LiveImu(SEGMENTS[name], BUFFER_S) for name in (FOREARM.name, *further)}
         self._imu = self._imus[FOREARM.name]
-        self._display = Display(lag_s)
         # who follows the arm, and who catches up beside with a newer calibration and takes its place
         self._tracker: Tracker | None = None
         self._successor: Tracker | None = None
@@ -295,9 +230,6 @@ class LiveSmoother:
         if successor.solution is None or successor.due() or not self._is_proved(successor):
             return
         self._tracker, self._successor, self._has_followed = successor, None, True
-        if before is not None and before.solution is not None:
-            shown = predict(before.solution, before.signal, now_s, before.noise)
-            self._display.spread(shown, successor, now_s)
 
     def _is_proved(self, successor: Tracker) -> bool:
         """Whether the camera has not contradicted it for some time; after a pause none is needed."""
@@ -356,11 +288,12 @@ class LiveSmoother:
         if tracker.pause_s() > LONGEST_PAUSE_S:
             self._lose("the IMU's samples paused: the smoother restarts")
             return
-        solved, changed, ready = tracker.solution, tracker.mend(), tracker.due()
+        changed, ready = tracker.mend(), tracker.due()
         if len(ready) > MOST_FRAMES:
             self._backlog += len(ready) - MOST_FRAMES
             self._notes.append(f"behind by {len(ready)} frames: dropped all but the newest {MOST_FRAMES}")
-        ended_s = tracker.feed(ready[-MOST_FRAMES:]) if ready else None
+        if ready:
+            tracker.feed(ready[-MOST_FRAMES:])
         if not self._heed(tracker, now_s):
             return
         empty_s = self._imu.end_s - self._usual_delay_s - EMPTY_S
@@ -371,8 +304,6 @@ class LiveSmoother:
             return
         if not self._solved(tracker, now_s):
             self._lose("the last moments did not determine the motion: the smoother restarts")
-        elif ended_s is not None and solved is not None:
-            self._display.spread(predict(solved, tracker.signal, now_s, tracker.noise), tracker, now_s)
 
     def _heed(self, tracker: Tracker, now_s: float) -> bool:
         """Act on what the monitor of the camera found; False where the tracker is lost by it."""
@@ -395,7 +326,6 @@ class LiveSmoother:
     def _lose(self, why: str, not_before_s: float = -np.inf) -> None:
         """Begin anew with the calibration that is there, with nothing from before a time."""
         self._notes.append(why)
-        self._display.forget()
         self._not_before_s = not_before_s
         self._tracker, self._waits_for_sight = None, False
         self._successor = self._fresh()
@@ -436,8 +366,17 @@ class LiveSmoother:
         if now_s - self._imu.end_s > LOST_S:
             self._state = LiveState.LOST
             return None, None
-        clock_sigma_s, factor = self._calibrations.clock_sigma_s, self._calibrations.sigma_factor
-        now = self._display.now(tracker, tracker.solution, now_s, clock_sigma_s, self._usual_delay_s)
-        settled = self._display.settled(tracker, tracker.solution, now_s, clock_sigma_s)
+        solution, factor = tracker.solution, self._calibrations.sigma_factor
+        prediction = predict(solution, tracker.signal, now_s, tracker.noise)
+        known = tracker.history.state_now(now_s, self._usual_delay_s)
+        about = tracker.model, self._calibrations.clock_sigma_s
+        now, settled = _estimate("now", known, prediction, *about), None
+        if solution.shoulder is not None:  # how far it may have gone since its knot
+            beyond_s = max(prediction.state.t - solution.newest.t, 0.0)
+            now.joint_covariance["shoulder"] += tracker.noise.shoulder_walk**2 * beyond_s * np.eye(3)
+        if (settled_s := now_s - self._lag_s) >= float(tracker.window.t[0]):
+            at_s, known = max(settled_s, solution.settled.t), tracker.history.state_at(settled_s)
+            prediction = predict(solution, tracker.signal, at_s, tracker.noise, settled=True)
+            settled = _estimate("settled", known, prediction, *about).widened(factor)
         self._state = now.state
-        return now.widened(factor), None if settled is None else settled.widened(factor)
+        return now.widened(factor), settled

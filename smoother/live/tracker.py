@@ -188,9 +188,8 @@ class Tracker:
         )
         return [frame for frame in frames if frame.t_s <= reach_s]
 
-    def feed(self, frames: Sequence[SkeletonFrame]) -> float | None:
+    def feed(self, frames: Sequence[SkeletonFrame]) -> None:
         """Add frames in order of time, each as a node or at one."""
-        ended = None
         signal = self.signal.since(self.t_s)
         for frame in frames:
             t_s = frame.t_s + self.offset_s
@@ -198,8 +197,6 @@ class Tracker:
             accepted = self._judged(frame.t_s, t_s, position, self.accepted(frame))
             is_visible = self.is_visible(accepted)
             again = is_visible and t_s - self.history.visible_s > SEEN_AGAIN_S
-            if again and ended is None:
-                ended = self.history.visible_s
             if t_s - self.t_s > SAME_S:
                 state = self._propagated(t_s, signal)
                 if again:
@@ -209,7 +206,6 @@ class Tracker:
                 self._measure(-1, position, accepted)
             self.cursor_s = max(self.cursor_s, frame.t_s)
             self.history.add(t_s, is_visible)
-        return ended
 
     def _judged(self, stamp_s: float, t_s: float, position: FloatArray, accepted: BoolArray) -> BoolArray:
         """Which of a frame's accepted joints are used; what the monitor finds is noted, and taken back."""
