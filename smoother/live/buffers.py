@@ -133,29 +133,32 @@ class CameraClock:
         self._usual: deque[float] = deque(maxlen=USUAL_FRAMES)
         self._intervals: deque[float] = deque(maxlen=USUAL_FRAMES)
         self._newest_s = self._arrival_s = -math.inf  # corrected stamp; of the last
-        self._delay_s: float | None = None
-        self._limit_s = JUMP_S
         self._doubtful: list[SkeletonFrame] = []
         self._cause = ShiftCause.OPEN
 
     @property
     def delay_s(self) -> float:
         """Median time from a corrected stamp to the arrival, s: latency plus offset; nan without a frame."""
-        if self._delay_s is None:
-            self._delay_s = median(self._usual) if self._usual else float("nan")
-            deviation_s = median(abs(each - self._delay_s) for each in self._usual) if self._usual else JUMP_S
-            self._limit_s = min(max(1.4826 * JUMP_SIGMAS * deviation_s, LEAST_JUMP_S), JUMP_S)
-        return self._delay_s
+        return median(self._usual) if self._usual else float("nan")
+
+    def _is_usual(self, off_s: float) -> bool:
+        """Whether a frame is off the usual delay by no more than delays are, or too few are known."""
+        delay_s = self.delay_s
+        if len(self._usual) < JUMP_FRAMES:
+            return True
+        deviation_s = median(abs(each - delay_s) for each in self._usual)
+        return abs(off_s) < min(max(1.4826 * JUMP_SIGMAS * deviation_s, LEAST_JUMP_S), JUMP_S)
 
     def take(self, frame: SkeletonFrame) -> tuple[list[SkeletonFrame], Shift | None]:
         """Frames that can be used now, with continuous stamps, and the jump that they end, if they do."""
         off_s = frame.arrival_s - frame.t_s - self.correction_s - self.delay_s
         after_s = frame.t_s + self.correction_s - self._newest_s
         since_s, self._arrival_s = frame.arrival_s - self._arrival_s, frame.arrival_s
-        if len(self._usual) < JUMP_FRAMES or abs(off_s) < self._limit_s:
+        if self._is_usual(off_s):
             if 0.0 < after_s < math.inf:
                 self._intervals.append(after_s)
-            self._learn(frame)
+            self._usual.append(frame.arrival_s - frame.t_s - self.correction_s)
+            self._newest_s = max(self._newest_s, frame.t_s + self.correction_s)
             return self._ended(frame), None
         if not self._doubtful:
             self._cause = self._cause_of(after_s, since_s, off_s)
@@ -174,7 +177,6 @@ class CameraClock:
         if is_late:
             self._usual.clear()
             self._usual.extend(delays)
-            self._delay_s = None
         else:
             self.correction_s += jump_s
             self._newest_s = frame.t_s + self.correction_s
@@ -190,11 +192,6 @@ class CameraClock:
         if abs(since_s - usual_s) < limit_s and abs(after_s - usual_s + off_s) < limit_s:
             return ShiftCause.CLOCK
         return ShiftCause.OPEN
-
-    def _learn(self, frame: SkeletonFrame) -> None:
-        self._usual.append(frame.arrival_s - frame.t_s - self.correction_s)
-        self._newest_s = max(self._newest_s, frame.t_s + self.correction_s)
-        self._delay_s = None
 
     def _ended(self, frame: SkeletonFrame) -> list[SkeletonFrame]:
         """A usual frame, after those that waited for it."""

@@ -8,8 +8,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from queue import SimpleQueue
-from typing import Any, Protocol
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,11 +17,6 @@ from ..array_types import FloatArray
 from ..live.answers import LiveOutput
 from ..measurements.visibility import Gap
 from ..recording import CameraFrame
-
-
-def drained(queue: SimpleQueue[Any]) -> list[Any]:
-    """All that waits in a queue."""
-    return [queue.get_nowait() for _ in range(queue.qsize())]
 
 
 @dataclass(frozen=True)

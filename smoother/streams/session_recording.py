@@ -21,7 +21,7 @@ from ..io.recording.streams import ARRIVAL, ORDER, ArmFrames, ImuSamples, Record
 from ..io.recording.write import CAMERA, arm_messages, imu_messages, imu_topic, recording_metadata
 from ..recording import JOINTS
 from ..runtime.outputs import check_output, umask
-from .arrivals import LiveStep, Rows, SourceInfo, drained
+from .arrivals import LiveStep, Rows, SourceInfo
 
 Item = TypeVar("Item")
 
@@ -106,7 +106,7 @@ class SessionRecording:
 
     def events(self) -> list[str]:
         """What became of the recording since the last call."""
-        return drained(self._events)
+        return [self._events.get_nowait() for _ in range(self._events.qsize())]
 
     def wait(self) -> None:
         """Return once all that was given is written, or the disk has not taken it for long."""
