@@ -417,7 +417,7 @@ def streams(folder: AppFolder, name: str) -> dict[str, Any]:
     return {"files": files}
 
 
-def _job(place: Path, with_printed: bool = True) -> dict[str, Any] | None:
+def _job(place: Path, with_printed: bool) -> dict[str, Any] | None:
     """How far a recording's last job is; with what its commands printed once it has ended."""
     job = read_job(place)
     if job is None:

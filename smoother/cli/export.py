@@ -266,6 +266,10 @@ def window(*options: str) -> list[str]:
     return [str(programs[0]), "--bind", LOOPBACK, "--hide-welcome-screen", *options]
 
 
+#: A viewer that cannot open its window has ended by then, s.
+_OPENS_S = 1.0
+
+
 @contextmanager
 def live_window() -> Iterator[str]:
     """The address at which a viewer listens meanwhile."""
@@ -275,6 +279,9 @@ def live_window() -> Iterator[str]:
     silent = subprocess.DEVNULL
     viewer = subprocess.Popen(window("--port", str(port)), env=environment(), stdout=silent, stderr=silent)
     try:
+        with suppress(subprocess.TimeoutExpired):
+            viewer.wait(_OPENS_S)
+            raise UnoccludeError("Rerun's window does not open (is there a screen?); leave out --view")
         yield f"rerun+http://{LOOPBACK}:{port}/proxy"
     finally:
         viewer.terminate()

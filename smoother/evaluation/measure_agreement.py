@@ -78,7 +78,7 @@ def same_samples(recovery: Recovery, reference: Truth) -> tuple[Recovery, Recove
 
 
 def compare_measures(
-    recovery: Recovery, reference: Truth, processes: int = 1, progress: Progress | None = None
+    recovery: Recovery, reference: Truth, processes: int, progress: Progress | None
 ) -> list[MeasurePair] | None:
     """Measure the answer and the reference by the same functions over the same samples."""
     from ..measures import measure

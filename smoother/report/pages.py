@@ -220,7 +220,7 @@ def _short(text: str, most: int = 24) -> str:
     return text if len(text) <= most else f"{text[: most - 1]}…"
 
 
-#: Of the methods in turn (Okabe and Ito 2008), then grey.
+#: Of the methods in turn (Okabe and Ito 2008), then grey; further ones have them again, dotted.
 COLOURS = ("#D55E00", "#0072B2", "#009E73", "#CC79A7", "#56B4E9", "#B8860B", "#7F5AA8", "#777777", "#B0B0B0")
 #: By length of gap (s), rising, and method: `GapGroup.spread`.
 Spreads = dict[float, dict[str, dict[str, Any]]]
@@ -266,9 +266,10 @@ def curves(spreads: Spreads) -> go.Figure:
             for part in ("median_m", "low_m", "high_m")
         )
         shift = 1.0 if name == "graph" else 1.012 ** (place - len(names) / 2)  # bars beside each other
-        colour = COLOURS[(len(names) - 1 - place) % len(COLOURS)]
-        line = {"color": colour, "width": 3.2 if name == "graph" else 1.5}
-        bars = interval_bars(median, low, high) | {"color": colour, "thickness": 1}
+        again, colour = divmod(len(names) - 1 - place, len(COLOURS))
+        line = {"color": COLOURS[colour], "width": 3.2 if name == "graph" else 1.5}
+        line["dash"] = "dot" if again else "solid"
+        bars = interval_bars(median, low, high) | {"color": COLOURS[colour], "thickness": 1}
         trace = go.Scatter(x=[length * shift for length in known], y=median, name=label(name), line=line)
         plot.add_trace(trace.update(mode="lines+markers", error_y=bars))
     ticks = [f"{length:g}" for length in spreads]

@@ -121,7 +121,7 @@ def axis_names(frame: CameraFrame | None) -> tuple[str, str, str]:
 
 
 def dress(figure: go.Figure, height: int, head: int = 50, **layout: Any) -> go.Figure:
-    """Give a figure the report's plain look; `head` is the room above it for legend and buttons, pixels."""
+    """Give a figure the report's plain look; `head` is the room above it for the legend, pixels."""
     figure.update_layout(
         template=_TEMPLATE,
         height=height,

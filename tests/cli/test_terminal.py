@@ -335,6 +335,12 @@ def test_a_session_is_shown_at_an_address_of_this_computer_until_it_ends(monkeyp
     assert time.monotonic() - began < 30.0
 
 
+def test_a_session_whose_window_does_not_open_is_refused(monkeypatch):
+    monkeypatch.setattr(viewer, "window", lambda *_: ["false"])
+    with pytest.raises(UnoccludeError, match="does not open"), viewer.live_window():
+        pass
+
+
 def test_the_viewer_speaks_to_nobody_else(monkeypatch):
     monkeypatch.setenv("FORCE_RERUN_ANALYTICS", "1")
     monkeypatch.setenv("https_proxy", "http://proxy.example:3128")

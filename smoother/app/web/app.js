@@ -359,7 +359,7 @@ const one = {
     const open = Boolean(about.job?.open);
     part(view, "head", about.name, () => [
       h("p", {}, h("a", { href: "#/" }, t("back"))), h("h1", { tabindex: -1 }, about.name)]);
-    part(view, "job", jobSeen(about.job), () => jobBox(about.job, `/api/recordings/${view.id}`, () => repeat(view, about), about.unread));
+    part(view, "job", jobSeen(about.job), () => jobBox(view, about));
     if (about.job?.open) moveBar(view, about.job);
     const ready = !open && !about.result && about.looked_at.length > 0 && about.job?.state !== "held";
     part(view, "next", [ready, Boolean(view.streams?.length), about.camera_video], () => (ready && isComplete(view.streams, about.camera_video)
@@ -386,7 +386,8 @@ function jobSeen(job) {
   return job && [job.number, job.state, job.state === "running" ? job.step : 0];
 }
 
-function jobBox(job, path, again, unread = []) {
+function jobBox(view, about) {
+  const job = about.job;
   if (!job) return null;
   const name = t(`step_${job.step_name.split(" ")[0]}`);
   if (job.open) {
@@ -394,18 +395,18 @@ function jobBox(job, path, again, unread = []) {
     say(text);
     return h("section", { class: "step working" }, h("p", { id: "doing" }, text),
       h("progress", { id: "bar", max: 1, "aria-label": text }), h("p", { class: "soft small", id: "detail" }),
-      h("button", { type: "button", id: "cancel", onclick: act(() => ask("POST", `${path}/cancel`)) }, t("cancel")));
+      h("button", { type: "button", id: "cancel", onclick: act(() => ask("POST", `/api/recordings/${view.id}/cancel`)) }, t("cancel")));
   }
   const printed = job.printed ? h("details", {}, h("summary", {}, t("printed")), h("pre", { tabindex: 0 }, job.printed)) : null;
   if (job.state === "done") {
-    const bad = job.kind === "describe" && unread.length ? `${unread.join(", ")}: ${t("unknown_file")}` : "";
+    const bad = job.kind === "describe" && about.unread.length ? `${about.unread.join(", ")}: ${t("unknown_file")}` : "";
     say(bad || t("job_done"));
     return bad ? h("section", { class: "step" }, h("p", { class: "said", id: "ended" }, bad), printed) : printed;
   }
   const text = job.state === "held" ? t("held") : t(`job_${job.state}`, { why: job.sentence });
   say(text);
   return h("section", { class: "step" }, h("p", { class: job.state === "failed" ? "said" : "said care", id: "ended" }, text),
-    job.state === "held" ? null : h("button", { type: "button", id: "repeat", onclick: act(again) }, t("repeat")), printed);
+    job.state === "held" ? null : h("button", { type: "button", id: "repeat", onclick: act(() => repeat(view, about)) }, t("repeat")), printed);
 }
 
 function moveBar(view, job) {
