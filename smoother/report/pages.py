@@ -120,7 +120,8 @@ def _measures_sections(arms: Sequence[Measures], pairs: Sequence[BothArms]) -> I
         "Right against left, in percent", "0 = alike, above it the right has more", symmetry
     )
     yield rendered(alike)
-    unknown = (f"{each}{_of(arm, arms)}" for arm in arms for each in not_measured(arm))
+    several = len(arms) > 1
+    unknown = (f"{arm.arm_label}, {each}" if several else each for arm in arms for each in not_measured(arm))
     yield limits([*unknown, *(note for arm in arms for note in arm.notes)], MOST_LIMITS)
     keys = [row.key for arm in arms for row in arm.session if row.is_known and is_main(row.key)]
     words = ["interval", "recovered", *(["symmetry"] if symmetry else [])]

@@ -22,6 +22,7 @@ from results import made
 
 from smoother.angles import JOINT_ANGLES
 from smoother.errors import UnoccludeError
+from smoother.evaluation.methods import METHODS
 from smoother.evaluation.progress import PersonProgress
 from smoother.evaluation.validate import validate
 from smoother.evaluation.words import measure_words
@@ -31,7 +32,7 @@ from smoother.measures import BothArms, measure
 from smoother.measures.definitions import MEASURED_ANGLES, definitions
 from smoother.recording import CameraFrame, JointState, Recording
 from smoother.report import write_report
-from smoother.report.pages import measures_page, progress_page
+from smoother.report.pages import curves, measures_page, progress_page
 from smoother.report.player import MOST_BYTES, packed, played_arm, player, upwards, view_of
 from smoother.report.sheet import PLOTLY, Html, data_block
 from smoother.report.summary import summary
@@ -616,6 +617,12 @@ def test_what_was_reached_needs_draws_that_agree(tmp_path: Path):
     assert words_of(tmp_path / "c.html")[0] == "cannot be assessed"
 
 
+def test_each_method_has_a_line_of_its_own():
+    spread = {"median_m": 0.02, "low_m": 0.01, "high_m": 0.03}
+    lines = [trace.line for trace in curves({1.0: dict.fromkeys(METHODS, spread)}).data]
+    assert len({(line.color, line.dash) for line in lines}) == len(METHODS) == len(lines)
+
+
 def test_nothing_known_is_said(tmp_path: Path):
     nothing = made_measures(movements=0)
     unknown = dict.fromkeys(("value", "low", "high"), np.nan) | {"note": "The hand is not known."}
@@ -623,6 +630,10 @@ def test_nothing_known_is_said(tmp_path: Path):
     measures_page([replace(nothing, rows=rows)]).write(tmp_path / "a.html")
     text = (tmp_path / "a.html").read_text(encoding="utf-8")
     assert "Nothing could be measured" in text and "The hand is not known." in text
+    arms = [replace(nothing, side=side, rows=rows) for side in ("left", "right")]
+    measures_page(arms).write(tmp_path / "both.html")
+    text = (tmp_path / "both.html").read_text(encoding="utf-8")
+    assert text.count("eft arm, not measured: ") == text.count("ight arm, not measured: ") == 1
     measures_page([]).write(tmp_path / "b.html")
     with pytest.raises(UnoccludeError, match="force=True"):
         measures_page([]).write(tmp_path / "b.html")
