@@ -275,7 +275,7 @@ def jobs() -> Iterator[Job]:
     arms: list[tuple[str, str, int, dict[str, Any], str, float]] = []
     for preset in PRESETS:
         arms.append((f"arm {preset}, behind the back", preset, 8, {}, "", 0.0))
-        for length_s, seeds in ((30.0, 8), (180.0, 4)):
+        for length_s, seeds in ((30.0, 8), (180.0, 4), (600.0, 3)):
             arms.append(
                 (f"arm {preset}, {length_s:g} s", preset, seeds, random | {"duration_s": length_s}, "", 0.0)
             )
