@@ -92,24 +92,30 @@ def import_files(
     stated = [*formats, *[None] * len(skeletons)]
     bodies = [_skeleton(reader, *each, reports) for each in zip(skeletons, stated, strict=False)]
     sensors = _named([row for files in imus for row in _sensors(reader, files, reports)])
-    streams = [Timed(report.path, _all_times(tables), False, report.path) for tables, report in bodies]
+    names = [*cameras, *[""] * len(bodies)]
+    streams = [
+        Timed(report.path, _all_times(tables), False, report.path, bool(number and names[number]))
+        for number, (tables, report) in enumerate(bodies)
+    ]
     streams += [Timed(topic, times_of(table), True, report.path) for topic, table, report in sensors]
     if one_session:
         check_one_session(streams)
     shift, sentences = shifts([] if one_clock else streams, imu_starts_at_s)
+    streams = [stream for stream in streams if not stream.is_further]
     is_known = one_clock or imu_starts_at_s is not None or (one_recorder and of_one_length(streams))
     if not is_known and not sentences and count_from_zero(streams):
+        hint = "" if one_recorder else " (or --imu-starts-at S, if known)"
         sentences = [
             "Camera and IMU both count from about zero, so only the motion shows their offset and whether"
-            " they belong together (or --imu-starts-at S, if known)."
+            f" they belong together{hint}."
         ]
 
     first = skeletons[0] if skeletons else imus[0].paths[0]
     file = RecordingFile(first, notes=sentences)
     file.clocks_unrelated = imu_starts_at_s is None and bool(sentences)
-    shift = shift or [0.0] * len(streams)
+    shift = shift or [0.0] * (len(bodies) + len(sensors))
     for number, (tables, report) in enumerate(bodies):
-        name, is_flat = cameras[number] if number < len(cameras) else "", tables[0].units == PIXELS
+        name, is_flat = names[number], tables[0].units == PIXELS
         known = _known_lens(report.path, number, cameras, lenses or {}) if is_flat else None
         report.topics.append(add_skeleton(file, tables, report.path, shift[number], number, name, known))
     for (topic, table, report), moved_s in zip(sensors, shift[len(bodies) :], strict=True):

@@ -94,7 +94,7 @@ def test_crop_is_the_same_in_python() -> None:
 @pytest.mark.parametrize(
     ("text", "says"),
     [
-        ("start_s,end_s\n1,2\n", "has no column 'name' (needed here); its columns are start_s, end_s"),
+        ("start_s,end_s\n1,2\n", "has no column name; a table of name, start_s, end_s is needed"),
         ("name,start_s,end_s\n../a,1,2\n", "row 1: '../a' is not a valid file name"),
         ("name,start_s,end_s\na,1,x\n", "line 2: 'x' in column end_s is not a number"),
         ("name,start_s,end_s\na,4,2\n", "row 1: a ends at 2 s, before it starts"),

@@ -397,7 +397,10 @@ def read_exact(
     if len(missing) == len(required):  # another kind of file, whose first line may be private
         raise RecordingError(f"{path} has none of the columns {', '.join(required)} in its first line.")
     if missing:
-        raise _no_column(table, "needed here", ", ".join(missing))
+        raise RecordingError(
+            f"{path} has no column {', '.join(missing)}; a table of {', '.join(required)} is needed, and its"
+            f" columns are {_listed(table)}."
+        )
     if len(table) and CUT in table.notes:
         raise RecordingError(f"{path} ends within a number of its last line; copy it again, or delete it.")
     numbers, texts = {}, {}

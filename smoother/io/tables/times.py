@@ -224,6 +224,7 @@ class Timed:
     t_s: FloatArray  # (n,) s: increasing, on its own clock
     is_imu: bool  # An IMU, not a camera
     source: str = ""  # The file; "" where it does not matter
+    is_further: bool = False  # A camera on a clock of its own, which the joints that both see tell
 
 
 #: Stamps from the year 2000 on are dates, s; files of one session are not so far apart, s.
@@ -251,7 +252,7 @@ def check_one_session(streams: list[Timed]) -> None:
 
 def shifts(streams: list[Timed], imu_starts_at_s: float | None = None) -> tuple[list[float], list[str]]:
     """What to add to each stream's times so that all of them can be in one recording."""
-    camera = [stream for stream in streams if not stream.is_imu]
+    camera = [stream for stream in streams if not stream.is_imu and not stream.is_further]
     groups = _groups([row for row, stream in enumerate(streams) if stream.is_imu], streams)
     if not camera or not groups:
         return [0.0] * len(streams), []
@@ -271,7 +272,8 @@ def shifts(streams: list[Timed], imu_starts_at_s: float | None = None) -> tuple[
         if any(_share(streams[row].t_s, c.t_s) for row in group for c in camera):
             continue
         if not sentences:  # a stream that shares the camera's clock starts with it
-            shift = [-first_frame] * len(streams)
+            own_clock = [each.is_further and each.t_s[0] < first_frame for each in streams]
+            shift = [0.0 if own else -first_frame for own in own_clock]
         for row in group:
             shift[row] = -own
         names = ", ".join(streams[row].label for row in group)

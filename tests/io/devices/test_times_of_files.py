@@ -316,6 +316,8 @@ def test_clocks_with_nothing_in_common_start_at_zero():
     assert "is unrelated to" in sentence and "2023-11-14" in sentence
     assert shifts([camera, Timed("wrist", 1.7e9 + 4.8 + T, True)]) == ([0.0, 0.0], [])
     assert shifts([camera, wrist], imu_starts_at_s=-2.5)[0] == [0.0, 1.7e9 - 302.5]
+    further = Timed("left", 300 + camera.t_s - 1.7e9, False, is_further=True)  # the wrist's clock by chance
+    assert shifts([camera, further, wrist])[0] == [-1.7e9, 0.0, -300.0]
 
 
 def test_files_that_each_count_from_zero():
