@@ -315,11 +315,26 @@ def test_many_comparisons_together():
     assert together(changes) == pytest.approx([0.03, math.nan, 0.06, 0.06], nan_ok=True)
 
 
+#: Bland and Altman, Lancet 1986, table 1: first readings, l/min, of a Wright and a mini Wright meter.
+WRIGHT = np.array(
+    [494, 395, 516, 434, 476, 557, 413, 442, 650, 433, 417, 656, 267, 478, 178, 423, 427], dtype=float
+)
+MINI = np.array(
+    [512, 430, 520, 428, 500, 600, 364, 380, 658, 445, 432, 626, 260, 477, 259, 350, 451], dtype=float
+)
 #: Weir, J Strength Cond Res 2005, data set A: two trials of eight subjects.
 WEIR_A = np.array(
     [[146, 140], [148, 152], [170, 152], [90, 99], [157, 145], [156, 153], [176, 167], [205, 218]],
     dtype=float,
 )
+
+
+def test_limits_of_agreement_of_the_published_example():
+    found = agreement(WRIGHT, MINI)
+    # the paper takes 2 standard deviations of 38.8 (-79.7 and 75.5), this 1.96
+    assert found["bias"] == pytest.approx(-2.1, abs=0.05)
+    assert found["limits_low"] == pytest.approx(-79.7 + 0.04 * 38.8, abs=0.1)
+    assert found["limits_high"] == pytest.approx(75.5 - 0.04 * 38.8, abs=0.1)
 
 
 def test_error_and_minimal_difference_of_weirs_example():
