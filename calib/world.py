@@ -273,10 +273,10 @@ def _readings(poses: list[WorldPose]) -> list[tuple[FloatArray, FloatArray | Non
 
 
 def _directions(reading: tuple[FloatArray, FloatArray | None], bias: FloatArray) -> FloatArray:
-    """(kinds, n, 3) up and, where it is known, magnetic east in an IMU's axes, less its biases (..., 6)."""
+    """(kinds, n, 3) up and, where it is known, the magnetic field in an IMU's axes, less its biases (..., 6)."""
     acc, magnetic = reading
     up = unit(acc - bias[..., :3])
-    return up[None] if magnetic is None else np.stack([up, unit(np.cross(magnetic - bias[..., 3:], up))])
+    return up[None] if magnetic is None else np.stack([up, unit(magnetic - bias[..., 3:])])
 
 
 def _fit(
@@ -287,8 +287,8 @@ def _fit(
 ) -> WorldCalibration:
     """Least squares of the chain `R_K_P = R_K_B R_B_W R_W_I R_I_P` (JA eq 7 and 8) in the camera's axes.
 
-    Up, magnetic east where there are magnetometers, and the turn since the pose before are each known by both
-    IMUs: the base's by `R_K_B`, the panel's by `R_K_P R_P_I`. What is left is between the two.
+    Up, the magnetic field where there are magnetometers, and the turn since the pose before are each known by
+    both IMUs: the base's by `R_K_B`, the panel's by `R_K_P R_P_I`. What is left is between the two.
     """
     seen, count = np.array([pose.view.R_K_P for pose in poses]), len(poses)
     whiten = np.linalg.inv(np.linalg.cholesky([pose.view.covariance for pose in poses]))
@@ -296,9 +296,8 @@ def _fit(
     noise = np.array([[rest.acc_sigma.mean() for rest in (pose.base, pose.panel)] for pose in poses]).T
     tilts = np.hypot(noise / [np.linalg.norm(acc, axis=1) for acc, _ in readings], TILT_RAD)
     sigmas = [tilts[1]]
-    level = [np.linalg.norm(np.cross(m, unit(acc)), axis=1) for acc, m in readings if m is not None]
-    if level:
-        sigmas.append(ROOM_RAD * np.linalg.norm(1.0 / np.array(level), axis=0))
+    if readings[0][1] is not None:
+        sigmas.append(np.full(count, np.sqrt(2.0) * ROOM_RAD))  # of two places in the room
     linked = np.array([i for i, pose in enumerate(poses) if i and pose.turns], dtype=int)
     turns = [pose.turns for pose in poses[1:] if pose.turns]
     T_B, T_I = (np.array([own[k].R for own in turns]).reshape(-1, 3, 3) for k in (0, 1))
@@ -334,8 +333,8 @@ def _fit(
     scale = np.append(known, np.full(6 * count, 1e-3))
     fit = least_squares(misfit, np.zeros(len(scale)), method="lm", x_scale=scale, ftol=1e-6)
     R_K_B, R_P_I = moved(fit.x)
-    # three rows of up have two degrees, those of east one; a few poses may fit by luck
-    spare = len(fit.fun) - (3 if level else 1) * count - 2 * len(linked) - len(fit.x)
+    # three rows of a direction have two degrees; a few poses may fit by luck
+    spare = len(fit.fun) - len(sigmas) * count - 2 * len(linked) - len(fit.x)
     spread = max(1.0, 2 * float(fit.cost) / spare) if spare > 0 else 1.0
     kept = np.r_[0:3, 6:9, 3:6]
     return WorldCalibration(
