@@ -273,7 +273,7 @@ def _readings(poses: list[WorldPose]) -> list[tuple[FloatArray, FloatArray | Non
 
 
 def _directions(reading: tuple[FloatArray, FloatArray | None], bias: FloatArray) -> FloatArray:
-    """(kinds, n, 3) up and, where it is known, the magnetic field in an IMU's axes, less its biases (..., 6)."""
+    """(kinds, n, 3) up and, where known, the magnetic field in an IMU's axes, less its biases (..., 6)."""
     acc, magnetic = reading
     up = unit(acc - bias[..., :3])
     return up[None] if magnetic is None else np.stack([up, unit(magnetic - bias[..., 3:])])
