@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations, pairwise
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from pydantic import ConfigDict, Field
@@ -28,9 +28,6 @@ from smoother.runtime.pool import Pool
 from .file import CalibrationFile, FileSection, checked
 from .protocol import Answer, Check
 
-if TYPE_CHECKING:
-    from .sound import Beep
-
 #: Crystals differ by some hundred ppm.
 SKEW_SIGMA = 5e-4
 
@@ -46,6 +43,18 @@ class Receptions:
     source: str  # What it is called in messages and reports
     # Whether the noise may turn out larger than stated (several events of one kind)
     estimate_noise: bool = True
+
+
+@dataclass(frozen=True)
+class Beep:
+    """One beep."""
+
+    start_s: float  # After the track's first sample
+    end_s: float
+    sigma_s: float  # Of the end
+    frequency_hz: float  # Its tone
+    above_quiet_db: float  # Level above the background
+    loud_room: bool  # The room's answer is about as loud as the beep, so that its end is hard to tell
 
 
 @dataclass(frozen=True)

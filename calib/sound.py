@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from scipy.ndimage import minimum_filter1d, uniform_filter1d
@@ -14,7 +14,7 @@ from smoother.array_types import FloatArray
 from smoother.errors import CalibrationError
 from smoother.linalg import parabola_vertex, runs
 
-from .clock import Receptions
+from .clock import Beep, Receptions
 
 #: How long before the end of all sound the direct sound may have ended, s.
 LOOK_BACK_S = 0.35
@@ -144,18 +144,6 @@ TAIL_PART = 0.03
 LOUD_TAIL, LONG_TAIL_S = 0.45, 0.015
 #: Batches of a long track, s.
 BATCH_S = 60.0
-
-
-@dataclass(frozen=True)
-class Beep:
-    """One beep."""
-
-    start_s: float  # After the track's first sample
-    end_s: float
-    sigma_s: float  # Of the end
-    frequency_hz: float  # Its tone
-    above_quiet_db: float  # Level above the background
-    loud_room: bool  # The room's answer is about as loud as the beep, so that its end is hard to tell
 
 
 def find_beeps(

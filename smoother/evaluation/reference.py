@@ -14,7 +14,7 @@ from ..array_types import BoolArray, FloatArray
 from ..errors import RecordingError
 from ..io import open_recording
 from ..io.recording.choose import choose_truth
-from ..io.tables.recording_toml import read_pose_table
+from ..io.tables.columns import read_pose_table
 from ..linalg import masked_correlation
 from ..recording import CameraFrame, Truth
 from ..result import Recovery

@@ -25,6 +25,7 @@ from .recording.streams import (
     ImuSamples,
     KnownLens,
     RecordingFile,
+    SkeletonTable,
     free_name,
     named_segment,
     named_side,
@@ -32,7 +33,7 @@ from .recording.streams import (
 from .registry import FileReader, keys, unknown_file
 from .tables.imu import paired
 from .tables.markers import MARKER_FORMATS, read_markers
-from .tables.skeletons import PIXELS, SkeletonTable
+from .tables.skeletons import PIXELS
 from .tables.table import Format, first_rows, read_head
 from .tables.times import (
     Timed,
@@ -390,7 +391,7 @@ def files_meant(paths: list[Path], output: Path | None) -> list[Path]:
 
 def add_truth(file: RecordingFile, path: Path) -> FileReport:
     """Put poses of the forearm IMU into a recording; markers stay a file of their own."""
-    from .tables.recording_toml import read_pose_table
+    from .tables.columns import read_pose_table
 
     kind = path.suffix.lower()
     if kind in MARKER_FORMATS:

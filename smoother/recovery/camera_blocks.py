@@ -26,11 +26,10 @@ from ..recording import JOINTS, JointState, Recording
 from ..result import Pairing, Recovery
 from ..result.verdict import Finding
 from ..selfcal.pairing import find_pairing
-from ..window.solution import BlockShift, Step
+from ..window.solution import BlockShift, HiddenStretch, Step
 from .camera_faults import camera_faults
 from .change_signs import changed_for_good
 from .samples import SectionAnswer
-from .self_check import HiddenStretch
 
 #: A block is suspicious from this score on: the largest of sound simulated recordings were 0.05 to 1.1.
 SUSPICIOUS = 3.0

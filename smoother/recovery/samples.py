@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,11 +23,8 @@ from ..rotation import Rotation
 from ..selfcal.self_calibration import SelfCalibration
 from ..window.prepare import PreparedSegment
 from ..window.problem import States
-from ..window.solution import BlockShift, SegmentSolution, Solution, Step
+from ..window.solution import BlockShift, HiddenStretch, SegmentSolution, Solution, Step
 from ..window.trajectory import BLEND_HALF_S, at_times, joint_from_pose, segment_at
-
-if TYPE_CHECKING:
-    from .self_check import HiddenStretch
 
 #: What a sensor whose mounting the motion did not show may be off by: on the arm, m, and turned, rad.
 UNKNOWN_LEVER_M = 0.08

@@ -26,6 +26,7 @@ from ..runtime.store import batches
 from ..units import GRAVITY
 from ..window.cut import window_between
 from ..window.prepare import PreparedSegment
+from ..window.solution import FAILED_M, FAILED_NEES, HiddenStretch
 from ..window.trajectory import joint_from_pose, share_after
 from .samples import poses_at
 from .task import Task
@@ -40,37 +41,8 @@ APART_S, STEP_S = 0.25, 0.1
 REFERENCES = ("wrist", "strap", "hand", "elbow")
 #: Squared sigmas within which 95 % of three normal numbers lie.
 INSIDE_95 = 7.815
-#: A stretch fails where its mean squared error is this many times what is stated, and the error so large, m:
-#: the worst of twelve sound simulated recordings was 2.1.
-FAILED_NEES, FAILED_M = 6.0, 0.05
 #: This many stretches have to speak before sigma is widened; it is never widened more.
 ENOUGH, LARGEST_FACTOR = 8, 3.0
-
-
-@dataclass(frozen=True)
-class HiddenStretch:
-    """A stretch that was hidden."""
-
-    start_s: float  # On the IMU's clock
-    end_s: float  # On the IMU's clock
-    samples: int = 0  # Camera samples that were compared; 0 where it could not be recovered
-    rms_m: float = float("nan")  # 3D error
-    stated_m: float = float("nan")  # What was stated of it, the camera's noise included
-    inside: int = 0  # Samples inside the 95 % region
-    nees: float = float("nan")  # Mean squared error in sigmas / 3
-    error_m: tuple[float, ...] = ()  # 3D error of each sample
-    stated_95_m: float = float("nan")  # Distance within which 95 of 100 of them should lie
-    contradicting: tuple[int, ...] = ()  # Cameras whose samples lie where by the rest they cannot be
-
-    @property
-    def failed(self) -> bool:
-        """It could not be recovered, or was recovered elsewhere with a sigma that contradicts them."""
-        return self.samples == 0 or self.contradicted
-
-    @property
-    def contradicted(self) -> bool:
-        """What was seen is where by the rest it cannot be."""
-        return self.nees > FAILED_NEES and self.rms_m > FAILED_M
 
 
 def hide_and_recover(prepared: PreparedSegment, task: Task) -> list[HiddenStretch]:

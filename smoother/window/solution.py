@@ -139,3 +139,34 @@ class LagSolution:
         """Joint covariance of some of the rows, in the order asked for."""
         index = np.array([i for name in names for i in range(self.rows[name].start, self.rows[name].stop)])
         return self.covariance[index[:, None], index]
+
+
+#: A stretch fails where its mean squared error is this many times what is stated, and the error so large, m:
+#: the worst of twelve sound simulated recordings was 2.1.
+FAILED_NEES, FAILED_M = 6.0, 0.05
+
+
+@dataclass(frozen=True)
+class HiddenStretch:
+    """A stretch that was hidden."""
+
+    start_s: float  # On the IMU's clock
+    end_s: float  # On the IMU's clock
+    samples: int = 0  # Camera samples that were compared; 0 where it could not be recovered
+    rms_m: float = float("nan")  # 3D error
+    stated_m: float = float("nan")  # What was stated of it, the camera's noise included
+    inside: int = 0  # Samples inside the 95 % region
+    nees: float = float("nan")  # Mean squared error in sigmas / 3
+    error_m: tuple[float, ...] = ()  # 3D error of each sample
+    stated_95_m: float = float("nan")  # Distance within which 95 of 100 of them should lie
+    contradicting: tuple[int, ...] = ()  # Cameras whose samples lie where by the rest they cannot be
+
+    @property
+    def failed(self) -> bool:
+        """It could not be recovered, or was recovered elsewhere with a sigma that contradicts them."""
+        return self.samples == 0 or self.contradicted
+
+    @property
+    def contradicted(self) -> bool:
+        """What was seen is where by the rest it cannot be."""
+        return self.nees > FAILED_NEES and self.rms_m > FAILED_M

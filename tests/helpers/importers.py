@@ -12,9 +12,8 @@ from imu_files import motion
 
 from smoother.io import open_csv
 from smoother.io.recording.read import select_recordings
-from smoother.io.recording.streams import ImuSamples, RecordingFile
+from smoother.io.recording.streams import ImuSamples, RecordingFile, SkeletonTable
 from smoother.io.registry import FileReader, recognise
-from smoother.io.tables.skeletons import SkeletonTable
 from smoother.io.tables.table import read_head
 from smoother.recording import Recording
 

@@ -18,10 +18,11 @@ from smoother.calibration import SigmaFactor, SigmaFactors
 from smoother.config import Anatomy
 from smoother.io import import_utd_mhad
 from smoother.recording import CameraFrame, ImuStream
-from smoother.recovery.self_check import RAMP_S, HiddenStretch, summary, with_sigma_factors
+from smoother.recovery.self_check import RAMP_S, summary, with_sigma_factors
 from smoother.recovery.trust import _gravity, with_verdict
 from smoother.result import Draws
 from smoother.smoothing import smooth
+from smoother.window.solution import HiddenStretch
 
 
 @pytest.fixture

@@ -26,8 +26,8 @@ from smoother.io.recording.read import read_imu
 from smoother.io.rig.clock import read_broadcast, read_sound
 from smoother.io.rig.images import read_images
 from smoother.io.tables.columns import read_exact as read_strict
+from smoother.io.tables.columns import read_pose_table
 from smoother.io.tables.markers import read_c3d, read_markers, read_positions, read_trc
-from smoother.io.tables.recording_toml import read_pose_table
 from smoother.io.tables.table import read_head, read_table
 from smoother.study.inputs import file_hash, find_entries
 

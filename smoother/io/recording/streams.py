@@ -30,6 +30,29 @@ if TYPE_CHECKING:
     from _typeshed import DataclassInstance
 
 
+States = NDArray[np.int8]  # `JointState` values
+
+
+@dataclass
+class SkeletonTable:
+    """One body's joints as a file has them, in metres, times not yet repaired."""
+
+    body: int  # The file's number of the body
+    t_s: FloatArray | None  # (F,) s: frame times as written, on the camera's clock
+    # dict of (F, 3) m: By joint and side (`wrist_left`, `shoulder_right`, ..); nan where there is none
+    position: dict[str, FloatArray]
+    state: dict[str, States]  # int (F,): `JointState` values of the same joints
+    frame: CameraFrame | None = None  # Where the format settles the axes
+    gravity_hint: FloatArray | None = None  # (3,)
+    rate_hz: float | None = None  # Rate that the file or its format states
+    relative: bool = False  # Positions are relative to the body (about the hips)
+    units: str = ""  # As written in the file ("mm")
+    notes: list[str] = field(default_factory=list)  # What was decided or dropped in reading, a sentence each
+
+    def __len__(self) -> int:
+        return next(map(len, self.position.values()), 0)
+
+
 @dataclass
 class ImuSamples:
     """One inertial sensor as a file has it, in SI units."""

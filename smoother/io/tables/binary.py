@@ -24,7 +24,7 @@ from ...units import STANDARD_GRAVITY
 from ..mcap.messages import seconds
 from ..recording.clean import LEFT_OUT
 from ..recording.read import open_recording
-from ..recording.streams import ArmFrames, ImuSamples
+from ..recording.streams import ArmFrames, ImuSamples, SkeletonTable
 from .imu import (
     Columns,
     channel_labels,
@@ -35,7 +35,7 @@ from .imu import (
     with_halves_joined,
 )
 from .joints import find_joint_columns, has_arm, program_of
-from .skeletons import Conventions, RawSkeleton, SkeletonTable
+from .skeletons import Conventions, RawSkeleton
 from .table import Format, begins, read_bytes, shown
 from .units import ACCELERATION, ANGULAR_VELOCITY, METRES, plain_unit
 

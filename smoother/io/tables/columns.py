@@ -15,12 +15,12 @@ from ...array_types import FloatArray
 from ...errors import RecordingError
 from ...recording import CameraFrame, ImuStream, JointState
 from ...runtime.inputs import check_input
-from ..recording.decode import joint_code
-from ..recording.keypoints import states_of_scores
-from ..recording.streams import ImuSamples
+from ..mcap.messages import nanoseconds
+from ..recording.decode import joint_code, states_of_scores
+from ..recording.streams import ImuSamples, PoseSamples, SkeletonTable
 from .imu import usual_size
 from .joints import joint_name
-from .skeletons import PIXELS, RawSkeleton, SkeletonTable, gathered
+from .skeletons import PIXELS, RawSkeleton, gathered
 from .table import CUT, SEPARATORS, DeviceTable, plain_label, read_table, shown
 from .units import ACCELERATION, ANGULAR_VELOCITY, DATED_S, METRES, in_seconds
 
@@ -414,3 +414,22 @@ def read_exact(
             line = table.line(int(np.argmax(missing_at)))
             raise RecordingError(f"{path}, line {line}: {table.name(at)} is empty; correct the cell.")
     return numbers, texts
+
+
+#: Beyond it nanoseconds do not fit into 64 bits, s.
+_LAST_S = 9.2e9
+
+
+def read_pose_table(path: Path) -> PoseSamples:
+    """Read poses from `t_s, x, y, z [, qw, qx, qy, qz]`; errors as in `read_exact`."""
+    turn = ("qw", "qx", "qy", "qz")
+    columns, _ = read_exact(path, ("t_s", "x", "y", "z"), turn, empty=("x", "y", "z", *turn))
+    position, t_s = np.stack([columns[axis] for axis in "xyz"], axis=1), columns["t_s"]
+    whole = set(turn) <= columns.keys()
+    parts = [columns[part] if whole else np.full(len(position), np.nan) for part in turn]
+    quaternion = np.stack(parts, axis=1)
+    if len(row := np.flatnonzero(~(np.abs(t_s) < _LAST_S))):
+        raise RecordingError(
+            f"{path}: t_s is {t_s[row[0]]} in row {row[0] + 1}, which is not a time in seconds; correct it."
+        )
+    return PoseSamples("/truth", "camera", nanoseconds(t_s, 0), position, quaternion)

@@ -17,10 +17,9 @@ from ...errors import RecordingError
 from ...linalg import median_rate_hz
 from ...recording import JointState
 from ..files import files_meant, times_of
-from ..recording.streams import ImuSamples
+from ..recording.streams import ImuSamples, SkeletonTable
 from ..registry import FileReader, unknown_file
 from .guess import Guess, guess_of
-from .skeletons import SkeletonTable
 from .table import (
     HEAD_BYTES,
     DeviceTable,

@@ -19,9 +19,10 @@ from ...array_types import FloatArray
 from ...errors import RecordingError
 from ...recording import CameraFrame
 from ...runtime.inputs import check_input, crashes_in_subprocess
+from ..recording.streams import SkeletonTable
 from .columns import read_exact
 from .joints import JointName, joint_name
-from .skeletons import Conventions, RawSkeleton, SkeletonTable, require_arm, without_origin
+from .skeletons import Conventions, RawSkeleton, require_arm, without_origin
 from .table import DeviceTable, FileHead, Format, file_text, shown, split_line
 from .units import METRES
 

@@ -23,7 +23,6 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any, TypeVar
 
-import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from calib.intrinsics import CameraFile, Intrinsics
@@ -32,25 +31,21 @@ from ...array_types import FloatArray
 from ...errors import RecordingError
 from ...runtime.inputs import check_input, inside, read_toml
 from ..files import ImuFiles, import_files
-from ..mcap.messages import nanoseconds
 from ..recording.keypoints import direction_of, lens_from_plain
-from ..recording.streams import ImuSamples, PoseSamples, RecordingFile
+from ..recording.streams import ImuSamples, RecordingFile, SkeletonTable
 from ..registry import FileReader, recognise
 from .columns import (
     LAYOUT_KEYS,
     CameraKeys,
     ImuKeys,
     TableKeys,
-    read_exact,
     read_imu_columns,
     read_keypoint_columns,
+    read_pose_table,
     read_skeleton_columns,
 )
-from .skeletons import SkeletonTable
 from .table import Format, Tables, read_head, shown
 from .units import ACCELERATION, ANGULAR_VELOCITY, METRES
-
-_LAST_S = 9.2e9  # beyond it, nanoseconds do not fit into 64 bits
 
 
 class _Strict(BaseModel):
@@ -337,21 +332,3 @@ def _contained(path: Path, kind: str, keys: TableKeys) -> Tables:
     if layout := keys.model_fields_set & LAYOUT_KEYS:
         raise RecordingError(f"{path} is no table ({of.title}); leave out {', '.join(sorted(layout))}.")
     return reader.read(path, of)
-
-
-# ----------------------------------------------------------------------------------------------- the truth
-
-
-def read_pose_table(path: Path) -> PoseSamples:
-    """Read poses from `t_s, x, y, z [, qw, qx, qy, qz]`; errors as in `read_exact`."""
-    turn = ("qw", "qx", "qy", "qz")
-    columns, _ = read_exact(path, ("t_s", "x", "y", "z"), turn, empty=("x", "y", "z", *turn))
-    position, t_s = np.stack([columns[axis] for axis in "xyz"], axis=1), columns["t_s"]
-    whole = set(turn) <= columns.keys()
-    parts = [columns[part] if whole else np.full(len(position), np.nan) for part in turn]
-    quaternion = np.stack(parts, axis=1)
-    if len(row := np.flatnonzero(~(np.abs(t_s) < _LAST_S))):
-        raise RecordingError(
-            f"{path}: t_s is {t_s[row[0]]} in row {row[0] + 1}, which is not a time in seconds; correct it."
-        )
-    return PoseSamples("/truth", "camera", nanoseconds(t_s, 0), position, quaternion)

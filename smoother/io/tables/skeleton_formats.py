@@ -19,6 +19,7 @@ import numpy as np
 from ...array_types import FloatArray
 from ...errors import RecordingError
 from ...recording import CameraFrame
+from ..recording.streams import SkeletonTable
 from .joints import (
     AZURE,
     BLAZEPOSE,
@@ -43,7 +44,6 @@ from .skeletons import (
     STATE_WORDS,
     Conventions,
     RawSkeleton,
-    SkeletonTable,
     gathered,
     unit_by_arm,
 )

@@ -28,8 +28,7 @@ from ...runtime.packages import extra_module
 from .units import UNITS, plain_unit, split_unit
 
 if TYPE_CHECKING:
-    from ..recording.streams import ImuSamples
-    from .skeletons import SkeletonTable
+    from ..recording.streams import ImuSamples, SkeletonTable
 
 #: What a file holds: sensors, skeletons, or both.
 Tables: TypeAlias = "list[ImuSamples] | list[SkeletonTable] | list[ImuSamples | SkeletonTable]"

@@ -20,9 +20,8 @@ from ...measurements.timestamps import (
     strayed,
     unwrapped,
 )
-from ..recording.streams import ImuSamples, rows_of
+from ..recording.streams import ImuSamples, SkeletonTable, rows_of
 from .imu import in_shown_units, paired
-from .skeletons import SkeletonTable
 
 # ------------------------------------------------------------------------------------------------- repaired
 

@@ -19,8 +19,9 @@ from ...array_types import FloatArray
 from ...errors import RecordingError, UnoccludeError
 from ...runtime.packages import extra_module
 from ...runtime.pool import Progress
+from ..recording.streams import SkeletonTable
 from .joints import BLAZEPOSE
-from .skeletons import LANDMARKS, RELATIVE_NOTE, RawSkeleton, SkeletonTable
+from .skeletons import LANDMARKS, RELATIVE_NOTE, RawSkeleton
 from .table import Format
 
 #: Bytes at the beginning of videos: where they stand, and what they are.

@@ -16,10 +16,9 @@ from imu_files import motion, rows
 from smoother.errors import RecordingError
 from smoother.io.files import ImuFiles, import_files
 from smoother.io.recording.clean import clean_imu
-from smoother.io.recording.streams import ImuSamples
+from smoother.io.recording.streams import ImuSamples, SkeletonTable
 from smoother.io.registry import FileReader
 from smoother.io.tables.imu import missing_axes, paired
-from smoother.io.tables.skeletons import SkeletonTable
 from smoother.io.tables.times import Timed, count_from_zero, repaired_imu, repaired_skeleton, shifts
 
 ROWS = 400
