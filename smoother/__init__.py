@@ -85,7 +85,7 @@ __all__ = [
 
 #: What values offer as methods and floors above them do: `Recovery.export`, `Recovery.plot`.
 _METHODS = {
-    "export_recovery": "smoother.io.export.prepare",
+    "export_recovery": "smoother.io.export",
     "plot_recovery": "smoother.report.publication",
 }
 

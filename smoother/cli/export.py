@@ -83,7 +83,7 @@ def _files(
 ) -> dict[str, Any]:
     """A file for each arm, or one for all; all arms are ready before the first is written."""
     from .. import __version__
-    from ..io.export.prepare import DEFAULT_FRAME, prepare_export
+    from ..io.export import DEFAULT_FRAME, prepare_export
     from ..io.mcap.messages import damage
     from ..result.untrusted import untrusted_sentences
 
@@ -159,7 +159,7 @@ def output_names(output: Path, recoveries: list[Recovery]) -> list[Path]:
 
 def _check(format_name: str, output: Path, rate: float | None, given: list[str]) -> None:
     """Refuse what cannot be meant, before any work is done for it."""
-    from ..io.export.prepare import WITH_FRAME, WITH_RATE
+    from ..io.export import WITH_FRAME, WITH_RATE
 
     of_format = {"--frame": WITH_FRAME, "--origin": WITH_FRAME, "--rate": WITH_RATE}
     fitting = {option: of_format.get(option, ("bids",)) for option in given}

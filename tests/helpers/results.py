@@ -13,7 +13,7 @@ import numpy as np
 from arms import make_recording, make_recovery
 from scipy.interpolate import CubicSpline
 
-from smoother.io.export.prepare import prepare_export
+from smoother.io.export import prepare_export
 from smoother.measurements.visibility import find_gaps, occluded_at, visible_frames
 from smoother.recording import JOINTS, JointState, JointTracks
 from smoother.result import Recovery

@@ -20,7 +20,8 @@ from results import made, read_mot
 
 from smoother.errors import RecordingError, UnoccludeError
 from smoother.io import open_recording, read_recording, read_recovery, write_recording, write_recovery
-from smoother.io.export.prepare import export_csv, prepare_export
+from smoother.io.export import prepare_export
+from smoother.io.export.prepare import export_csv
 from smoother.io.mcap.container import Container
 from smoother.io.result.streams import ANSWER
 from smoother.result import Draws, Estimates, Pairing, Recovery, SelfCheck, UntrustedInterval

@@ -19,7 +19,7 @@ from results import made, read_trc, without_answer
 from scipy.spatial.transform import Rotation
 
 from smoother.io import read_recording, write_recording, write_recovery
-from smoother.io.export.prepare import prepare_export
+from smoother.io.export import prepare_export
 from smoother.recording import CameraFrame
 from smoother.result import Estimates
 

@@ -15,8 +15,8 @@ from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation
 
 from smoother.errors import UnoccludeError
+from smoother.io.export import prepare_export
 from smoother.io.export.markers import MOST_FRAMES, write_c3d
-from smoother.io.export.prepare import prepare_export
 from smoother.recording import JOINTS, JointState
 
 AFTER = ["shoulder", "elbow", "wrist", "hand", "imu"]

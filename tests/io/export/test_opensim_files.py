@@ -18,7 +18,7 @@ from scipy.spatial.transform import Rotation
 from smoother.angles.definitions import torso_axes, wrapped_deg
 from smoother.errors import UnoccludeError
 from smoother.io import write_recovery
-from smoother.io.export.prepare import prepare_export
+from smoother.io.export import prepare_export
 from smoother.result import Recovery, SegmentMotion, TrunkMotion
 
 TOOL = Path(__file__).parents[3] / "tools" / "opensim_check.py"

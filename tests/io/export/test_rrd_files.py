@@ -14,7 +14,7 @@ from results import made, without_answer
 from smoother.cli.run import run
 from smoother.errors import UnoccludeError
 from smoother.io import write_recovery
-from smoother.io.export.prepare import prepare_export
+from smoother.io.export import prepare_export
 from smoother.io.export.rrd import prepare_rrd, rerun_module
 
 
