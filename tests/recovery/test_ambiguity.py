@@ -29,7 +29,7 @@ from smoother.recovery.trust import with_gap_verdicts
 from smoother.result import Recovery
 from smoother.rotation import Rotation
 from smoother.selfcal.mounting import sphere
-from tools.reliability.scenes import draw_scene, mirrored_in_one_plane
+from tools.reliability.scenes import draw_scene
 
 #: When the wrist is hidden, s.
 GAP_S = (8.0, 10.0)
@@ -39,7 +39,8 @@ MIRROR = np.diag([-1.0, 1.0, 1.0])
 @pytest.mark.slow
 def test_a_mirrored_skeleton_is_named_though_it_fits() -> None:
     """An arm that the camera sees in one upright plane, and that moves freely where it does not."""
-    recording = mirrored_in_one_plane(draw_scene("in one plane", 24.0, [5, 0])).trial().recording
+    scene = draw_scene("in one plane", 24.0, 5)
+    recording = scene.with_arm(position=scene.recording.arm.position @ MIRROR).recording
     mirrored = answer(recording).estimates
     assert mirrored.trusted is False and "--mirror x" in mirrored.remedies
     assert mirrored.reasons[0].startswith("the skeleton seems mirrored (x)")

@@ -234,10 +234,14 @@ class Draw:
     rng: np.random.Generator
     bones: Bones  # Whose arm moves
     pace: float = 1.0  # Factor on all durations: how slowly this person moves
+    gaps: Gaps = ()  # s: when the camera will not see the arm
+    t_s: float = 0.0  # How long the moves drawn so far take
 
     def move(self, seconds: float, to: Posture) -> Move:
         """A move of about this many seconds."""
-        return Move(max(self.pace * seconds * float(np.exp(self.rng.normal(0, 0.15))), 0.15), to)
+        length_s = max(self.pace * seconds * float(np.exp(self.rng.normal(0, 0.15))), 0.15)
+        self.t_s += length_s
+        return Move(length_s, to)
 
     def near(self, target: tuple[float, float, float], spread_m: float = 0.03) -> FloatArray:
         """(3,) m: a place near another one."""
@@ -377,6 +381,21 @@ def daily_life(draw: Draw) -> Moves:
             yield next(one)
 
 
+def in_one_plane(draw: Draw) -> Moves:
+    """Flexion and extension in one upright plane while the camera sees it; anything while it does not."""
+    heading = draw.rng.uniform(-0.3, 0.3)
+    ahead, free = np.array([np.sin(heading), 0.0, -np.cos(heading)]), daily_life(draw)
+    down = np.array([0.0, -1.0, 0.0])
+    while True:
+        if any(start - 0.4 <= draw.t_s + 0.5 <= end - 0.6 for start, end in draw.gaps):
+            yield next(free)
+            continue
+        lift, bend = draw.rng.uniform(-0.2, 1.3), draw.rng.uniform(0.3, 2.0)
+        u = np.cos(lift) * down + np.sin(lift) * ahead
+        f = np.cos(lift + bend) * down + np.sin(lift + bend) * ahead
+        yield draw.move(1.0, pointing(u, f))
+
+
 def bending_forward(draw: Draw) -> Moves:
     """Reaching with the whole trunk, quickly: the shoulder moves at 0.8 to 1.9 m/s."""
     while True:
@@ -414,23 +433,26 @@ EXERCISES: dict[str, Callable[[Draw], Moves]] = {
     each.__name__.replace("_", " "): each
     for each in (
         *(reaching_out, drinking, combing, behind_the_back, wiping, lifting, wheelchair, daily_life),
-        *(bending_forward, walking_about),
+        *(in_one_plane, bending_forward, walking_about),
     )
 }
 LIVELY = tuple(EXERCISES)[:8]
 
 
-def perform(name: str, duration_s: float, rng: np.random.Generator) -> Motion:
+def perform(name: str, duration_s: float, rng: np.random.Generator, gaps: Gaps) -> Motion:
     """A person who does an exercise before a camera."""
     body_rng, plan_rng, _, strap_rng, shake_rng, _ = rng.spawn(6)
     bones, pace = draw_bones(body_rng), body_rng.uniform(0.85, 1.25)
-    sway_m, wander_deg = body_rng.uniform(0.004, 0.010), body_rng.uniform(0.8, 2.5)
+    sway_m, wander_deg = 0.004, 0.8
+    if name != "in one plane":
+        sway_m, wander_deg = body_rng.uniform(0.004, 0.010), body_rng.uniform(0.8, 2.5)
     # a camera on a stand or a shelf: tilted, to the person's side, 1.5 to 2.8 m away
     yaw, pitch, roll = body_rng.uniform(-25.0, 25.0), body_rng.uniform(-12, 6), body_rng.normal(0, 1.0)
     R_K_P = Rotation.from_euler("zxy", [roll, pitch, yaw], degrees=True).as_matrix()
     person_K = np.array([body_rng.uniform(*of) for of in ((-0.3, 0.3), (-0.1, 0.4), (1.5, 2.8))])
-    plan, moves, end_s = EXERCISES[name](Draw(plan_rng, bones, pace)), list[Move](), 0.0
-    first = next(plan)
+    draw = Draw(plan_rng, bones, pace, gaps)
+    plan, moves, end_s = EXERCISES[name](draw), list[Move](), 0.0
+    first, draw.t_s = next(plan), 0.0
     while end_s < duration_s + 0.1:
         moves.append(next(plan))
         end_s += moves[-1].duration_s
@@ -583,7 +605,7 @@ def draw_scene(exercise: str, duration_s: float, seed: int, every_s: float = 5.0
     shares = [share for share, _ in TRACKERS.values()]
     _, tracker = TRACKERS[str(plan_rng.choice(list(TRACKERS), p=shares))]
     gaps = plan_gaps(duration_s, plan_rng, every_s)
-    motion = perform(exercise, duration_s, motion_rng)
+    motion = perform(exercise, duration_s, motion_rng, gaps)
     rate_hz = float(plan_rng.choice(IMU_RATES_HZ))
     arm = film(motion, tracker, duration_s, gaps, camera_rng)
     imu, offset_s = worn_imu(motion, duration_s, rate_hz, imu_rng), float(plan_rng.uniform(-0.12, 0.12))
