@@ -140,11 +140,12 @@ def test_no_pose():
 def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     arm = simulate_arm(ArmSimulation.preset("realistic", repetitions=1), 4)
     write_recording(arm.recording, tmp_path / "rec.mcap")
-    cal, figures, page = (tmp_path / name for name in ("cal.toml", "f.json", "f.html"))
+    cal, figures = tmp_path / "cal.toml", tmp_path / "f.json"
     ruler = ("--radius-m", 0.035, "--strap-to-wrist-m", arm.parameters["strap_to_wrist_m"])
     arguments = ("calibrate", "forearm", tmp_path / "rec.mcap", *ruler, "--processes", 1, "-o", cal)
-    done(*arguments, "--json", figures, "--report", page)
-    assert "Against motion" in capsys.readouterr().out
+    done(*arguments, "--json", figures)
+    printed = capsys.readouterr().out
+    assert "Against motion" in printed and "Measures" in printed
     held, said = read_calibration(cal), json.loads(figures.read_text())
     assert held.arms["right"].R_F_A is not None and set(held.arms["right"].lever_arms) == {
         "elbow",
@@ -155,8 +156,6 @@ def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     assert held.tables["forearm"]["right"]["r_m"] == pytest.approx(0.035)
     assert said["measures"]["d_ul"]["value_m"] == pytest.approx(held.arms["right"].upper_arm.value_m)
     assert said["pose"]["to_s"] - said["pose"]["from_s"] > 1.0
-    text = page.read_text(encoding="utf-8")
-    assert "<table" in text and "Measures" in text
     # what the pose gave serves to recover
     out = tmp_path / "out.mcap"
     done("smooth", tmp_path / "rec.mcap", "-o", out, "--calibration", cal, "--processes", 1, "--draws", 0)

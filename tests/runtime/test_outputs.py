@@ -231,7 +231,7 @@ def test_sigterm_removes_what_is_half_written(tmp_path: Path):
         "    t.write_text('half'); print('begun', flush=True)\n"
         # in short sleeps: a signal that comes just before one is noticed after it
         "    for _ in range(2400): time.sleep(0.1)\n"
-        "d.memory = wait\nfrom smoother.cli import main\nsys.argv = ['x', sys.argv[1]]\n"
+        "d.use_open3d = wait\nfrom smoother.cli import main\nsys.argv = ['x', sys.argv[1]]\n"
         "import smoother.cli.run as r\nsys.exit(r.run(['doctor']))"
     )
     for number in (signal.SIGTERM, signal.SIGHUP, signal.SIGINT):
