@@ -245,7 +245,7 @@ _PROGRAM = (
 )
 
 
-class Job(BaseModel):
+class KeptJob(BaseModel):
     """The commands of a recording's last job, and how far they are; one that cannot be read was stopped."""
 
     number: int = 1  # Of the recording's jobs
@@ -264,17 +264,17 @@ def job_folder(place: Path) -> Path:
     return place / "job"
 
 
-def read_job(place: Path) -> Job | None:
+def read_job(place: Path) -> KeptJob | None:
     """A recording's last job; None without any."""
     try:
-        return Job.model_validate_json((job_folder(place) / "job.json").read_bytes())
+        return KeptJob.model_validate_json((job_folder(place) / "job.json").read_bytes())
     except FileNotFoundError:
         return None
     except (OSError, ValueError):
-        return Job()
+        return KeptJob()
 
 
-def write_job(place: Path, job: Job) -> None:
+def write_job(place: Path, job: KeptJob) -> None:
     """Keep it, whole or not at all."""
     write_json(job_folder(place) / "job.json", job.model_dump())
 
@@ -313,7 +313,7 @@ class JobDesk:
         refuse_busy(place)
         before = read_job(place)
         number = 1 if before is None else before.number + 1
-        job = Job(number=number, kind=kind, state="waiting", steps=steps, stamp=stamp)
+        job = KeptJob(number=number, kind=kind, state="waiting", steps=steps, stamp=stamp)
         job_folder(place).mkdir(exist_ok=True)
         write_job(place, job)
         for name in ("out.txt", "err.txt", "progress.json"):
@@ -333,7 +333,7 @@ class JobDesk:
         self._closing.set()
         self._worker.shutdown(cancel_futures=True)
 
-    def _note(self, place: Path, job: Job, **changes: Any) -> None:
+    def _note(self, place: Path, job: KeptJob, **changes: Any) -> None:
         """Change a job and what is kept of it; while the disk is full, it is tried again."""
         for name, value in changes.items():
             setattr(job, name, value)
@@ -344,7 +344,7 @@ class JobDesk:
             if self._closing.wait(_LOOK_S):
                 return
 
-    def _do(self, place: Path, job: Job) -> None:
+    def _do(self, place: Path, job: KeptJob) -> None:
         if self._asked_to_stop(place, job):
             return
         self._note(place, job, state="running")
@@ -357,7 +357,7 @@ class JobDesk:
                 write_json(job_folder(place) / f"{job.kind}.json", {"stamp": job.stamp})
         self._note(place, job, state=state, sentence=sentence)
 
-    def _run(self, place: Path, job: Job) -> tuple[str, str]:
+    def _run(self, place: Path, job: KeptJob) -> tuple[str, str]:
         """Do a job; its end, and why it failed."""
         for at, step in enumerate(job.steps):
             self._note(place, job, step=at)
@@ -377,12 +377,12 @@ class JobDesk:
                 ) or f"The command ended with {code}."
         return "done", ""
 
-    def _asked_to_stop(self, place: Path, job: Job) -> str:
+    def _asked_to_stop(self, place: Path, job: KeptJob) -> str:
         """Why a job is to stop: "cancelled" by the user, "stopped" with the server, or ""."""
         is_cancelled = (place, job.number) in self._cancelled
         return "cancelled" if is_cancelled else "stopped" if self._closing.is_set() else ""
 
-    def _command(self, place: Path, job: Job, words: list[str]) -> int:
+    def _command(self, place: Path, job: KeptJob, words: list[str]) -> int:
         """Run a command in the recording's folder; its exit code."""
         root, kept = str(Path(__file__).parents[2]), job_folder(place)
         environment = os.environ | {

@@ -74,14 +74,18 @@ def _to_measurements(
     return np.hstack([positions, mapped_covariance(kernel, at, rows, data.acc_t, SECOND) * STEP_S**-2])
 
 
+#: The predictor's frames, the last ones of those that have arrived, and how late they are, s (Feng, 4.5).
+ORDER, LATE_S = 5, 0.1
+
+
 def predict(
-    kernel: Kernel, data: Measurements, at: FloatArray, latency_s: float = 0.1, order: int = 5
+    kernel: Kernel, data: Measurements, at: FloatArray
 ) -> tuple[FloatArray, FloatArray]:  # mean (k, c) m, sigma (k,) m
     """The autoregressive predictor: the position now, from late frames and prompt accelerations (4.3)."""
     mean, sigma = np.full((len(at), data.position.shape[1]), np.nan), np.full(len(at), np.nan)
-    arrived = np.searchsorted(data.frame_t + latency_s, at + 1e-9, side="right")
+    arrived = np.searchsorted(data.frame_t + LATE_S, at + 1e-9, side="right")
     for k in np.flatnonzero(arrived):
-        frames = slice(max(int(arrived[k]) - order, 0), int(arrived[k]))
+        frames = slice(max(int(arrived[k]) - ORDER, 0), int(arrived[k]))
         frame_t, position = data.frame_t[frames], data.position[frames]
         first_s = max(frame_t[0], at[k] - LONGEST_S)  # frames before it say nothing any more
         a, b = np.searchsorted(data.acc_t, [first_s - 1e-9, at[k] + 1e-9])

@@ -18,7 +18,6 @@ from .output import Out, print_notes, progress_bar, say, show
 if TYPE_CHECKING:
     from ..io.files import FileReport, ImuFiles
     from ..io.recording.streams import RecordingFile
-    from ..io.rig.strap import StrapFound
     from ..io.tables.describe import DescribedFile
     from ..recording import Recording
 
@@ -331,35 +330,6 @@ def _print_streams(found: list[DescribedFile]) -> None:
     print_notes(each.error for each in found if each.error)
 
 
-#: A strap that wanders along the forearm by more than this part of it was at times something else.
-WANDER = 0.06
-
-
-def strap_verdict(search: StrapFound) -> list[str]:
-    """How often and how well the strap was seen."""
-    import numpy as np
-
-    from ..linalg import robust_sigma
-
-    total = len(search.reasons)
-    good = np.array([not reason for reason in search.reasons], dtype=bool)
-    if not good.any():
-        worst = max(search.counts, key=lambda name: search.counts[name]) if total else "there are no images"
-        return [f"the strap was found in none of {total} images: {worst}"]
-    sigma = 1e3 * float(np.sqrt(np.mean(np.median(search.sigma_m[good], axis=0) ** 2)))
-    middle = float(np.median(search.along[good]))
-    wander = float(robust_sigma(search.along[good] - middle))
-    sentences = [
-        f"the strap was found in {int(good.sum())} of {total} images ({100 * good.mean():.0f} %), the"
-        f" sensor's place to {sigma:.0f} mm per axis",
-        f"it sits at {100 * middle:.0f} % of the way from elbow to wrist, +- {100 * wander:.1f} % from"
-        " image to image",
-    ]
-    if wander > WANDER:
-        sentences.append("that is too much for a tight strap: something else was sometimes detected instead")
-    return sentences
-
-
 #: A length by ruler, m.
 RULER_SIGMA_M = 0.004
 
@@ -390,7 +360,7 @@ def strap(
     from ..calibration import Length
     from ..io.rig.strap import check_images
     from ..smoothing import smooth
-    from ..strap_search.search import import_strap
+    from ..strap_search.search import import_strap, strap_verdict
 
     config = settings.read()
     recording, known = load_arm(recording_file, calibration, **which.chosen)

@@ -101,7 +101,7 @@ def import_files(
     streams += [Timed(topic, times_of(table), True, report.path) for topic, table, report in sensors]
     if one_session:
         check_one_session(streams)
-    shift, sentences = shifts([] if one_clock else streams, imu_starts_at_s)
+    shift, sentences = ([0.0] * len(streams), []) if one_clock else shifts(streams, imu_starts_at_s)
     streams = [stream for stream in streams if not stream.is_further]
     is_known = one_clock or imu_starts_at_s is not None or (one_recorder and of_one_length(streams))
     if not is_known and not sentences and count_from_zero(streams):
@@ -114,7 +114,6 @@ def import_files(
     first = skeletons[0] if skeletons else imus[0].paths[0]
     file = RecordingFile(first, notes=sentences)
     file.clocks_unrelated = imu_starts_at_s is None and bool(sentences)
-    shift = shift or [0.0] * (len(bodies) + len(sensors))
     for number, (tables, report) in enumerate(bodies):
         name, is_flat = names[number], tables[0].units == PIXELS
         known = _known_lens(report.path, number, cameras, lenses or {}) if is_flat else None

@@ -36,8 +36,9 @@ SUSPICIOUS = 3.0
 #: .. or where more than this share of what the camera tracked in this time, s, was rejected, looked at in
 #: steps of this length, s.
 REJECTED_SHARE, REJECTED_S, STEP_S = 0.5, 2.0, 0.5
-#: .. and elbow or wrist lies this many of the camera's sigmas off there in the mean: the slow errors of sound
-#: simulated Azure Kinects (54 mm at the wrist) reached 4.2 in 5 hours, bodies of others 5 to 50.
+#: .. and elbow or wrist lies this many of the camera's sigmas per axis off there in the mean: slow errors of
+#: sound simulated Azure Kinects (54 mm at the wrist) reached 4.2 in 5 hours, the other
+#: arm for 2 to 5 s reached 20 to 50.
 REJECTED_SIGMAS = 4.5
 #: Times that the recording is solved again without what is left out.
 ROUNDS = 3

@@ -27,17 +27,17 @@ from .packages import keep_freed_memory
 LEAST_BYTES = 300 << 20
 
 
-def check_allowance(least_bytes: int = LEAST_BYTES) -> None:
+def check_allowance() -> None:
     """Refuse where this process may use less memory than its work needs before it has read anything."""
     if sys.platform != "linux":
         return
     import resource
 
     allowed, _ = resource.getrlimit(resource.RLIMIT_DATA)
-    if allowed != resource.RLIM_INFINITY and allowed < least_bytes:
+    if allowed != resource.RLIM_INFINITY and allowed < LEAST_BYTES:
         raise UnoccludeError(
             f"memory is limited to {allowed >> 20} MB per process here (ulimit -d); this needs"
-            f" {least_bytes >> 20} MB: raise the limit."
+            f" {LEAST_BYTES >> 20} MB: raise the limit."
         )
 
 

@@ -21,6 +21,7 @@ from ..io.recording.streams import ArmFrames
 from ..io.recording.write import arm_messages
 from ..io.rig.images import ImageMessage
 from ..io.rig.strap import Cameras, StrapFound
+from ..linalg import robust_sigma
 from ..recording import JOINTS, CameraFrame, JointState
 from ..runtime.outputs import writing
 
@@ -193,3 +194,28 @@ def metres_of(image: ImageMessage) -> FloatArray:
     pixels = image.pixels()
     z = pixels * (1e-3 if pixels.dtype == np.uint16 else 1.0)
     return np.where(z > 0, z, np.nan).astype(np.float64)
+
+
+#: A strap that wanders along the forearm by more than this part of it was at times something else.
+WANDER = 0.06
+
+
+def strap_verdict(search: StrapFound) -> list[str]:
+    """How often and how well the strap was seen."""
+    total = len(search.reasons)
+    good = np.array([not reason for reason in search.reasons], dtype=bool)
+    if not good.any():
+        worst = max(search.counts, key=lambda name: search.counts[name]) if total else "there are no images"
+        return [f"the strap was found in none of {total} images: {worst}"]
+    sigma = 1e3 * float(np.sqrt(np.mean(np.median(search.sigma_m[good], axis=0) ** 2)))
+    middle = float(np.median(search.along[good]))
+    wander = float(robust_sigma(search.along[good] - middle))
+    sentences = [
+        f"the strap was found in {int(good.sum())} of {total} images ({100 * good.mean():.0f} %), the"
+        f" sensor's place to {sigma:.0f} mm per axis",
+        f"it sits at {100 * middle:.0f} % of the way from elbow to wrist, +- {100 * wander:.1f} % from"
+        " image to image",
+    ]
+    if wander > WANDER:
+        sentences.append("that is too much for a tight strap: something else was sometimes detected instead")
+    return sentences

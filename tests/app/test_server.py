@@ -29,7 +29,7 @@ from typer.testing import CliRunner
 
 from smoother.app import folder as jobs
 from smoother.app import server
-from smoother.app.folder import AppFolder, Job, JobDesk, KeptRecording, job_folder, write_job, write_json
+from smoother.app.folder import AppFolder, JobDesk, KeptJob, KeptRecording, job_folder, write_job, write_json
 from smoother.app.server import make_app
 from smoother.app.steps import (
     IMPORTED,
@@ -227,7 +227,7 @@ def test_what_a_killed_server_was_doing_was_stopped_and_is_repeated(
     place = folder.of(name)
     shutil.copy(session_files["imu"], place / "files")
     job_folder(place).mkdir()
-    write_job(place, Job(kind="describe", steps=describe_steps(folder, place), state="running"))
+    write_job(place, KeptJob(kind="describe", steps=describe_steps(folder, place), state="running"))
     with TestClient(make_app(folder, JobDesk(folder), TOKEN, PORT), base_url=HOST) as client:
         client.get(f"/?token={TOKEN}")
         page = Page(client, folder)

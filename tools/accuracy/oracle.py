@@ -63,7 +63,7 @@ WHOLE = {"trusted": "recordings", "refused": "recordings", "gaps trusted": "gaps
 WORSE = ("crashed", "wrong")
 SECONDS = "cpu s"
 
-#: A gap counts as trusted where more of its samples than this are; as wrong beyond this many stated sigmas.
+#: A gap counts as trusted if more than this share of its samples are, and as wrong beyond this many sigmas.
 TRUSTED_SHARE, SIGMAS = 0.5, 3.0
 #: In view between two long gaps, s.
 BETWEEN_GAPS_S = 8.0
